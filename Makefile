@@ -1,5 +1,6 @@
 # Each target sets up .venv by itself, and lint the tools that check the web page; nothing but pip and npm goes to the network.
-# PYTHON chooses the interpreter: make test PYTHON=python3.12
+# PYTHON chooses the interpreter and VENV the folder it is set up in: make test PYTHON=python3.12 VENV=.venv-3.12
+# TESTS are further arguments of pytest: make test TESTS=tests/maps
 
 SHELL := /bin/bash
 PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11 python3.14,\
@@ -18,19 +19,18 @@ serve: $(INSTALLED)
 	$(BIN)/rholoc serve
 
 # Four at a time on two cores, for browsers and servers are mostly waited for, and so one thread each for arithmetic; a
-# module's tests stay together where they can, for they share them.
-test test-all: export OPENBLAS_NUM_THREADS = 1
-test test-all: export OMP_NUM_THREADS = 1
+# module's tests stay together where they can, for they share what they are about.
+test test-all figures: export OPENBLAS_NUM_THREADS = 1
+test test-all figures: export OMP_NUM_THREADS = 1
+PYTEST := $(BIN)/python -m pytest --dist worksteal
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not slow"
+	$(PYTEST) -n 4 -m "not slow" $(TESTS)
 
 test-all: test
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m slow
+	$(PYTEST) -n 3 -m slow $(TESTS)
 
 # What the documents quote, measured again: it fails where something is worse. WRITE=1 puts the new figures there.
-figures: export OPENBLAS_NUM_THREADS = 1
-figures: export OMP_NUM_THREADS = 1
 figures: $(INSTALLED)
 	$(BIN)/python benchmarks/figures.py $(if $(WRITE),--write)
 

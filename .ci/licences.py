@@ -33,6 +33,7 @@ PERMISSIVE = {
     "Zlib",
 }
 OTHERS = {  # each named in the README's section on licences
+    "apsw": "any-OSI",
     "certifi": "Mozilla Public License 2.0 (MPL 2.0)",
     "psycopg": "LGPL-3.0-only",
     "psycopg-binary": "LGPL-3.0-only",

@@ -27,7 +27,7 @@ from rholoc.errors import MappingFailed
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import NO_BELIEF, Belief, Localizer, Query
-from rholoc.localization.confidence import (
+from rholoc.localization.belief.confidence import (
     WEIGHTS,
     ConfidenceFeatures,
     Weights,

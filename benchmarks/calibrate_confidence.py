@@ -1,4 +1,4 @@
-"""Fit and check the confidence of answers (rholoc.localization.confidence), by recordings that are held back.
+"""Fit and check the confidence of answers (rholoc.localization.belief.confidence), by recordings that are held back.
 
     python benchmarks/calibrate_confidence.py --cache FOLDER [--features gray,lab,lab3,rgb,sift,sift48] [--minutes 10]
         [--room "kitchen, hard" ...] [--plot reliability.png]
@@ -36,7 +36,7 @@ from asking import Answered, Case, Kind, answers_of
 from measuring import print_table
 from rholoc.features import extractor_names
 from rholoc.geometry import BoolArray, FloatArray
-from rholoc.localization.confidence import MIN_RECOGNIZED, Weights
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED, Weights
 from rooms import ROOMS, NamedRoom
 
 NOT_FITTED = (Kind.FOCAL_OFF, Kind.WINDOW)

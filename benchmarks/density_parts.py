@@ -43,12 +43,19 @@ from rholoc.evaluation.baselines import refine_by_density
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.ascent import ascend, end_of_climb, moved
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.matches import Matches, NearestLandmarks
-from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.seeds import minimal_samples, vote_for_places
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of, settle, verify
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches, NearestLandmarks
+from rholoc.localization.pose.ascent import ascend, end_of_climb, moved
+from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.rematching import (
+    FINAL_TOLERANCE_PX,
+    SEARCH_RADII_PX,
+    Verified,
+    evidence_of,
+    settle,
+    verify,
+)
+from rholoc.localization.pose.seeds import minimal_samples, vote_for_places
 from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
 from rholoc.recordings import read_recording
 from rholoc.trajectory import PoseMethod

@@ -92,7 +92,7 @@ def length_cm(value: float, noise_cm: float = AGAIN_CM) -> Figure:
 
 def demo(cache: Path) -> Figures:
     """What `rholoc demo` prints, of seed 0."""
-    found = demo_sweep.run(cache, SEED, 0, 0.0, None)
+    found = demo_sweep.run(cache, SEED)
     return {
         "demo.within_5cm_percent": Figure(round(100 * found.within_5cm_5deg, 1), FRAME_PERCENT, True),
         "demo.median_cm": length_cm(found.median_cm or np.inf, 0.3),

@@ -52,9 +52,9 @@ from fuzz_requests import (
     request,
 )
 from hostile import MOST_HEALTH_MS, MOST_MEMORY_MIB, Watched, shipped_service, watch
-from rholoc.maps.library import is_name
+from rholoc.maps.catalogue import is_name
 from rholoc.processes.limits import limit_own_memory
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
 
 BATCH = 20  # cases of one route in a row
 MADE_UP = 5  # of them by schemathesis
@@ -346,9 +346,10 @@ def authorization(data_dir: Path) -> dict[str, str]:
 @asynccontextmanager
 async def application(folder: Path) -> AsyncIterator[httpx.AsyncClient]:
     """A client of the application within this process."""
-    from rholoc.service import Settings, create_app, middleware
+    from rholoc.service import Settings, create_app
+    from rholoc.service.http import boundary
 
-    middleware._REFUSAL_TAKES_S = 0.0  # which is a pause, not work
+    boundary._REFUSAL_TAKES_S = 0.0  # which is a pause, not work
     app = create_app(Settings(maps_dir=folder / "maps", data_dir=folder / "data"))
     async with app.router.lifespan_context(app):
         transport = httpx.ASGITransport(app, raise_app_exceptions=False, client=("127.0.0.1", 1))

@@ -43,7 +43,6 @@ from rholoc.errors import RholocError
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.exports import ExportFormat, export_map
 from rholoc.jobs import Stores
-from rholoc.mapping.table_reading import read_observations
 from rholoc.maps import (
     CameraLibrary,
     DensityKind,
@@ -59,8 +58,9 @@ from rholoc.maps import (
     read_coefficient_table,
 )
 from rholoc.maps.floor_plan import MEDIA_TYPES, check_plan
-from rholoc.maps.rho_file import load_map
-from rholoc.maps.trajectory_table import read_trajectory_csv
+from rholoc.maps.formats.rho_file import load_map
+from rholoc.maps.formats.trajectory_table import read_trajectory_csv
+from rholoc.paper.table_reading import read_observations
 from rholoc.processes.limits import limit_own_memory
 from rholoc.recordings import (
     check_archive,
@@ -71,7 +71,7 @@ from rholoc.recordings import (
     read_pose_table,
     read_recording,
 )
-from rholoc.service.backup import back_up, unpack_backup
+from rholoc.service.operate.backup import back_up, unpack_backup
 
 SHIPPED = Path(__file__).resolve().parents[1] / "maps"
 MOST_MEMORY_BYTES = 2 * 2**30

@@ -209,6 +209,8 @@ def good_requests(world: World) -> dict[str, list[Request]]:
     waypoints = [{"name": f"W{i}", "position": [i, i * i, 1.5], "time_s": 1000.1 + i / 10} for i in range(3)]
     return {
         "POST /v1/maps/{map_name}/localize": asked(f"{of_map}/localize"),
+        "POST /v1/maps/{map_name}/localize/frames": [asked_together(f"{of_map}/localize/frames")],
+        "POST /v1/localize/frames": [replace(asked_together("v1/localize/frames"), query=(("maps", f"{MAP},annex"),))],
         "POST /v1/localize": [
             replace(one, query=(*one.query, ("maps", f"{MAP},annex"))) for one in asked("v1/localize")
         ],
@@ -309,8 +311,6 @@ def asked(path: str) -> list[Request]:
         "camera": INTRINSICS, "dof": 6, "gravity": [0.0, 1.0, 0.1], "deadline_ms": 30_000, "with_matches": True,
         "prior": {"position": [1.0, 0.5, 1.5], "heading": [1.0, 0.0, 0.0], "radius_m": 2.0, "radius_deg": 40.0},
     }  # fmt: skip
-    posed = {"image": base64.b64encode(picture).decode(), "position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}
-    frames = {"frames": [posed, {**posed, "position": [0.1, 0, 0]}], "camera": INTRINSICS, "sigma_m": 0.01}
     parts: dict[str, str | tuple[str, bytes]] = {"image": ("a.jpg", picture), "request": json.dumps(options)}
     return [
         request("POST", path, picture, JPEG, fx=520, fy=520, cx=320, cy=240, dof=5, prior_position="1,0.5,1.5",
@@ -318,8 +318,15 @@ def asked(path: str) -> list[Request]:
         request("POST", path, *form(parts)),
         request("POST", path, picture, JPEG, intrinsics="unknown", deadline_ms=30_000),
         request("POST", path, {**options, "features": features}),
-        request("POST", path, frames),
     ]  # fmt: skip
+
+
+def asked_together(path: str) -> Request:
+    """Two frames with relative poses."""
+    picture = base64.b64encode(a_picture()).decode()
+    posed = {"image": picture, "position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}
+    frames = [posed, {**posed, "position": [0.1, 0, 0]}]
+    return request("POST", path, {"frames": frames, "camera": INTRINSICS, "sigma_m": 0.01})
 
 
 def a_picture() -> bytes:

@@ -44,7 +44,7 @@ from PIL import Image
 
 from rholoc.cli.server_process import RunningServer, running_server
 from rholoc.service import Settings
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
 
 MAPS = Path(__file__).parents[1] / "maps"
 JPEG = {"Content-Type": "image/jpeg"}

@@ -32,10 +32,10 @@ from rholoc.features import Extractor, get_extractor
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, pose_distances
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import DEFAULT_FEATURES, AnsweredQuery, BuildOptions, build_map, learn_from_queries
-from rholoc.mapping.assembly import assemble
-from rholoc.mapping.build import reconstruct
-from rholoc.mapping.memory import with_landmarks
-from rholoc.mapping.observations import Views
+from rholoc.mapping.build.assembly import assemble
+from rholoc.mapping.build.pipeline import reconstruct
+from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Map, MapInfo, Source, map_to_bytes
 from rholoc.progress import silent
 from rholoc.recordings import Recording, read_recording

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, Slerp
 
-from rholoc.geometry import ByteArray, FloatArray, align_poses, aligning_rotation, umeyama
+from rholoc.geometry import ByteArray, FloatArray, aligning_rotation, umeyama
 from rholoc.recordings import Imu
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -166,24 +166,6 @@ def position_errors(T_map_camera: FloatArray, truth: FloatArray) -> dict[str, An
     return {"rms_cm": rounded(np.sqrt(np.mean(off_cm**2))), **{f"{k}_cm": v for k, v in spread(off_cm).items()}}
 
 
-def rigid_errors(T_map_camera: FloatArray, truth: FloatArray) -> dict[str, Any]:
-    """Errors after a rigid alignment, which does not mend a wrong scale; and how wrong the scale is, in %."""
-    own, true = T_map_camera[:, :3, 3], truth[:, :3, 3]
-    similarity = umeyama(own, true)
-    turned = own @ similarity.rotation.T
-    off_cm = 100 * np.linalg.norm(turned - turned.mean(axis=0) - (true - true.mean(axis=0)), axis=1)
-    return {
-        "rigid_rms_cm": rounded(np.sqrt(np.mean(off_cm**2))),
-        "rigid_worst_cm": rounded(off_cm.max()),
-        "scale_error_percent": rounded(100 * (1 / similarity.scale - 1)),
-    }
-
-
-def scale_between(T_a: FloatArray, T_b: FloatArray) -> float:
-    """How much longer the same way is in the second of two trajectories of the same frames (N, 4, 4); robust."""
-    return align_poses(T_a, T_b).scale
-
-
 def coverage(recording_times: FloatArray, placed_times: FloatArray) -> dict[str, Any]:
     """Which part of a recording has a placed frame nearby, and the longest time without one."""
     inner = np.sort(placed_times)
@@ -281,13 +263,6 @@ def flat(figures: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 def jpeg_of(image: ByteArray, quality: int = 92) -> bytes:
     """An image (H, W) or (H, W, 3) as a camera would send it."""
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
-
-
-def print_figures(title: str, figures: dict[str, Any]) -> None:
-    """A title and one indented line a figure."""
-    print(title)
-    for name, value in flat(figures).items():
-        print(f"  {name:32} {value}", flush=True)
 
 
 def print_table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> None:

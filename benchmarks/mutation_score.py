@@ -1,6 +1,6 @@
 """How many small faults the tests notice: mutants of some modules, drawn by a seed, each run against tests.
 
-    python benchmarks/mutation_score.py density localization trajectory service/guard --mutants 160
+    python benchmarks/mutation_score.py density localization trajectory service/access/guard --mutants 160
 
 Each mutant differs from a module in one place: a comparison, an arithmetic or logical operator, a number, a condition,
 or min for max. First the fast tests of a package run once, and which functions each of them calls is recorded. Then a
@@ -308,7 +308,7 @@ def equivalent_mutants() -> set[tuple[str, str, str]]:
 def main() -> None:
     """Draw mutants, try each, print the survivors and the share that was noticed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="+", help="packages or modules of rholoc: density, service/guard")
+    parser.add_argument("parts", nargs="+", help="packages or modules of rholoc: density, service/access/guard")
     parser.add_argument("--mutants", type=int, default=160, help="how many in all, shared evenly by the packages")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--limit", type=int, default=120, help="seconds that a test may take on a mutant")

@@ -33,8 +33,9 @@ from rholoc.mapping import BuildOptions, build_map, set_labels, set_names
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_map
 from rholoc.recordings import Recording, read_recording
 from rholoc.service import Settings, create_app
-from rholoc.service.live import ASKER
-from rholoc.service.schemas import LocalizationOut
+from rholoc.service.caller import ASKER
+from rholoc.service.frames.answers import LocalizationOut
+from rholoc.service.http.models import EXAMPLES
 from rholoc.simulation import simulate_recording
 
 ROOT = Path(__file__).parents[1]
@@ -134,8 +135,8 @@ def start(folder: Path, map_: Map) -> tuple[str, uvicorn.Server]:
 
 def ask(app: FastAPI, server: uvicorn.Server) -> None:
     """Three robots that are answered five times a second, one not found now and then; the answers are made up."""
-    live = app.state.rholoc.live
-    example = LocalizationOut.model_config["json_schema_extra"]["example"]
+    live = app.state.rholoc.frames.live
+    example = EXAMPLES["LocalizationOut"]
     while not server.should_exit:
         for robot, (x, y) in enumerate([(0.3, 1.2), (1.2, 2.4), (2.6, 2.5)]):
             turn = 0.4 * robot + 0.2

@@ -26,11 +26,11 @@ from rholoc.evaluation.splits import with_poses
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.density_localizer import DensityLocalizer
-from rholoc.mapping.fitting import DEFAULT_DEGREE, fit_densities, ray_form, sightings_of
-from rholoc.mapping.from_observations import FitOptions, fit_figures, map_from_observations
-from rholoc.mapping.observing import observe_recording
+from rholoc.mapping.build.density_fitting import DEFAULT_DEGREE, fit_densities, ray_form, sightings_of
 from rholoc.maps import Map
+from rholoc.paper.density_localizer import DensityLocalizer
+from rholoc.paper.from_observations import FitOptions, fit_figures, map_from_observations
+from rholoc.paper.observing import observe_recording
 from rholoc.recordings import Recording, read_recording
 from rholoc.simulation import simulate_recording
 from rholoc.trajectory import PoseMethod

@@ -28,8 +28,9 @@ from playwright.sync_api import Browser, Page, Playwright, sync_playwright
 
 from rholoc.cli.server_process import running_server
 from rholoc.service import Settings, create_app
-from rholoc.service.live import ASKER
-from rholoc.service.schemas import LocalizationOut
+from rholoc.service.caller import ASKER
+from rholoc.service.frames.answers import LocalizationOut
+from rholoc.service.http.models import EXAMPLES
 from rholoc.service.state import State
 
 MAPS = Path(__file__).parents[1] / "maps"
@@ -160,7 +161,7 @@ def live(playwright: Playwright, folder: Path) -> dict[str, float]:
 def _ask(app: FastAPI, stop: threading.Event) -> None:
     """Robots that walk in circles and are answered."""
     state: State = app.state.rholoc
-    example = LocalizationOut.model_config["json_schema_extra"]["example"]  # type: ignore[index,call-overload]
+    example = EXAMPLES["LocalizationOut"]
     while not stop.is_set():
         for robot in range(ROBOTS):
             angle = 0.5 * time.monotonic() + robot
@@ -168,7 +169,7 @@ def _ask(app: FastAPI, stop: threading.Event) -> None:
             pose = {**example["pose"], "position": [x, y, 1.5]}
             pose["T_map_camera"] = [[0, 0, 1, x], [-1, 0, 0, y], [0, -1, 0, 1.5], [0, 0, 0, 1]]
             ASKER.set(f"robot-{robot}")
-            state.live.note(LocalizationOut.model_validate({**example, "pose": pose}))
+            state.frames.live.note(LocalizationOut.model_validate({**example, "pose": pose}))
         stop.wait(1 / ROBOT_HZ)
 
 

@@ -9,7 +9,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ import httpx
 import numpy as np
 import pytest
 import uvicorn
+from hypothesis import settings as hypothesis_settings
 
 from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.geometry import (
@@ -33,10 +34,10 @@ from rholoc.geometry import (
     patch_appearance,
     poses_from_rows,
 )
-from rholoc.mapping.assembly import assemble
-from rholoc.mapping.landmarks import select_stable, triangulate
-from rholoc.mapping.memory import with_landmarks
-from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.build.assembly import assemble
+from rholoc.mapping.build.landmarks import select_stable, triangulate
+from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import (
     DensityKind,
     Map,
@@ -61,6 +62,10 @@ if TYPE_CHECKING:
 _PATIENCE_S = 60.0
 for _part in ("connect", "read", "write", "pool"):
     setattr(httpx._config.DEFAULT_TIMEOUT_CONFIG, _part, _PATIENCE_S)  # bound in the signatures of httpx's functions
+
+# As many examples as find what is easily wrong; each run draws others.
+hypothesis_settings.register_profile("rholoc", max_examples=40, deadline=None)
+hypothesis_settings.load_profile("rholoc")
 
 sys.path.insert(0, str(Path(__file__).parent))  # of what tests of several packages share
 
@@ -205,6 +210,7 @@ class PointRoom:
     camera: Camera
     noise_px: float = 0.5
     flipped_bits: int = 12
+    _maps: dict[tuple[bytes, str], Map] = field(default_factory=dict, init=False)
 
     @cached_property
     def patches(self) -> FloatArray:
@@ -252,8 +258,14 @@ class PointRoom:
         ]
 
     def map_of(self, poses: Sequence[Pose], name: str) -> Map:
-        """The map of a recording called ``name``, of cameras at known poses."""
+        """The map of a recording called ``name``, of cameras at known poses; made once, so nobody may change it."""
         T = np.array([pose.T_map_camera for pose in poses])
+        known = T.tobytes(), name
+        if known not in self._maps:
+            self._maps[known] = self._made_map(poses, T, name)
+        return self._maps[known]
+
+    def _made_map(self, poses: Sequence[Pose], T: FloatArray, name: str) -> Map:
         seen = [self.see(pose, seed) for seed, pose in enumerate(poses)]
         views = Views.from_features([self.camera] * len(T), T, np.arange(len(T)) / 10, seen)
         landmarks = select_stable(views, triangulate(views, link_observations(views, Metric.HAMMING)), 300)
@@ -292,6 +304,14 @@ class RunningService:
         return parts.hostname, parts.port
 
 
+@pytest.fixture(scope="session")
+def openapi() -> dict[str, Any]:
+    """The service's description."""
+    from rholoc.service import Settings, create_app
+
+    return create_app(Settings()).openapi()
+
+
 ServeFunction = Callable[..., RunningService]
 
 
@@ -302,7 +322,7 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
     They refuse at once: thousands of refusals of 20 ms each are a minute.
     """
     from rholoc.service import Settings, create_app
-    from rholoc.service.connections import websocket_options
+    from rholoc.service.http.connections import websocket_options
 
     started: list[tuple[uvicorn.Server, threading.Thread]] = []
 
@@ -324,7 +344,7 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
         return RunningService(f"http://127.0.0.1:{listener.getsockname()[1]}", app, chosen)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rholoc.service.middleware._REFUSAL_TAKES_S", 0.0)
+        patch.setattr("rholoc.service.http.boundary._REFUSAL_TAKES_S", 0.0)
         yield start
     for server, _ in started:  # all at once: one by one they wait for each other
         server.should_exit = True

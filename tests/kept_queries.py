@@ -39,7 +39,7 @@ def a_query(x: float = 0.0, heading_deg: float = 0.0, time_s: float = 1e9, asker
     return AnsweredQuery(features, camera, pose.T_map_camera, 1e-4 * np.eye(6), 0.97, time_s, asker)
 
 
-def keep_queries(data_dir: Path, map_: Map, room: Any, newest_s: float, count: int = 40) -> int:
+def keep_queries(data_dir: Path, map_: Map, room: Any, newest_s: float, count: int = 48) -> int:
     """Keep what a map answered cameras beside the walk through a room of points; returns how many it was sure of."""
     store, localizer = QueryStore(ObjectStorage(data_dir)), Localizer(map_)
     for number, pose in enumerate(room.walk(2 * count, sideways_m=0.1)[:count]):

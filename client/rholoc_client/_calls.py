@@ -172,7 +172,7 @@ def localize_frames(
         "max_sigma_deg": max_sigma_deg,
     }
     body = json.dumps({**_without_none({**options, **uncertainty}), "frames": sent}).encode()
-    path, params, work_s = _localize_path(maps), _several(maps), _work_s(deadline_ms)
+    path, params, work_s = f"{_localize_path(maps)}/frames", _several(maps), _work_s(deadline_ms)
     if not files:
         headers = {"Content-Type": "application/json"}
         return Call("POST", path, _localization, work_s=work_s, params=params, headers=headers, content=body)

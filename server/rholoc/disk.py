@@ -1,15 +1,17 @@
-"""The disk: atomic and durable files, and full disks reported as such."""
+"""The disk: atomic and durable files, folders that are locked or temporary, and full disks reported as such."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
-from rholoc.errors import StorageFull
+from rholoc.errors import InvalidInput, StorageFull
 
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 
@@ -63,6 +65,88 @@ def write_file(path: Path, data: bytes | memoryview | Iterable[bytes], mode: int
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def replace_file(path: Path, data: bytes | memoryview | Iterable[bytes], called: str = "", mode: int = 0o666) -> None:
+    """:func:`write_file`, with errors that refer to the file as ``called``, by default its name.
+
+    Raises:
+        StorageFull: the disk is full; the old content stays.
+        InvalidInput: the folder does not exist or cannot be written to.
+    """
+    try:
+        write_file(path, data, mode)
+    except OSError as error:
+        name = called or path.name
+        if is_full(error):
+            message = f"No space left to write {name}; what was there is unchanged."
+            raise StorageFull(message, "Free some space and try again.") from error
+        raise InvalidInput(f"{name} cannot be written: {error.strerror}.", "Check the folder.") from error
+
+
+def make_folder(folder: Path, mode: int = 0o777) -> None:
+    """Create a folder, and those above it, unless it exists.
+
+    Raises:
+        StorageFull: the disk is full.
+        InvalidInput: it cannot be created.
+    """
+    try:
+        with reporting_full_disk():
+            folder.mkdir(mode=mode, parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"The folder {folder.name} cannot be created: {error.strerror}."
+        raise InvalidInput(message, "Check the folder above it.") from error
+
+
+def link_file(path: Path, other: Path) -> None:
+    """Give a file a second name. A file system without hard links gets a copy.
+
+    Raises:
+        FileNotFoundError: there is no file ``path``.
+        StorageFull: the disk is full.
+    """
+    try:
+        os.link(path, other)
+    except FileNotFoundError:
+        raise
+    except OSError:
+        with reporting_full_disk():
+            shutil.copyfile(path, other)
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Exclude all threads and processes that lock the same folder; nobody where its file system has no locks.
+
+    A thread must not lock a folder twice.
+    """
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)  # until the descriptor is closed
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
+                raise
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def temporary_folder(parent: Path, prefix: str = ".") -> Iterator[Path]:
+    """New folder in ``parent``, named ``prefix`` and 32 hex digits. It is removed at the end unless it was renamed.
+
+    Raises:
+        StorageFull: the disk is full.
+    """
+    folder = parent / f"{prefix}{uuid4().hex}"
+    with reporting_full_disk():
+        folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _write(path: Path, data: bytes | memoryview | Iterable[bytes], mode: int) -> None:

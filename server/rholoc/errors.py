@@ -193,6 +193,10 @@ class StorageUnavailable(RholocError):
     code = "storage_unavailable"
 
 
+class MissingObject(StorageUnavailable):
+    """The catalogue names a file that the storage does not have (any more)."""
+
+
 class Busy(RholocError):
     """The service's queue is full. Try again after ``retry_after_s`` seconds."""
 

@@ -11,8 +11,9 @@ import pytest
 from playwright.sync_api import expect
 
 from rholoc.maps import TrajectoryTable, trajectory_csv
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.maps.info import Source
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 
 HTML = "<img src=x onerror=\"document.title='taken over'\">"
 
@@ -21,7 +22,7 @@ HTML = "<img src=x onerror=\"document.title='taken over'\">"
 def named(service, picture_world):
     """The service with a map whose recording and waypoint have HTML for names, a camera, and a job."""
     waypoint = {"name": HTML, "position": [1.0, 2.0, 1.5], "residual_m": 0.012}
-    content = picture_world.rho(sources=({"name": HTML, "frames": 4},), waypoints=(waypoint,))
+    content = picture_world.rho(sources=(Source(HTML, frames=4),), waypoints=(waypoint,))
     (service.settings.maps_dir / "strange.rho").write_bytes(content)
     camera = {"width": 640, "height": 480, "fx": 520, "fy": 520, "cx": 319.5, "cy": 239.5}
     assert httpx.put(f"{service.url}/v1/cameras/pixel", json=camera).is_success

@@ -8,7 +8,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
-from rholoc.mapping.report import map_statistics
+from rholoc.mapping.build.self_report import map_statistics
 from rholoc_client import Client, Prior
 
 

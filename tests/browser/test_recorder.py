@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 
 from rholoc.cli import app
 from rholoc.recordings import read_recording
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 
 PHONE = {"width": 390, "height": 844}
 SENSORS = ("accelerometer", "gyroscope", "magnetometer")

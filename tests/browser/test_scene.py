@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import expect
 
 from rholoc.geometry import Similarity
-from rholoc.mapping.moving import move_map
+from rholoc.mapping.edit.moving import move_map
 from rholoc.maps import Cloud, map_to_bytes
 
 MAGENTA = (230, 20, 160)

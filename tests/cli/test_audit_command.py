@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from rholoc.service.audit import AuditLog, Change
+from rholoc.service.access.audit import AuditLog, Change
 from rholoc.storage.database import open_database
 
 CHANGE = Change(1.0, "alice", "PUT", "/v1/maps/hall", 200, "", "id")

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from rholoc.jobs import Stores
 from rholoc.maps import MapLibrary
-from rholoc.service.keys import KeyStore, Scope
-from rholoc.storage import SharedStorage
+from rholoc.service.access.keys import KeyStore, Scope
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -47,7 +47,7 @@ def test_what_servers_share_is_backed_up_and_restored_as_well(
 ) -> None:
     for name in ("here", "there"):
         monkeypatch.setenv("RHOLOC_STORAGE_URL", f"file://{tmp_path / name}/storage")
-        shared = SharedStorage(f"file://{tmp_path / name}/storage", tmp_path / name)
+        shared = Stores(tmp_path / "none", tmp_path / name, storage_url=f"file://{tmp_path / name}/storage")
         shared.open()
         if name == "here":
             shared.library.put("hall", picture_world.map_)

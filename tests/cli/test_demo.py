@@ -106,11 +106,9 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("stage", "number"),
     [
-        ("simulating", signal.SIGTERM),
         ("simulating", signal.SIGINT),
         ("simulated walk-1", signal.SIGTERM),
         ("features", signal.SIGTERM),
-        ("features", signal.SIGINT),
     ],
 )
 def test_a_demo_that_is_stopped_leaves_no_process_behind(

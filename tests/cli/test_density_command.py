@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from rholoc.density import DensityKind
-from rholoc.localization.landscape import Grid, Look, over_headings, over_picture, over_positions, seen_from
-from rholoc.mapping.fitting import fit_densities
+from rholoc.mapping.build.density_fitting import fit_densities
 from rholoc.maps import Map, load_map
+from rholoc.paper.landscape import Grid, Look, over_headings, over_picture, over_positions, seen_from
 
 Run = Callable[..., tuple[int, str, str]]
 SHIPPED = Path(__file__).parents[2] / "maps"

@@ -13,9 +13,9 @@ import pytest
 
 from rholoc.maps import MapLibrary, Site, SiteLibrary, SiteMap
 from rholoc.service import Settings
-from rholoc.service import doctor as module
-from rholoc.service.doctor import Finding, Level, examine
-from rholoc.service.guard import KeyPolicy
+from rholoc.service.operate import doctor as module
+from rholoc.service.operate.doctor import Finding, Level, examine
+from rholoc.service.settings import KeyPolicy
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 
 from rholoc.cli import app
 from rholoc.errors import Conflict, NotFound
-from rholoc.service.keys import KeyLimits, KeyStore, Scope
+from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
 
 
 def run(folder: Path, *arguments: str) -> Result:

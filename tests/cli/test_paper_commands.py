@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from rholoc.mapping import observation_table
 from rholoc.maps import load_map, observations_csv, read_trajectory_csv
+from rholoc.paper.observation_table import observation_table
 from rholoc.recordings import CameraFile, write_camera_json
 from rholoc.simulation import Light, simulate_recording
 

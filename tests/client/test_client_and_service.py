@@ -18,7 +18,6 @@ from rholoc.reports import MapReport, report_from_json
 from rholoc_client import AsyncClient, Camera, Client, ConnectionFailed, Features, Frame, JobFailed, Prior, WaitTimedOut
 
 _PATIENCE_S = 120.0  # the clients' own ten seconds are for machines at rest
-ONE_SHORT_DESCRIPTOR = Features(640, 480, [(1, 2)], [b"x"])
 
 
 class Blocking:

@@ -23,7 +23,7 @@ from rholoc.density.observed import (
     sample_counts,
     seen_loss,
 )
-from rholoc.density.recursive import RecursiveFit, batch_fit
+from rholoc.density.recursive_least_squares import RecursiveFit, batch_fit
 from rholoc.density.tensor import Layout
 from rholoc.geometry import FloatArray, Pose, Similarity, rotation_from_heading
 
@@ -105,7 +105,7 @@ def test_the_gradient_is_the_slope() -> None:
         assert slope == pytest.approx(found.gradient[0, axis], rel=0.03, abs=0.03)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     count=st.integers(1, 40),
     monomials=st.integers(1, 10),

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.density import places
+from rholoc.density import localities as places
 from rholoc.density.density import Sightings
-from rholoc.density.places import Places, gather_places
+from rholoc.density.localities import Places, gather_places
 
 AHEAD = np.array([1.0, 0.0, 0.0])
 

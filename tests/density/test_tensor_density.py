@@ -145,7 +145,7 @@ def test_the_cameras_roll_changes_nothing():
     np.testing.assert_allclose(values, values[0], atol=1e-9)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), degree=st.sampled_from([2, 3]))
 def test_gradients_by_the_cameras_motion_are_limits_of_differences(seed: int, degree: int):
     rng = np.random.default_rng(seed)

@@ -20,8 +20,8 @@ import pytest
 import yaml
 
 from rholoc import __version__
-from rholoc.service import Settings, create_app
-from rholoc.service.web import PAGES, PREFIX
+from rholoc.service import Settings
+from rholoc.service.http.web import PAGES, PREFIX
 from waiting import until
 
 _ROOT = Path(__file__).parents[2]
@@ -52,10 +52,9 @@ def test_only_settings_that_there_are_are_set(path: Path) -> None:
     assert {name.lower() for name in named - proxy} <= set(Settings.model_fields)
 
 
-def test_probes_ask_routes_that_there_are(manifests: list[dict[str, Any]]) -> None:
+def test_probes_ask_routes_that_there_are(manifests: list[dict[str, Any]], openapi) -> None:
     asked = set(re.findall(r'"path": "(/[a-z]+)"', json.dumps(manifests)))
-    documented = set(create_app().openapi()["paths"])
-    assert {"/healthz", "/readyz"} <= asked <= documented | {*PAGES, PREFIX}
+    assert {"/healthz", "/readyz"} <= asked <= {*openapi["paths"], *PAGES, PREFIX}
 
 
 def test_metrics_that_need_no_key_are_not_passed_on_to_others(manifests: list[dict[str, Any]]) -> None:

@@ -33,6 +33,10 @@ PAGES = [
         "docs/experiments.md",
         "docs/paper.md",
         "server/README.md",
+        "docs/service/asking.md",
+        "docs/service/mapping.md",
+        "docs/service/operating.md",
+        "docs/service/reference.md",
         "server/COMMANDS.md",
         "maps/README.md",
     )

@@ -8,7 +8,7 @@ import pytest
 from rholoc.evaluation.baselines import MatchSet, Solver, distinct, solve
 from rholoc.evaluation.errors import trajectory_errors
 from rholoc.geometry import Camera, FloatArray, Pose
-from rholoc.localization.matches import Matches
+from rholoc.localization.index.matches import Matches
 
 CAMERA = Camera(640, 480, 520.0, 510.0, 318.0, 242.0, (-0.1, 0.02, 0.001, -0.002))
 POSE = Pose.from_heading(np.array([1.0, -2.0, 1.5]), np.array([0.6, 0.8, -0.1]), roll=0.2)

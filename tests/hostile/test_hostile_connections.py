@@ -20,11 +20,11 @@ import uvicorn
 from rholoc.errors import Busy, Conflict, UnknownJob
 from rholoc.jobs import JobQueue, RecordingStore
 from rholoc.service import Settings, create_app
-from rholoc.service.bodies import HeldBodies
-from rholoc.service.connections import PatientProtocol, protocol_of
-from rholoc.service.job_events import JobEvents
-from rholoc.service.metrics import Metrics
-from rholoc.service.storage_threads import StorageThreads
+from rholoc.service.http.bodies import HeldBodies
+from rholoc.service.http.connections import PatientProtocol, protocol_of
+from rholoc.service.http.metrics import Metrics
+from rholoc.service.maps.job_events import JobEvents
+from rholoc.service.threads.storage import StorageThreads
 from rholoc_client import Client
 
 HEAD = b"PUT /v1/maps/room HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n"
@@ -102,7 +102,7 @@ def test_the_time_for_a_head_ends_with_it(tmp_path):
 
 
 def test_of_too_many_connections_the_one_that_waits_longest_makes_room(crowded, monkeypatch):
-    monkeypatch.setattr("rholoc.service.connections._YOUNG_S", 0.0)
+    monkeypatch.setattr("rholoc.service.http.connections._YOUNG_S", 0.0)
     with ExitStack() as stack:
         idle = [stack.enter_context(socket.create_connection(crowded, timeout=60)) for _ in range(5)]
         for _ in range(3):
@@ -273,8 +273,8 @@ def test_a_job_is_looked_up_once_for_all_who_watch_it(tmp_path):
 def test_jobs_are_listed_a_page_at_a_time(serve):
     running = serve()
     state = running.app.state.rholoc
-    recording = state.recordings.create([("walk.mp4", [b"x"])]).id
-    ids = [state.jobs.submit(recording, "room").id for _ in range(5)][::-1]
+    recording = state.recordings.sync.create([("walk.mp4", [b"x"])]).id
+    ids = [state.jobs.sync.submit(recording, "room").id for _ in range(5)][::-1]
     url = f"{running.url}/v1/jobs"
     assert [job["id"] for job in httpx.get(url).json()["jobs"]] == ids
     pages, before = [], None
@@ -308,8 +308,8 @@ def test_a_database_that_is_locked_is_no_error_of_the_service(serve, monkeypatch
 
 def test_metrics_are_made_once_for_all_who_ask_at_a_time(monkeypatch):
     made = []
-    monkeypatch.setattr("rholoc.service.metrics.generate_latest", lambda _: made.append(1) or b"text")
-    monkeypatch.setattr("rholoc.service.metrics._KEPT_S", 1000.0)
+    monkeypatch.setattr("rholoc.service.http.metrics.generate_latest", lambda _: made.append(1) or b"text")
+    monkeypatch.setattr("rholoc.service.http.metrics._KEPT_S", 1000.0)
     metrics = Metrics()
     assert {metrics.text() for _ in range(20)} == {b"text"}
     assert len(made) == 1
@@ -351,13 +351,12 @@ def test_maps_that_cannot_be_written_are_no_error_of_the_service(serve, picture_
 
 
 def test_a_database_that_is_damaged_is_no_error_of_the_service(serve, monkeypatch):
-    running = serve()
-
     def damaged(*_args):
         raise sa.exc.DatabaseError("SELECT", {}, Exception("database disk image is malformed"))
 
     monkeypatch.setattr(JobQueue, "counts", damaged)
     monkeypatch.setattr(JobQueue, "list", damaged)
+    running = serve()
     listed = httpx.get(f"{running.url}/v1/jobs")
     assert (listed.status_code, listed.json()["code"]) == (503, "storage_unavailable")
     metrics = httpx.get(f"{running.url}/metrics")

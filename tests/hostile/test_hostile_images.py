@@ -17,10 +17,10 @@ from PIL import Image
 from rholoc.errors import InvalidImage
 from rholoc.features import get_extractor
 from rholoc.recordings.frames.image import MAX_JPEG_SCANS, decode_image, jpeg_scans, visited_pixels
-from rholoc.service import localize
-from rholoc.service.compute import Effort
-from rholoc.service.localize import extract_bounded
-from rholoc.service.queries import effort_of_set
+from rholoc.service.frames import frame_features
+from rholoc.service.frames.frame_features import extract_bounded
+from rholoc.service.frames.queries import effort_of_set
+from rholoc.service.threads.compute import Effort
 
 
 def encoded(format_: str, size=(64, 48), **options) -> bytes:
@@ -140,14 +140,14 @@ def test_ordinary_frames_wait_for_no_large_ones(serve, picture_world, monkeypatc
 
     large = cv2.imencode(".jpg", np.zeros((1500, 2000, 3), np.uint8))[1].tobytes()
     assert visited_pixels(large) == 3_000_000
-    really = localize.decode_image
-    monkeypatch.setattr(localize, "decode_image", lambda data, *a: (slow if data == large else really)(data, *a))
+    really = frame_features.decode_image
+    monkeypatch.setattr(frame_features, "decode_image", lambda data, *a: (slow if data == large else really)(data, *a))
     url, jpeg = f"{running.url}/v1/maps/room/localize?deadline_ms=60000", {"Content-Type": "image/jpeg"}
     with ThreadPoolExecutor(4) as pool:
         try:
             held = [pool.submit(httpx.post, url, content=large, headers=jpeg, timeout=60) for _ in range(2)]
             assert entered.wait(60)
-            compute = running.app.state.rholoc.compute
+            compute = running.app.state.rholoc.frames.compute
             while compute.taken < 2:
                 time.sleep(0.01)
             refused = httpx.post(url, content=large, headers=jpeg, timeout=60)

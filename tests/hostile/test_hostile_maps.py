@@ -18,9 +18,9 @@ from starlette.requests import ClientDisconnect
 from rholoc.errors import InvalidMap
 from rholoc.exports import ExportFormat
 from rholoc.maps import MapLibrary, load_map, map_to_bytes
-from rholoc.maps.rho_file import _checksum
-from rholoc.service import routes
-from rholoc.service.exports import ExportRequest, Exports, is_long
+from rholoc.maps.formats.rho_file import _checksum
+from rholoc.service import libraries
+from rholoc.service.maps.exports import ExportRequest, Exports, is_long
 
 PNG = {"Content-Type": "image/png"}
 
@@ -118,7 +118,7 @@ def test_what_cannot_be_rehearsed_is_not_published(http, picture_world, monkeypa
     def fail(*_args):
         raise IndexError("index 3 is out of bounds")
 
-    monkeypatch.setattr("rholoc.service.routes.maps.localizer_of", fail)
+    monkeypatch.setattr("rholoc.service.maps.publishing.localizer_of", fail)
     refused(http.put("/v1/maps/room", content=picture_world.rho(version=9)))
 
 
@@ -210,7 +210,7 @@ def test_only_long_exports_are_left_to_a_process():
 
 @pytest.fixture
 def every_export_is_long(monkeypatch):
-    monkeypatch.setattr("rholoc.service.exports.SHORT_NUMBERS", 0)
+    monkeypatch.setattr("rholoc.service.maps.exports.SHORT_NUMBERS", 0)
 
 
 @pytest.mark.usefixtures("every_export_is_long")
@@ -223,7 +223,7 @@ def test_an_export_that_takes_too_long_ends_with_its_process(serve, picture_worl
 
 
 def test_an_export_whose_client_leaves_before_it_begins_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr("rholoc.service.exports._LOOK_EVERY_S", 0.05)
+    monkeypatch.setattr("rholoc.service.maps.exports._LOOK_EVERY_S", 0.05)
 
     async def is_gone():
         return True
@@ -261,7 +261,7 @@ def test_a_map_file_has_a_limit_and_maps_are_checked_one_at_a_time(serve, pictur
     refused = httpx.put(f"{url}/room", content=content + b"x")
     assert (refused.status_code, refused.json()["code"]) == (413, "too_large")
     at_work, most, both = 0, 0, threading.Lock()
-    really = routes.maps._publish
+    really = libraries.publish_file
 
     def publish(*args):
         nonlocal at_work, most
@@ -272,7 +272,7 @@ def test_a_map_file_has_a_limit_and_maps_are_checked_one_at_a_time(serve, pictur
         with both:
             at_work -= 1
 
-    monkeypatch.setattr(routes.maps, "_publish", publish)
+    monkeypatch.setattr(libraries, "publish_file", publish)
     with ThreadPoolExecutor(4) as pool:
         answers = list(pool.map(lambda i: httpx.put(f"{url}/room-{i}", content=content, timeout=60), range(4)))
     assert ([answer.status_code for answer in answers], most) == ([201] * 4, 1)

@@ -11,9 +11,7 @@ from pathlib import Path
 
 from fake_pipeline import Control
 
-from rholoc.jobs import Job, JobOptions, JobPriority, JobQueue, JobState, RecordingStore
-from rholoc.maps import MapLibrary
-from rholoc.storage import SharedStorage
+from rholoc.jobs import Job, JobOptions, JobPriority, JobQueue, JobState, Stores
 from waiting import TIMEOUT_S, until
 
 _HERE = Path(__file__).parent
@@ -33,14 +31,9 @@ class Site:
         control_dir = folder / "control"
         control_dir.mkdir()
         self.control = Control(control_dir)
-        self.shared = SharedStorage(storage_url, self.data_dir, database_url) if storage_url else None
-        if self.shared is None:
-            self.recordings = RecordingStore(self.data_dir)
-            self.library = MapLibrary(self.maps_dir)
-        else:
-            self.shared.open(follow=True)
-            self.recordings = RecordingStore(self.data_dir, self.shared.objects, self.shared.engine)
-            self.library = self.shared.library
+        self.stores = Stores(self.maps_dir, self.data_dir, database_url, storage_url)
+        self.stores.open(follow=True)
+        self.recordings, self.library = self.stores.recordings, self.stores.library
         self.queue = JobQueue(self.data_dir, database_url, self.recordings)
         self._workers: list[subprocess.Popen[bytes]] = []
 
@@ -96,5 +89,4 @@ class Site:
         for worker in self._workers:
             worker.wait(TIMEOUT_S)
         self.queue.close()
-        if self.shared is not None:
-            self.shared.close()
+        self.stores.close()

@@ -9,8 +9,8 @@ import pytest
 
 from rholoc.features import Metric
 from rholoc.localization import Localizer
-from rholoc.mapping.landmarks import representative_rows, select_stable, triangulate
-from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.build.landmarks import representative_rows, select_stable, triangulate
+from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 
 

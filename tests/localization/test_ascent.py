@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import Pose, pose_matrix
 from rholoc.localization import Dof
-from rholoc.localization.ascent import ascend, covariance_at, gains, gradient, sharpen
+from rholoc.localization.pose.ascent import ascend, covariance_at, gains, gradient, sharpen
 
 FOCAL_PX = 500.0
 RAY = RayDensities()
@@ -34,7 +34,6 @@ def _moved(step: np.ndarray) -> np.ndarray:
     return pose_matrix(Rotation.from_rotvec(step[3:]).as_matrix() @ TRUTH[:3, :3], TRUTH[:3, 3] + step[:3])
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 10_000), power=st.sampled_from([1, 4]))
 def test_the_gradient_agrees_with_finite_differences(seed: int, power: int) -> None:
     evidence = _evidence(seed, count=12)

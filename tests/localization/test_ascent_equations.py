@@ -13,11 +13,8 @@ from scipy.spatial.transform import Rotation
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, Pose, pose_distances
 from rholoc.localization import Dof
-from rholoc.localization.ascent import (
+from rholoc.localization.pose.ascent import (
     Step,
-    _bounded,
-    _by_focal,
-    _focal_equations,
     ascend,
     ascend_with_focal,
     climb,
@@ -150,12 +147,6 @@ def test_normal_equations_are_slope_and_curvature_of_the_value(dof: Dof, power: 
     )
 
 
-def test_a_longer_focal_length_draws_rays_to_the_axis() -> None:
-    expected = derivative_at_peak(scene(2))
-    np.testing.assert_allclose(_by_focal(scene(2), HERE), expected, atol=1e-8)
-    assert np.abs(expected).max() > 0.5
-
-
 def derivative_at_peak(evidence: Evidence) -> FloatArray:
     """(M, 2) of the offsets by ln f, where they are none."""
     local = (evidence.landmarks - HERE[:3, 3]) @ HERE[:3, :3]
@@ -166,40 +157,6 @@ def derivative_at_peak(evidence: Evidence) -> FloatArray:
         return np.einsum("mir,mi->mr", evidence.across, across)
 
     return derivative(aside, 1)[..., 0]
-
-
-@pytest.mark.parametrize("dof", list(Dof))
-def test_with_a_free_focal_length_the_equations_have_its_logarithm_for_a_seventh(dof: Dof) -> None:
-    for noise_px in (0.0, 3.0):
-        evidence = scene(3, noise_px=noise_px)
-        allowed = tolerances(evidence, HERE, 12.0)
-        slope, curvature = _focal_equations(evidence, HERE, 12.0, dof)
-
-        def at(step: FloatArray, e: Evidence = evidence, r2: FloatArray = allowed) -> float:
-            refocused = e.refocused(float(np.exp(step[6])))
-            along = (refocused.landmarks - HERE[:3, 3]) @ HERE[:3, :3]
-            assert (np.einsum("mi,mi->m", along, refocused.rays) > 0).all()
-            return value(refocused, moved(HERE, step[:6]), r2, dof)
-
-        expected = derivative(lambda step: np.asarray(at(step)), 7)
-        np.testing.assert_allclose(slope, expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max() + 1e-6)
-        if noise_px == 0.0 and dof is Dof.FREE:
-            bent = -curvature_of(at, 7, 1e-5)
-            np.testing.assert_allclose(curvature, bent, rtol=1e-3, atol=1e-4 * np.abs(bent).max())
-        if dof is not Dof.FREE:
-            pull, stiffness = roll_prior(HERE, dof)
-            free = _focal_equations(evidence, HERE, 12.0, Dof.FREE)
-            np.testing.assert_allclose(slope - free[0], np.r_[pull, 0], atol=1e-9)
-            np.testing.assert_allclose((curvature - free[1])[:6, :6], stiffness, atol=1e-6)
-
-
-def test_what_is_behind_the_camera_says_nothing_of_the_focal_length() -> None:
-    evidence = scene(4)
-    behind = replace(evidence, landmarks=2 * HERE[:3, 3] - evidence.landmarks)
-    with np.errstate(divide="raise", invalid="raise"):
-        slope, curvature = _focal_equations(behind, HERE, 12.0, Dof.FREE)
-    np.testing.assert_array_equal(slope, np.zeros(7))
-    np.testing.assert_array_equal(curvature, np.zeros((7, 7)))
 
 
 def written_out_information(evidence: Evidence, T: FloatArray, noise_px: float, focal_free: bool) -> FloatArray:
@@ -241,25 +198,6 @@ def test_only_matches_that_agree_inform_and_without_any_nothing_is_known() -> No
     np.testing.assert_array_equal(information_at(evidence, none), np.zeros((6, 6)))
     np.testing.assert_array_equal(information_at(evidence, none, focal_free=True), np.zeros((7, 7)))
     np.testing.assert_allclose(covariance_at(evidence, none), 1e6 * np.eye(6))
-
-
-def test_a_step_is_newtons_up_to_half_a_metre_or_three_tenths_of_a_radian() -> None:
-    hessian, slope = np.diag([1.0, 2.0, 4.0, 8.0, 16.0, 29.0]), np.array([0.1, 0.2, -0.2, 0.4, 0.8, 1.0])
-    step = _bounded(slope, hessian)
-    assert step is not None
-    np.testing.assert_allclose(step, slope / (np.diag(hessian) + 1e-5), rtol=1e-12)
-    nothing = _bounded(np.full(6, 1e-13), np.zeros((6, 6)))
-    assert nothing is not None
-    np.testing.assert_allclose(nothing, 0.1, rtol=1e-12)
-    for full in ([3.0, 0, 4.0, 0.1, 0, 0], [0.1, 0, 0, 0, 0.36, 0.48], [0.3, 0.4, 0, 0.3, 0, 0], [0, 0, 0, 0, 0, -0.3]):
-        bounded = _bounded(np.array(full), np.eye(6))
-        assert bounded is not None
-        length = max(np.linalg.norm(full[:3]) / 0.5, np.linalg.norm(full[3:]) / 0.3, 1)
-        np.testing.assert_allclose(bounded, np.array(full) / length, rtol=1e-5, atol=1e-12)
-    assert _bounded(np.full(6, np.nan), np.eye(6)) is None
-    with_focal = _bounded(np.r_[np.zeros(6), 5.0], np.eye(7))
-    assert with_focal is not None
-    assert with_focal[6] == pytest.approx(5.0, rel=1e-5)  # is bounded elsewhere
 
 
 def lengths(steps: list[Step]) -> FloatArray:
@@ -360,27 +298,3 @@ def test_a_focal_length_changes_by_a_tenth_at_a_time_and_sixteenfold_at_most() -
         assert np.log(found) == pytest.approx(0.6 * way)
         _, found, _ = ascend_with_focal(evidence, HERE, (800.0 * scale,), Dof.FREE, 40)
         assert found == 4.0**way
-
-
-def test_with_a_free_focal_length_steps_of_a_centimetre_end_a_tolerance_and_of_a_millimetre_the_last(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    lengths: dict[float, list[float]] = {}
-
-    def equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof: Dof) -> tuple[FloatArray, FloatArray]:
-        slope, curvature = _focal_equations(evidence, T, tolerance_px, dof)
-        step = _bounded(slope, curvature)
-        assert step is not None
-        lengths.setdefault(tolerance_px, []).append(float(np.abs(step).max()))
-        return slope, curvature
-
-    monkeypatch.setattr("rholoc.localization.ascent._focal_equations", equations)
-    between = 0
-    for seed in range(20):
-        lengths.clear()
-        ascend_with_focal(scene(seed, 25, 4.0, 1.05), HERE, (40.0, 20.0), Dof.FREE, 40)
-        for settled, mine in zip((1e-2, 1e-3), map(np.array, lengths.values()), strict=True):
-            assert (mine[:-1] >= settled).all()
-            assert mine[-1] < settled or len(mine) == 40
-            between += ((mine > settled) & (mine < 8 * settled)).sum()
-    assert between > 20  # so that another limit would show

@@ -10,7 +10,7 @@ import pytest
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera
 from rholoc.localization import Query
-from rholoc.localization.colours import colour_agreement
+from rholoc.localization.pose.colour_evidence import colour_agreement
 
 CAMERA = Camera(64, 48, 50.0, 50.0, 31.5, 23.5)
 

@@ -13,7 +13,7 @@ from scipy.special import expit
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray
 from rholoc.localization import MIN_RECOGNIZED, Belief, Dof, Localizer, Query
-from rholoc.localization.confidence import (
+from rholoc.localization.belief.confidence import (
     ConfidenceFeatures,
     Weights,
     belief_by,
@@ -21,7 +21,7 @@ from rholoc.localization.confidence import (
     confidence_features,
     joint_belief,
 )
-from rholoc.localization.support import Support
+from rholoc.localization.pose.pose_evidence import Support
 from rholoc.maps import Map
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,9 @@ import pytest
 
 from rholoc.geometry import pose_distances
 from rholoc.localization import Localizer
-from rholoc.localization.density_localizer import TOLERANCES_PX, DensityLocalizer
 from rholoc.localization.place_recognition import likeliest_views
-from rholoc.localization.seeds import Place, vote_for_places
 from rholoc.maps import Map
+from rholoc.paper.density_localizer import TOLERANCES_PX, DensityLocalizer
 
 
 @pytest.fixture(scope="module")
@@ -64,41 +62,6 @@ def test_the_likeliest_views_are_those_beside_the_frame(localizer: Localizer, po
     for one in found:
         np.testing.assert_array_equal(one.pose.T_map_camera, map_.views.T_map_camera[one.view])
     assert likeliest_views(localizer, features.take(np.zeros(0, np.int64)), 4) == []
-
-
-def test_four_places_are_climbed_from_and_one_where_the_start_is_given(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    four = DensityLocalizer(localizer.map, index=localizer.index)
-    voted: list[tuple[int, int]] = []
-
-    def vote(index: Any, matches: Any, most: int, views_each: int, prior: Any) -> list[Place]:
-        voted.append((most, views_each))
-        return vote_for_places(index, matches, most, views_each, prior)
-
-    monkeypatch.setattr("rholoc.localization.density_localizer.vote_for_places", vote)
-    features = point_room.see(point_room.walk(40, sideways_m=0.1)[20], 7)
-    every = list(four.ascents(features, point_room.camera))
-    assert len(every) == 4
-    for one in every:
-        tolerances_px = sorted({step.tolerance_px for step in one.steps}, reverse=True)
-        assert tolerances_px == [80, 40, 24, 12, 6, 4]
-        np.testing.assert_array_equal(one.positions, [step.T_map_camera[:3, 3] for step in one.steps])
-    list(four.ascents(features, point_room.camera, start=localizer.map.views.T_map_camera[0]))
-    assert voted == [(4, 10), (1, 10)]
-
-
-@pytest.mark.parametrize(("agreeing", "given"), [(5, False), (6, True)])
-def test_six_matches_make_an_answer(
-    by_densities: DensityLocalizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, agreeing: int, given: bool
-) -> None:
-    seen = point_room.see(point_room.walk(9)[4], 0)
-    (one,) = by_densities.ascents(seen, point_room.camera, start=by_densities.map.views.T_map_camera[0])
-    density = np.where(np.arange(len(one.evidence)) < agreeing, 1e-6, 0.0)
-    poor = replace(one, optimum=replace(one.optimum, density=density))
-    assert poor.inliers == agreeing
-    monkeypatch.setattr(by_densities, "ascents", lambda *_: iter([poor]))
-    assert (by_densities.localize(seen, point_room.camera) is not None) is given
 
 
 def test_six_matches_are_climbed_by_and_five_are_not(by_densities: DensityLocalizer, point_room: Any) -> None:

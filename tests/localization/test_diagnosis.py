@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -12,15 +10,12 @@ from rholoc.geometry import ByteArray
 from rholoc.localization.diagnosis import (
     Agreement,
     Cause,
-    Sight,
-    _from_sight,
     diagnose_picture,
     sight_of,
     too_inexact,
     wrong_camera,
 )
 from rholoc.maps import Map
-from rholoc.reports import CoachingReport, MapReport, WalkFigures
 
 STRANGE = Agreement(20, 459, 0.02)
 
@@ -91,41 +86,6 @@ def test_a_bare_wall_is_named(room_map: Map) -> None:
 @pytest.mark.parametrize("shape", [(1, 1, 3), (5, 700, 3), (9, 9), (3000, 20, 3)])
 def test_any_size_of_picture_can_be_looked_at(shape: tuple[int, ...]) -> None:
     assert np.isfinite(sight_of(np.full(shape, 128, np.uint8)).sharpness)
-
-
-def _recorded_at(map_: Map, *levels: float | None) -> Map:
-    walks = tuple(CoachingReport("walk", WalkFigures(brightness=level)) for level in levels)
-    return replace(map_, info=replace(map_.info, report=MapReport(coaching=walks)))
-
-
-@pytest.mark.parametrize(
-    ("sight", "cause"),
-    [
-        (Sight(29.0, 0.0, 0.9), Cause.TOO_DARK),
-        (Sight(100.0, 0.0, 0.16), None),
-        (Sight(100.0, 0.0, 0.14), Cause.BLURRED),
-        (Sight(100.0, 29.0, 0.9), None),
-        (Sight(100.0, 31.0, 0.9), Cause.OTHER_LIGHT),
-        (Sight(62.0, 0.0, 0.9), None),  # against a map of 120
-        (Sight(58.0, 0.0, 0.9), Cause.OTHER_LIGHT),
-        (Sight(214.0, 0.0, 0.9), None),
-        (Sight(218.0, 0.0, 0.9), Cause.OTHER_LIGHT),
-    ],
-)
-def test_what_is_seen_is_held_against_what_a_picture_needs_and_the_recordings_light(
-    room_map: Map, sight: Sight, cause: Cause | None
-) -> None:
-    found = _from_sight(sight, _recorded_at(room_map, 110.0, None, 130.0), STRANGE)
-    assert (found and found.cause) is cause
-    assert _from_sight(Sight(31.0, 0.0, 0.9), _recorded_at(room_map, 50.0), STRANGE) is None
-    if cause is Cause.OTHER_LIGHT and sight.tint == 0:
-        assert found is not None
-        assert f"(mean grey level {sight.brightness:.0f}, the recording's 120)" in found.message
-        assert _from_sight(sight, _recorded_at(room_map, None), STRANGE) is None
-    if sight.tint > 30:
-        of_unknown_light = _from_sight(sight, _recorded_at(room_map), STRANGE)
-        assert of_unknown_light is not None
-        assert "grey level" not in of_unknown_light.message
 
 
 def test_few_features_are_a_bare_wall_and_a_camera_is_named_by_both_lengths(room_map: Map) -> None:

@@ -6,13 +6,12 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, pose_distances, pose_matrix
-from rholoc.localization.ascent import ascend, covariance_at, information_at, moved, optimum_at
-from rholoc.localization.joint_ascent import Link, _bounded, _link_equations, ascend_together, joint_covariances
+from rholoc.localization.pose.ascent import ascend, covariance_at, information_at, moved, optimum_at
+from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances
 from rholoc.localization.types import Dof
 
 _FOCAL_PX = 500.0
@@ -42,42 +41,6 @@ def _log_likelihood(T: FloatArray, links: list[Link]) -> float:
 
 def _moved_all(T: FloatArray, step: FloatArray) -> FloatArray:
     return np.array([moved(pose, part) for pose, part in zip(T, step.reshape(-1, 6), strict=True)])
-
-
-def test_the_links_slope_is_that_of_their_likelihood() -> None:
-    truth = _random_poses(3, 0)
-    links = [*_links(truth), Link(2, 1, np.linalg.inv(truth[2]) @ truth[1], 0.05, 0.02)]
-    T = _moved_all(truth, np.random.default_rng(1).normal(0, 0.002, 18))
-    slope, curvature = _link_equations(T, links)
-    axes = 1e-6 * np.eye(18)
-    expected = [
-        (_log_likelihood(_moved_all(T, s), links) - _log_likelihood(_moved_all(T, -s), links)) / 2e-6 for s in axes
-    ]
-    np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=0.01 * np.abs(slope).max())
-    np.testing.assert_allclose(curvature, curvature.T)
-    step = np.random.default_rng(2).normal(0, 1e-4, 18)
-    fallen = _log_likelihood(truth, links) - _log_likelihood(_moved_all(truth, step), links)
-    assert fallen == pytest.approx(step @ _link_equations(truth, links)[1] @ step / 2, rel=0.01)
-
-
-def test_frames_that_stand_as_their_links_say_are_not_drawn() -> None:
-    T = _random_poses(4, 3)
-    assert np.abs(_link_equations(T, _links(T))[0]).max() < 1e-6
-
-
-def test_no_frame_moves_further_than_half_a_metre_at_once() -> None:
-    curvature = np.diag(np.repeat([1.0, 2.0], 6))
-    np.testing.assert_allclose(_bounded(np.full(12, 1e-3), curvature).ravel(), 1e-3 / np.diag(curvature), rtol=1e-3)
-    far = _bounded(np.concatenate([[4.0, 0, 0, 0.1, 0, 0], np.zeros(6)]), np.eye(12))
-    np.testing.assert_allclose(far[0], [0.5, 0, 0, 0.0125, 0, 0], rtol=1e-3, atol=1e-9)
-    turned = _bounded(np.concatenate([np.zeros(6), [0.1, 0, 0, 0, 0, -0.6]]), np.eye(12))
-    np.testing.assert_allclose(turned[1], [0.05, 0, 0, 0, 0, -0.3], rtol=1e-3, atol=1e-9)
-
-
-def test_where_nothing_is_known_a_step_still_goes_uphill() -> None:
-    slope = np.r_[np.full(6, 1e-8), np.full(6, -1e-8)]
-    step = _bounded(slope, np.zeros((12, 12))).ravel()
-    assert np.all(step * slope > 0)
 
 
 def _evidence(T_map_camera: FloatArray, seed: int, count: int = 30, false: int = 0) -> Evidence:
@@ -139,14 +102,6 @@ def test_stiff_links_share_what_each_frame_knows_and_loose_ones_do_not() -> None
     assert together[1] < 0.7 * alone[1]
     between = sigmas_m(0.5 * alone[1])
     assert together[1] < between[1] < alone[1]
-
-
-def test_a_joint_step_is_newtons_with_hardly_any_damping() -> None:
-    curvature = np.diag(np.arange(1.0, 13.0))
-    slope = np.linspace(-0.02, 0.03, 12)
-    expected = slope / (np.diag(curvature) + 1e-9 * 6.5 + 1e-6)
-    np.testing.assert_allclose(_bounded(slope, curvature).ravel(), expected, rtol=1e-12)
-    np.testing.assert_allclose(_bounded(np.full(6, 1e-7), np.zeros((6, 6))), [[0.1] * 6], rtol=1e-12)
 
 
 def test_a_frame_that_nothing_is_known_of_may_be_a_kilometre_off() -> None:

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import Pose, angles_between, pose_matrix
-from rholoc.localization.density_localizer import DensityLocalizer
-from rholoc.localization.landscape import (
+from rholoc.localization.localizer import Localizer
+from rholoc.localization.pose.rematching import evidence_of
+from rholoc.maps import Map
+from rholoc.paper.density_localizer import DensityLocalizer
+from rholoc.paper.landscape import (
     Grid,
     Look,
     landscape_around,
@@ -20,9 +23,6 @@ from rholoc.localization.landscape import (
     product_over_positions,
     seen_from,
 )
-from rholoc.localization.localizer import Localizer
-from rholoc.localization.verification import evidence_of
-from rholoc.maps import Map
 
 _TOLERANCE_PX = 60.0
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
-import faiss
 import numpy as np
 import pytest
 
 from rholoc.errors import InvalidDescriptors
-from rholoc.features import FeatureSet, Metric
+from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_distances
 from rholoc.localization import (
     Dof,
     LargeMapLocalizer,
-    Localization,
     Localizer,
     Prior,
     Query,
@@ -26,11 +23,11 @@ from rholoc.localization import (
     localize_together,
     localizer_of,
 )
-from rholoc.localization.large_map import PlaceIndex, _Clock, _in_part, _PartIndex, _Size
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.matches import Matches, NearestLandmarks, match_chances
-from rholoc.localization.seeds import view_votes
-from rholoc.maps import Map, part_of, without_memory
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.large_map import PlaceIndex
+from rholoc.localization.pose.seeds import view_votes
+from rholoc.maps import Map, without_memory
 
 _ROOMS, _ROOM_PITCH_M = 40, 20.0
 
@@ -216,121 +213,3 @@ def test_features_are_looked_up_by_each_landmarks_first_descriptor(room_map: Map
     some = places.nearest(features, np.array([3, 1]))
     assert some.detections.tolist() == [3, 1]
     np.testing.assert_array_equal(some.landmarks, found.landmarks[[3, 1]])
-
-
-def test_in_a_part_only_its_own_landmarks_count_under_its_own_numbers(room_map: Map) -> None:
-    part = part_of(_small(room_map), np.array([1, 2]))  # of the landmarks 1 to 5
-    assert part.features.tolist() == [1, 2, 3, 4, 5]
-    found = NearestLandmarks(
-        np.array([7, 8, 9, 10]),
-        np.array([[5, 0], [0, 1], [6, 3], [1, 6]]),
-        np.array([[5.0, 60.0], [5.0, 60.0], [5.0, 60.0], [7.0, 8.0]]),
-        Metric.HAMMING,
-    )
-    here = _in_part(found, part)
-    matches = here.matches()
-    assert matches.detections.tolist() == [7, 10]
-    assert matches.landmarks.tolist() == [4, 0]
-    expected = match_chances(np.array([5.0, 7.0]), np.array([60.0, 8.0]), Metric.HAMMING)
-    np.testing.assert_allclose(matches.chances, expected)  # what is alike elsewhere is a rival all the same
-    pairs = here.pairs()
-    assert list(zip(pairs.detections.tolist(), pairs.landmarks.tolist(), strict=True)) == [
-        (7, 4),
-        (8, 0),
-        (9, 2),
-        (10, 0),
-    ]
-    twice = here.joined(found)
-    assert twice.matches().detections.tolist() == [7, 10, 7, 10]
-
-
-def test_a_part_has_the_first_views_that_together_saw_no_more_than_it_may_hold(room_map: Map) -> None:
-    localizer = LargeMapLocalizer(_small(room_map))
-    views = np.array([3, 1, 3, 0, 4, 2])  # which add four landmarks, three, none, none, none
-
-    def first(landmarks: int, most_views: int = 9) -> list[int]:
-        size = _Size(places=1, rivals=1, landmarks=landmarks, views=most_views)
-        return localizer._first_views(views, size).tolist()
-
-    assert first(7) == [3, 1, 0, 4, 2]
-    assert first(6) == [3]
-    assert first(4) == [3]
-    assert first(1) == [3]  # one at least
-    assert first(7, 2) == [3, 1]
-    assert first(100, 4) == [3, 1, 0, 4]
-
-
-def test_what_is_left_of_the_time_is_what_the_place_did_not_take(
-    room_map: Map, point_room: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = iter([10.0, 10.3, 12.0, 12.5])
-    monkeypatch.setattr("rholoc.localization.large_map.time.perf_counter", lambda: next(now))
-    clock, query = _Clock(1.0), Query(FeatureSet.empty(32), point_room.camera, deadline_s=1.0)
-    assert clock.remaining(query).deadline_s == pytest.approx(0.7)
-    assert clock.remaining(query).deadline_s == 0.0
-    part = part_of(_small(room_map), np.array([1, 2]))
-    nothing = np.zeros((0, 2))
-    answer = Localization(
-        False, None, None, None, 0.5, 2, 2, nothing, np.array([0, 4]), {"match": 400.0, "seed": 100.0}
-    )
-    answered = clock.answered(answer, part)
-    assert answered.inlier_features.tolist() == [1, 5]
-    assert answered.timings_ms == pytest.approx({"place": 2000.0, "match": 400.0, "seed": 100.0})
-    now = iter([0.0])
-    assert _Clock(None).remaining(query) is query
-
-
-def test_what_has_been_looked_up_is_not_looked_up_again(room_map: Map, point_room: Any) -> None:
-    seen = point_room.see(point_room.walk(8)[2], 7)
-    part = part_of(room_map, np.arange(10))
-    asked: list[Any] = []
-
-    def nearest(features: FeatureSet, some: Any = None) -> NearestLandmarks:
-        asked.append(some)
-        return known
-
-    sample = np.arange(0, len(seen), 3)
-    known = PlaceIndex(room_map).nearest(seen, sample)
-    places: Any = SimpleNamespace(nearest=nearest)
-    index = _PartIndex(part, 0.0, places, (seen, known))
-    found = index.nearest_everywhere(seen, sample)
-    assert asked == []
-    np.testing.assert_array_equal(found.landmarks, known.landmarks)
-    for features, some in ((seen, sample[1:]), (seen, None), (point_room.see(point_room.walk(8)[2], 7), sample)):
-        index.nearest_everywhere(features, some)
-        assert asked.pop() is some
-        assert asked == []
-
-
-def test_two_places_are_looked_at_first_then_eight_with_their_rivals(
-    large: LargeMapLocalizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[list[int]] = []
-
-    def groups(votes: Any, shared_with: Any, views_each: int) -> Any:
-        asked.append([views_each, 0])
-        for number in range(1, 1000):
-            asked[-1][1] = number
-            yield number, np.array([number])
-
-    sizes: list[tuple[int, int]] = []
-    first_views = large._first_views
-
-    def chosen(views: Any, size: _Size) -> Any:
-        sizes.append((size.landmarks, size.views))
-        return first_views(views, size)
-
-    monkeypatch.setattr("rholoc.localization.large_map.groups_by_votes", groups)
-    monkeypatch.setattr(
-        large,
-        "_first_views",
-        lambda views, size: (sizes.append((size.landmarks, size.views)), first_views(views, size))[1],
-    )
-    truth = point_room.walk(8)[2]
-    seen = point_room.see(truth, 7)
-    large.around([seen])
-    assert asked == [[10, 8], [10, 4]]
-    assert large.localize(Query(seen, point_room.camera, Dof.FREE)).localized
-    assert asked[2:4] == [[10, 2], [10, 2]]
-    assert sizes[:2] == [(6000, 128), (3000, 48)]
-    assert isinstance(large.index._descriptors._indices[0], faiss.IndexBinaryIVF)  # it is not searched one by one

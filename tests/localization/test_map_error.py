@@ -12,7 +12,8 @@ from scipy.stats import chi
 
 from rholoc.geometry import Pose
 from rholoc.localization import Alternative, Belief, Cause, Localization, Localizer, Query, Reason
-from rholoc.localization.map_error import (
+from rholoc.localization.belief.map_uncertainty import with_map_error, worst_sigma
+from rholoc.localization.index.map_error import (
     PLACE_M,
     PLACE_RAD,
     RIGHT_M,
@@ -23,9 +24,8 @@ from rholoc.localization.map_error import (
     rms_position_error,
     trust_in_map,
 )
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.map_uncertainty import with_map_error, worst_sigma
-from rholoc.mapping.uncertainty import storable_covariances
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.mapping.build.view_covariance import storable_covariances
 from rholoc.maps import Map
 from rholoc.reports import MapReport, TrajectoryReport
 

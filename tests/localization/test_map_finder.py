@@ -13,10 +13,8 @@ import pytest
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.localization import VECTORS_FILE, MapFinder
-from rholoc.localization import map_finder as module
+from rholoc.localization.index import map_finder as module
 from rholoc.maps import Map, MapLibrary, map_to_bytes
-
-OLD_NS = 10**18  # the folder's time: files that were published long ago
 
 
 def publish(library: MapLibrary, name: str, map_: Map) -> None:

@@ -12,8 +12,8 @@ from rholoc.features import FeatureSet, Metric
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import ByteArray, Pose
 from rholoc.localization import Localizer
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.matches import guided_chances
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import guided_chances
 from rholoc.maps import Map
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from rholoc.features import Metric
 from rholoc.features.matching import LIMITS
-from rholoc.localization.matches import Matches, NearestLandmarks, guided_chances, is_least, match_chances
+from rholoc.localization.index.matches import Matches, NearestLandmarks, guided_chances, is_least, match_chances
 
 
 def matches(*rows: tuple[int, int, float]) -> Matches:

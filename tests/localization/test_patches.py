@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, patch_appearance
 from rholoc.localization import Localizer, Query
-from rholoc.localization.matches import Matches
-from rholoc.localization.patches import (
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.patch_evidence import (
     patch_agreement,
     patch_log_odds,
     size_log_odds,

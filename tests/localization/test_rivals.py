@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,10 +11,8 @@ import pytest
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose
 from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
-from rholoc.localization.ascent import Optimum
-from rholoc.localization.matches import Matches
-from rholoc.localization.rivals import _unexplained, are_rivals, rival_seeds, shares
-from rholoc.localization.verification import verify
+from rholoc.localization.pose.rematching import verify
+from rholoc.localization.pose.rivals import are_rivals, shares
 
 
 @pytest.fixture(scope="module")
@@ -115,54 +112,3 @@ def test_poses_that_differ_in_place_or_heading_are_rivals(apart_m: float, turned
     one = Pose.from_heading(np.zeros(3), np.array([1.0, 0, 0]), 0.0)
     other = Pose.from_heading(np.array([0, apart_m, 0]), np.array([np.cos(turned), np.sin(turned), 0]), 0.0)
     assert are_rivals(verified(one), verified(other)) is rivals
-
-
-def _found(T: np.ndarray, inliers: int) -> Any:
-    """A verified pose, as far as its rivals ask."""
-    return SimpleNamespace(optimum=Optimum(T, 1.0, np.ones(inliers)), inliers=inliers)
-
-
-def test_what_is_24_pixels_off_or_behind_the_camera_is_unexplained(localizer: Localizer, point_room: Any) -> None:
-    truth, index, camera = point_room.walk(9)[4], localizer.index, point_room.camera
-    pixels = camera.project((index.landmarks - truth.position) @ truth.R_map_camera)
-    shown = np.flatnonzero(camera.contains(pixels))[:3]
-    (behind,) = np.flatnonzero((index.landmarks - truth.position) @ truth.heading < -1)[:1]
-    off = np.array([[0.0, 23.5], [24.5, 0.0], [-18.0, 15.0]])
-    seen = point_room.see(truth, 0).take(np.arange(4))
-    seen = replace(seen, pixels=np.vstack([pixels[shown] + off, [[320, 240]]]).astype(np.float32))
-    pairs = Matches(np.arange(4), np.append(shown, behind), np.full(4, 0.5))
-    unexplained = _unexplained(index, pairs, Query(seen, camera), _found(truth.T_map_camera, 4))
-    assert unexplained.detections.tolist() == [1, 3]
-
-
-@pytest.mark.parametrize(
-    ("inliers", "agreeing", "seeds"), [(0, 7, 0), (0, 8, 2), (40, 8, 2), (60, 11, 0), (60, 12, 2), (10_000, 500, 0)]
-)
-def test_a_rival_has_eight_matches_and_a_fifth_of_those_of_the_pose(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, inliers: int, agreeing: int, seeds: int
-) -> None:
-    truth = point_room.walk(9)[4]
-    seen = point_room.see(truth, 3)
-    away = Pose.from_heading(truth.position, -truth.heading).T_map_camera  # which explains nothing
-    nearest = localizer.index.nearest_everywhere(seen)
-    rays = point_room.camera.rays(seen.pixels)
-    asked: list[tuple[Any, ...]] = []
-
-    def ransac(plane: Any, points: Any, *how: Any) -> Any:
-        asked.append((len(plane), *how))
-        return truth.T_map_camera, agreeing
-
-    monkeypatch.setattr("rholoc.localization.rivals.lo_ransac", ransac)
-    query, found = Query(seen, point_room.camera), _found(away, inliers)
-    rivals = list(rival_seeds(localizer.index, nearest, query, rays, found))
-    assert len(rivals) == seeds
-    fewest = max(8, 0.2 * inliers)
-    for count, *how in asked:
-        assert count >= fewest
-        assert how == [point_room.camera.focal, 12.0, 300, 30]
-    assert len(asked) == (2 if inliers < 100 else 0)
-    half = localizer.index.nearest_everywhere(seen, np.arange(0, len(seen), 2))  # half as many can be expected
-    some = list(rival_seeds(localizer.index, half, query, rays, found))
-    assert len(some) == (2 if agreeing >= max(8, 0.1 * inliers) and inliers < 100 else 0)
-    monkeypatch.setattr("rholoc.localization.rivals.lo_ransac", lambda *_: None)
-    assert list(rival_seeds(localizer.index, nearest, query, rays, found)) == []

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,13 +12,12 @@ from rholoc.density import Evidence
 from rholoc.geometry import Lens, Pose, pose_distances
 from rholoc.geometry.lenses import rays_of
 from rholoc.localization import Localizer
-from rholoc.localization.ascent import gains
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.matches import Matches
-from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.rivals import shares
-from rholoc.localization.seeds import (
-    _draw_triples,
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import gains
+from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.rivals import shares
+from rholoc.localization.pose.seeds import (
     groups_by_votes,
     minimal_samples,
     place_of_prior,
@@ -88,33 +85,6 @@ def test_ransac_finds_the_pose_and_counts_what_agrees() -> None:
     rng = np.random.default_rng(1)
     astray = rays_of(Lens.PINHOLE, rng.uniform(-1, 1, (5, 2)), ())
     assert lo_ransac(astray, rng.uniform(-1, 1, (5, 3)), 500.0, 0.01, 100) is None
-
-
-def test_what_ransac_is_asked_and_what_it_may_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[dict[str, Any]] = []
-    pose = SimpleNamespace(R=TRUE[:3, :3].T, t=-TRUE[:3, :3].T @ TRUE[:3, 3])
-    agreeing = 4
-
-    def estimate(plane: Any, points: Any, camera: Any, settings: dict[str, Any], refinement: Any) -> Any:
-        asked.append(settings | {"focal": camera["params"][0]})
-        np.testing.assert_allclose(plane, 500 * rays[:, :2] / rays[:, 2:])
-        return pose, {"num_inliers": agreeing}
-
-    monkeypatch.setattr("rholoc.geometry.resection.poselib.estimate_absolute_pose", estimate)
-    rays, points = seen(10)
-    found = lo_ransac(rays, points, 500.0, 4.0, 300, 30)
-    assert found is not None
-    np.testing.assert_allclose(found[0], TRUE, atol=1e-12)
-    assert found[1] == 4
-    agreeing = 3
-    assert lo_ransac(rays, points, 500.0, 4.0, 300, success=0.5) is None
-    agreeing, pose = 10, SimpleNamespace(R=np.full((3, 3), np.nan), t=np.zeros(3))
-    assert lo_ransac(rays, points, 500.0, 4.0, 3000) is None
-    first, second, third = asked
-    expected = {"max_iterations": 300, "min_iterations": 30, "max_reproj_error": 4.0, "success_prob": 0.9999}
-    assert first == expected | {"progressive_sampling": True, "focal": 500.0}
-    assert second == first | {"min_iterations": 300, "success_prob": 0.5}  # no more at least than at most
-    assert third == first | {"max_iterations": 3000, "min_iterations": 1000}
 
 
 def test_votes_are_chances_of_what_a_view_saw_and_a_landmark_votes_once(localizer: Localizer) -> None:
@@ -226,20 +196,6 @@ def test_views_about_a_prior_stand_a_metre_further_and_look_thirty_degrees_aside
     headings = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(5)])
     prior = Prior(pose, 0.5, np.deg2rad(20))
     assert views_by_prior(positions, headings, prior).tolist() == [4, 2, 0]  # by metres and radians together
-
-
-def test_a_drawn_match_is_as_frequent_as_it_is_probable() -> None:
-    chances = np.array([0.1, 0.4, 0.0, 0.3, 0.9])
-    draws = _draw_triples(np.random.default_rng(0), chances, np.arange(5), 40_000)
-    assert ((draws >= 0) & (draws < 5)).all()
-    assert all(len(set(draw)) == 3 for draw in draws[:500].tolist())
-    p = chances / chances.sum()
-    expected = np.zeros(5)
-    for a, b, c in product(range(5), repeat=3):
-        expected[[a, b, c]] += p[a] * p[b] * p[c] if len({a, b, c}) == 3 else 0.0
-    np.testing.assert_allclose(
-        np.bincount(draws.ravel(), minlength=5) / draws.size, expected / expected.sum(), atol=0.01
-    )
 
 
 def test_all_samples_come_in_the_order_of_their_values() -> None:

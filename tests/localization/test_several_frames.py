@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from rholoc.errors import InvalidDescriptors, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_distances, pose_matrix
 from rholoc.localization import (
-    Belief,
     Dof,
     Intrinsics,
     Localizer,
@@ -23,11 +21,7 @@ from rholoc.localization import (
     Reason,
     SeveralFrames,
     localize_together,
-    several_frames,
 )
-from rholoc.localization.matches import Matches
-from rholoc.localization.seeds import Place
-from rholoc.localization.several_frames import _Candidate, _Joint
 
 _ODOMETRY = np.linalg.inv(pose_matrix(Rotation.from_euler("xyz", (0.3, -0.2, 0.9)).as_matrix(), np.array([4.0, 1, -2])))
 
@@ -118,7 +112,7 @@ def test_frames_of_another_place_have_no_pose(localizer: Localizer, point_room: 
     )
     found = localize_together(localizer, SeveralFrames(strange, asked.T_rig_cameras))
     assert not found.first.localized
-    assert found.first.reason is not None
+    assert found.first.reason is Reason.NO_MATCHES
     assert found.poses == ()
 
 
@@ -183,129 +177,6 @@ def test_frames_of_unknown_intrinsics_are_refused(localizer: Localizer, point_ro
         localize_together(localizer, replace(asked, frames=(asked.frames[0], unknown)))
 
 
-def _candidate(recognized: float) -> _Candidate:
-    return _Candidate((), np.zeros((0, 6, 6)), Belief(recognized, 1.0))
-
-
-@pytest.mark.parametrize(
-    ("confidences", "deadline_s", "best", "tried"),
-    [
-        ([0.3, 0.7, 0.5], None, 0.7, 3),
-        ([None, 0.3, None], None, 0.3, 3),
-        ([0.3, 0.9, 0.95], None, 0.9, 2),
-        ([0.95], None, 0.95, 1),
-        ([0.3, 0.7], 0.0, 0.3, 1),
-        ([0.3, 0.7], 1000.0, 0.7, 2),
-        ([None, 0.7], 0.0, None, 1),
-    ],
-)
-def test_places_are_tried_until_one_is_sure_or_time_is_up(
-    localizer: Localizer,
-    point_room: Any,
-    monkeypatch: pytest.MonkeyPatch,
-    confidences: list[float | None],
-    deadline_s: float | None,
-    best: float | None,
-    tried: int,
-) -> None:
-    asked = _asked(point_room, point_room.walk(9)[:2], 20)
-    frames = (replace(asked.frames[0], deadline_s=deadline_s), *asked.frames[1:])
-    joint = _Joint(localizer, replace(asked, frames=frames))
-    five = Matches(np.arange(5), np.arange(5), np.full(5, 0.5))
-    answers = iter([None if one is None else _candidate(one) for one in confidences])
-    pools: list[int] = []
-
-    def every() -> Any:
-        for number in range(len(confidences)):
-            pools.append(number)
-            yield [five, five]
-
-    given: list[Any] = []
-    monkeypatch.setattr(joint, "_pools", every)
-    monkeypatch.setattr(joint, "_candidate", lambda _: next(answers))
-    monkeypatch.setattr(joint, "_looked_for", lambda _: [])
-    monkeypatch.setattr(joint, "_answer", lambda *answer: given.append(answer))
-    joint.localize()
-    ((candidate, reason, matched),) = given
-    assert (candidate and candidate.belief.recognized) == best
-    assert len(pools) == tried
-    assert matched == 10
-    assert reason is (Reason.DEADLINE if deadline_s == 0.0 else Reason.NO_AGREEMENT)
-
-
-@pytest.mark.parametrize(("count", "reason"), [(2, Reason.NO_MATCHES), (3, Reason.NO_AGREEMENT)])
-def test_fewer_than_six_matches_are_none(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, count: int, reason: Reason
-) -> None:
-    joint = _Joint(localizer, _asked(point_room, point_room.walk(9)[:2], 20))
-    few = Matches(np.arange(count), np.arange(count), np.full(count, 0.5))
-    monkeypatch.setattr(joint, "_pools", lambda: iter([[few, few]]))
-    monkeypatch.setattr(joint, "_verified", lambda _: None)
-    answer = joint.localize()
-    assert answer.first.reason is reason
-    assert answer.first.matches == 2 * count
-    assert answer.first.inlier_pixels.shape == (0, 2)
-    assert answer.first.inlier_features.shape == (0,)
-
-
-def test_places_are_taken_rank_by_rank_and_a_frame_without_one_has_no_matches(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = _asked(point_room, point_room.walk(9)[:2], 60)
-    joint = _Joint(localizer, asked)
-    rows = [np.arange(first, len(localizer.map), 3) for first in range(3)]
-    places = [[Place(0, rows[0], 3.0), Place(1, rows[1], 2.0), Place(2, rows[2], 1.0)], [Place(2, rows[2], 1.0)]]
-    each = iter(places)
-    monkeypatch.setattr("rholoc.localization.several_frames.vote_for_places", lambda *_: next(each))
-    everywhere, *pools = joint._pools()
-    assert [len(pool) for pool in pools] == [2, 2, 2]
-    for one, frame in zip(everywhere, asked.frames, strict=True):
-        assert len(one) == len(localizer.index.match_everywhere(frame.features))
-    for rank, (first, second) in enumerate(pools):
-        expected = localizer.index.match_within(asked.frames[0].features, rows[rank])
-        np.testing.assert_array_equal(first.landmarks, expected.landmarks)
-        expected = localizer.index.match_within(asked.frames[1].features, rows[2])
-        np.testing.assert_array_equal(second.landmarks, expected.landmarks if rank == 0 else [])
-        assert len(expected) > 0
-
-
-def test_the_rigs_seed_is_asked_of_all_frames_matches(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    truths = point_room.walk(40, sideways_m=0.1)[5:15:4]
-    asked = _asked(point_room, truths, 30)
-    joint = _Joint(localizer, asked)
-    matches = [localizer.index.match_everywhere(frame.features) for frame in asked.frames]
-    T = joint._seed(matches)
-    assert T is not None
-    for found, truth in zip(T @ asked.T_rig_cameras, truths, strict=True):
-        assert pose_distances(found, truth.T_map_camera)[0] < 0.1
-    nothing = Matches.none()
-    assert joint._seed([matches[0].take(np.arange(5)), nothing, nothing]) is None
-    pose, agreeing = SimpleNamespace(R=np.eye(3), t=np.array([1.0, 2, 3])), 6
-    settings: list[dict[str, Any]] = []
-
-    def estimate(plane: Any, points: Any, mounted: Any, cameras: Any, asked: dict[str, Any], more: Any) -> Any:
-        settings.append(asked)
-        assert [camera["params"] for camera in cameras] == [[point_room.camera.focal, 0.0, 0.0]] * 3
-        for own, one, rays in zip(plane, used, joint.rays, strict=True):
-            seen = rays[one.likeliest_first().detections]
-            np.testing.assert_allclose(own, point_room.camera.focal * seen[:, :2] / seen[:, 2:])
-        return pose, {"num_inliers": agreeing}
-
-    monkeypatch.setattr("rholoc.geometry.resection.poselib.estimate_generalized_absolute_pose", estimate)
-    used = [matches[0].take(np.arange(6)), nothing, nothing]
-    found = joint._seed(used)
-    assert found is not None
-    np.testing.assert_allclose(found[:3, 3], (-1, -2, -3))
-    agreeing, used = 5, matches
-    assert joint._seed(matches) is None
-    agreeing, pose = 6, SimpleNamespace(R=np.full((3, 3), np.nan), t=np.zeros(3))
-    assert joint._seed(matches) is None
-    expected = {"max_iterations": 1000, "min_iterations": 30, "max_reproj_error": 12.0, "success_prob": 0.9999}
-    assert settings == [expected] * 3
-
-
 def test_what_is_not_sure_enough_is_not_given_out(localizer: Localizer, point_room: Any) -> None:
     asked = _asked(point_room, point_room.walk(40, sideways_m=0.1)[5:15:4], 30)
     strict = Localizer(localizer.map, min_recognized=1.1, index=localizer.index)
@@ -326,27 +197,3 @@ def test_what_is_not_sure_enough_is_not_given_out(localizer: Localizer, point_ro
         @ given.poses[0].R_map_camera
     )
     assert np.median(np.linalg.norm(shown - given.first.inlier_pixels, axis=1)) < 3
-
-
-def test_frames_are_matched_again_within_either_radius(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    truths = point_room.walk(40, sideways_m=0.1)[5:15:4]
-    joint = _Joint(localizer, _asked(point_room, truths, 60))
-    tolerances_px: list[tuple[float, ...]] = []
-    radii_px: list[float] = []
-    climb, match_near = several_frames.ascend_together, localizer.index.match_near
-    monkeypatch.setattr(several_frames, "ascend_together", lambda *how: (tolerances_px.append(how[4]), climb(*how))[1])
-    monkeypatch.setattr(localizer.index, "match_near", lambda *how: (radii_px.append(how[3]), match_near(*how))[1])
-    candidate = joint._verified(np.array([truth.T_map_camera for truth in truths]))
-    assert candidate is not None
-    assert tolerances_px == [(14.0, 7.0, 4.0), (5.0, 4.0)]
-    assert radii_px == [14.0] * 3 + [5.0] * 3
-    assert candidate.belief.confidence > 0.9
-    five = match_near(joint.frames[0].features, point_room.camera, truths[0].T_map_camera, 5.0)[0].take(np.arange(5))
-    nothing = np.zeros(60)
-    for last, found in ((0, False), (1, True)):
-        counts = iter([five, five.take(np.arange(last)), Matches.none()] * 2)
-        monkeypatch.setattr(localizer.index, "match_near", lambda *_, counts=counts: (next(counts), nothing))
-        again = joint._verified(np.array([truth.T_map_camera for truth in truths]))
-        assert (again is not None) is found

@@ -6,13 +6,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 
 from rholoc.geometry import Pose
-from rholoc.localization import Dof, Localizer, Query, verification
-from rholoc.localization.ascent import ascend
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, evidence_of, settle, verify
+from rholoc.localization import Dof, Query
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.pose.ascent import ascend
+from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, verify
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 
 _VIEWS = 12
@@ -62,46 +61,3 @@ def test_the_last_steps_go_by_what_was_seen_from_hereabouts(point_room: Any) -> 
         for name, optimum in (("verified", found.optimum), ("climbed", climbed)):
             off_m[name].append(float(np.linalg.norm(optimum.T_map_camera[:3, 3] - truth.position)))
     assert np.median(off_m["verified"]) < 0.5 * np.median(off_m["climbed"])
-
-
-@pytest.mark.parametrize(("alike", "settled"), [(5, False), (6, True)])
-def test_fewer_than_six_that_were_seen_from_hereabouts_settle_nothing(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch, alike: int, settled: bool
-) -> None:
-    truth, index = point_room.walk(9)[4], localizer.index
-    seen = point_room.see(truth, 8)
-    matches, _ = index.match_near(seen, point_room.camera, truth.T_map_camera, 5.0)
-    evidence = evidence_of(index, matches, point_room.camera.rays(seen.pixels), point_room.camera)
-    optimum = ascend(index.map.densities, evidence, truth.T_map_camera, (5.0, 4.0), Dof.FREE)
-    agreeing = np.flatnonzero(optimum.density > 0)
-    chosen = np.isin(np.arange(len(index.map)), matches.landmarks[agreeing[:alike]])
-    asked: list[int] = []
-    monkeypatch.setattr(index, "seen_alike", lambda landmarks, views: (asked.append(views), chosen)[1])
-    found = settle(index, matches, evidence, optimum, Dof.FREE)
-    assert (found is not optimum) is settled
-    assert asked == [10]
-
-
-def test_a_pose_is_looked_for_within_the_wider_radius_and_then_the_narrower(
-    localizer: Localizer, point_room: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    truth, index = point_room.walk(9)[4], localizer.index
-    seen = point_room.see(truth, 8)
-    rays = point_room.camera.rays(seen.pixels)
-    climbs: list[Any] = []
-    radii_px: list[float] = []
-    match_near = index.match_near
-    monkeypatch.setattr(index, "match_near", lambda *how: (radii_px.append(how[3]), match_near(*how))[1])
-    for name in ("end_of_climb", "ascend"):
-        climb = getattr(verification, name)
-        monkeypatch.setattr(
-            verification, name, lambda *how, climb=climb: (climbs.append((how[3], *how[5:])), climb(*how))[1]
-        )
-    query = Query(seen, point_room.camera, Dof.FREE)
-    verified = verify(index, query, rays, truth.T_map_camera)
-    assert verified is not None
-    assert climbs == [((14.0, 7.0, 4.0), 2), ((5.0, 4.0),)]
-    assert radii_px == [14.0, 5.0]
-    assert verify(index, query, rays, truth.T_map_camera, (20.0, 6.0), wide=verified.wide) is not None
-    assert climbs[2:] == [((20.0, 10.0, 4.0), 2), ((6.0, 4.0),)]
-    assert radii_px[2:] == [6.0]  # what is known already is not looked for

@@ -12,7 +12,7 @@ from rholoc.features import Metric
 from rholoc.features.picture_vectors import DIMENSIONS, PictureVectors
 from rholoc.features.vlad import normalised
 from rholoc.geometry import ByteArray, FloatArray
-from rholoc.localization.view_index import ViewIndex, packed_vectors, unpacked_vectors
+from rholoc.localization.index.view_index import ViewIndex, packed_vectors, unpacked_vectors
 
 
 class Given:

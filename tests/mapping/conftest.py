@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rholoc.mapping.observations import Views
+from rholoc.mapping.build.tracks import Views
 
 
 @pytest.fixture(scope="session")

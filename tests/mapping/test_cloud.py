@@ -14,10 +14,10 @@ from rholoc.errors import InvalidMap
 from rholoc.features import Metric
 from rholoc.geometry import Similarity
 from rholoc.mapping import forget_recording, levelled, merge_maps, remove_region, remove_views
-from rholoc.mapping.cloud import cloud_of
-from rholoc.mapping.landmarks import triangulate
-from rholoc.mapping.moving import move_map
-from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.build.landmarks import triangulate
+from rholoc.mapping.build.reconstruction_cloud import cloud_of
+from rholoc.mapping.build.tracks import Views, link_observations
+from rholoc.mapping.edit.moving import move_map
 from rholoc.maps import Cloud, Map, load_map, map_to_bytes, save_map
 
 TILT = Similarity(2.0, Rotation.from_euler("xz", [100, 25], degrees=True).as_matrix(), np.array([4.0, -1.0, 0.2]))

@@ -24,12 +24,12 @@ from rholoc.mapping import (
     set_up,
     set_wall,
 )
-from rholoc.mapping.cutting import in_region
-from rholoc.mapping.fitting import fit_densities
-from rholoc.mapping.memory import with_landmarks
-from rholoc.mapping.moving import move_map
+from rholoc.mapping.build.density_fitting import fit_densities
+from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.edit.cutting import in_region
+from rholoc.mapping.edit.moving import move_map
 from rholoc.maps import DensityKind, MapNames, NamedArea, NamedPoint, map_to_bytes, without_memory
-from rholoc.maps.rho_file import info_from_json, info_to_json
+from rholoc.maps.formats.rho_file import info_from_json, info_to_json
 
 SQUARE = ((0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0))
 

@@ -13,9 +13,9 @@ import pytest
 from rholoc.features import Metric
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose
 from rholoc.mapping import BuildOptions, build_map
-from rholoc.mapping.depth_points import depth_cloud
-from rholoc.mapping.landmarks import Landmarks, triangulate
-from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.build.depth_cloud import depth_cloud
+from rholoc.mapping.build.landmarks import Landmarks, triangulate
+from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.recordings import MemoryFrames, Recording, read_recording
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.simulation import PHONE_CAMERA, Renderer, Scene, make_test_site, make_walk

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from rholoc.features import get_extractor
-from rholoc.mapping.frame_features import FrameFeatures
+from rholoc.mapping.build.frame_features import FrameFeatures
 from rholoc.recordings import look_at
 from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
 

@@ -13,11 +13,7 @@ from rholoc.density import ObservedDensities
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.geometry import pose_distances
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.density_localizer import DensityLocalizer
-from rholoc.mapping import observation_table
-from rholoc.mapping.fitting import fit_densities
-from rholoc.mapping.from_observations import FitOptions, features_of, fit_figures, map_from_observations
-from rholoc.mapping.table_reading import read_observations
+from rholoc.mapping.build.density_fitting import fit_densities
 from rholoc.maps import (
     DensityKind,
     Map,
@@ -28,6 +24,10 @@ from rholoc.maps import (
     save_map,
     write_coefficient_table,
 )
+from rholoc.paper.density_localizer import DensityLocalizer
+from rholoc.paper.from_observations import FitOptions, features_of, fit_figures, map_from_observations
+from rholoc.paper.observation_table import observation_table
+from rholoc.paper.table_reading import read_observations
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from rholoc.features import Metric
-from rholoc.mapping.landmarks import (
+from rholoc.mapping.build.landmarks import (
     Landmarks,
     expected_sightings,
     extend_and_merge,
@@ -17,7 +17,7 @@ from rholoc.mapping.landmarks import (
     select_stable,
     triangulate,
 )
-from rholoc.mapping.observations import Views, link_observations, neighbour_pairs
+from rholoc.mapping.build.tracks import Views, link_observations, neighbour_pairs
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet, Metric
 from rholoc.geometry import Camera, FloatArray, IntArray, Pose, Similarity
-from rholoc.mapping.assembly import assemble
-from rholoc.mapping.joining import join, without_source
-from rholoc.mapping.landmarks import Landmarks
-from rholoc.mapping.memory import with_landmarks
-from rholoc.mapping.moving import move_map
-from rholoc.mapping.observations import Views
+from rholoc.mapping.build.assembly import assemble
+from rholoc.mapping.build.landmarks import Landmarks
+from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.build.tracks import Views
+from rholoc.mapping.edit.joining import join, without_source
+from rholoc.mapping.edit.moving import move_map
 from rholoc.maps import DensityKind, Map, MapInfo, Source, packed_pixels, unpacked_pixels
 from same_maps import assert_same_tables
 
@@ -117,14 +117,14 @@ def assert_same_landmarks(a: Map, b: Map) -> None:
     np.testing.assert_allclose(found[both], wanted[both], rtol=0, atol=EXACT_M)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), order=st.permutations([0, 1, 2]))
 def test_learning_in_any_order_is_building_from_all_at_once(seed: int, order: list[int]) -> None:
     given_tracks = tracks(seed)
     assert_same_landmarks(learned(given_tracks, order), with_landmarks(given_tracks.map_of([0, 1, 2])))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6), order=st.permutations([0, 1, 2]), forgotten=st.integers(0, 2))
 def test_forgetting_leaves_a_map_that_never_learned_it(seed: int, order: list[int], forgotten: int) -> None:
     given_tracks = tracks(seed)
@@ -135,7 +135,7 @@ def test_forgetting_leaves_a_map_that_never_learned_it(seed: int, order: list[in
     assert_same_landmarks(left, with_landmarks(given_tracks.map_of(others)))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10**6))
 def test_forgetting_undoes_learning_to_the_last_array(seed: int) -> None:
     given_tracks = tracks(seed)

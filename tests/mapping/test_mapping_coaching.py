@@ -12,7 +12,7 @@ import pytest
 from rholoc.errors import MappingFailed
 from rholoc.geometry import Pose
 from rholoc.mapping import build_map
-from rholoc.mapping.coaching import advice_line, coach
+from rholoc.mapping.build.job_advice import advice_line, coach
 from rholoc.recordings import Look, read_recording, write_frames_csv
 from rholoc.reports import AdviceKind
 

@@ -12,7 +12,7 @@ import pytest
 
 from rholoc.features import get_extractor
 from rholoc.geometry import ByteArray
-from rholoc.mapping import observing
+from rholoc.paper import observing
 from rholoc.recordings import Recording
 from rholoc.reports import TrajectoryReport
 from rholoc.trajectory import PoseMethod, Scale, Trajectory

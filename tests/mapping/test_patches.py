@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import patch_appearance
-from rholoc.mapping.merging import remembered_frames
+from rholoc.mapping.learn.merging import remembered_frames
 from rholoc.maps import Map, load_map, save_map
 
 

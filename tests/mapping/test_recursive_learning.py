@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from rholoc.density import DensityKind, ObservedDensities
+from rholoc.density.localities import Places
 from rholoc.density.observed import RIDGE, observation_coefficients
-from rholoc.density.places import Places
-from rholoc.density.recursive import batch_fit
+from rholoc.density.recursive_least_squares import batch_fit
 from rholoc.errors import InvalidInput
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping.fitting import fit_densities, ray_form, sightings_of
-from rholoc.mapping.recursive_learning import check_forgetting, with_learned_densities
+from rholoc.mapping.build.density_fitting import fit_densities, ray_form, sightings_of
+from rholoc.mapping.build.recursive_densities import check_forgetting, with_learned_densities
 from rholoc.maps import Map, validate_map
 
 _FIRST_VIEWS = 16

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.density.places import gather_places
+from rholoc.density.localities import gather_places
 from rholoc.errors import InvalidInput
 from rholoc.features import Metric
 from rholoc.mapping import BuildOptions, build_map
-from rholoc.mapping.fitting import fit_densities
-from rholoc.mapping.landmarks import representative_rows, select_stable, triangulate
-from rholoc.mapping.observations import Views, link_observations
+from rholoc.mapping.build.density_fitting import fit_densities
+from rholoc.mapping.build.landmarks import representative_rows, select_stable, triangulate
+from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 from rholoc.progress import Stage
 

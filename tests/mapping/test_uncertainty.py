@@ -11,9 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Similarity
 from rholoc.mapping import forget_recording, merge_maps
-from rholoc.mapping.joining import join, without_source
-from rholoc.mapping.report import map_statistics
-from rholoc.mapping.uncertainty import expected_error, moved_covariances, storable_covariances, uncertainty_in
+from rholoc.mapping.build.self_report import map_statistics
+from rholoc.mapping.build.view_covariance import (
+    expected_error,
+    moved_covariances,
+    storable_covariances,
+    uncertainty_in,
+)
+from rholoc.mapping.edit.joining import join, without_source
 from rholoc.maps import Map
 
 

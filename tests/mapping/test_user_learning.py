@@ -15,17 +15,18 @@ from scipy.spatial import cKDTree
 from rholoc.errors import Conflict, InvalidInput, MappingFailed
 from rholoc.geometry import BoolArray, Camera, Pose
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping import AnsweredQuery, forget_recording, learn_from_queries, user_learning
-from rholoc.mapping.memory import keep_features
+from rholoc.mapping import AnsweredQuery, forget_recording, learn_from_queries
+from rholoc.mapping.build.remembered import keep_features
+from rholoc.mapping.learn import from_queries as user_learning
 from rholoc.maps import Map, map_to_bytes, without_memory
-from rholoc.progress import silent
 
 HOUR_S = 3600.0
 
 
 @pytest.fixture(scope="module")
 def room_map(point_room: Any) -> Map:
-    result: Map = point_room.map_of(point_room.walk(60), "walk")
+    """Of half of the room."""
+    result: Map = point_room.map_of(point_room.walk(60)[:30], "walk")
     return result
 
 
@@ -47,11 +48,17 @@ def changed_room(point_room: Any, is_moved: BoolArray) -> Any:
     return replace(point_room, points=points, descriptors=descriptors)
 
 
+def beside(room: Any, count: int, sideways_m: float = 0.1) -> list[Pose]:
+    """Poses beside the walk through half of the room."""
+    poses: list[Pose] = room.walk(2 * count, sideways_m)[:count]
+    return poses
+
+
 def asked(
     map_: Map, room: Any, count: int = 60, asker: str = "a", apart_s: float = HOUR_S, camera: Camera | None = None
 ) -> list[AnsweredQuery]:
     """Queries by cameras beside the walk, as a map answered them."""
-    poses = room.walk(count, sideways_m=0.1)
+    poses = beside(room, count)
     localizer, found = Localizer(map_), []
     for number, pose in enumerate(poses):
         features = room.see(pose, 5000 + number)
@@ -82,7 +89,7 @@ def recall(map_: Map, room: Any, poses: Sequence[Pose]) -> float:
 
 @pytest.fixture(scope="module")
 def queries(room_map: Map, changed_room: Any) -> list[AnsweredQuery]:
-    return asked(room_map, changed_room, count=150)
+    return asked(room_map, changed_room, count=75)
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +105,7 @@ def test_what_moved_is_forgotten_and_what_came_is_learned(
     known_before = np.isfinite(before.query(gone, distance_upper_bound=0.1)[0])
     still_known = np.isfinite(after.query(gone[known_before], distance_upper_bound=0.05)[0])
     assert still_known.mean() < 0.5
+    came = came[np.isfinite(before.query(came, distance_upper_bound=0.5)[0])]  # where the walk looked
     assert np.isfinite(after.query(came, distance_upper_bound=0.05)[0]).mean() > 0.4
     turned, octaves = changed_room.patch_errors(learned)
     assert np.median(turned) < 10
@@ -119,7 +127,7 @@ def test_the_report_says_what_was_learned(learned: Map, queries: list[AnsweredQu
 
 
 def test_the_changed_room_is_found_again(room_map: Map, learned: Map, changed_room: Any) -> None:
-    poses = changed_room.walk(30, sideways_m=-0.1)
+    poses = beside(changed_room, 15, -0.1)
     assert recall(learned, changed_room, poses) >= recall(room_map, changed_room, poses)
     assert recall(learned, changed_room, poses) > 0.8
 
@@ -157,28 +165,6 @@ def test_a_map_does_not_grow_without_end(room_map: Map, changed_room: Any) -> No
             continue
     assert map_.info.version > room_map.info.version
     assert len(map_to_bytes(map_)) < 1.5 * len(map_to_bytes(room_map))
-
-
-def test_queries_that_are_placed_by_what_moved_are_not_believed(room_map: Map, point_room: Any) -> None:
-    """A piece of the room stands elsewhere, as rigid as before; some pictures show little else, and are sure."""
-    shift_m = 0.8
-    is_piece = (point_room.points[:, 0] > 2.99) & (np.abs(point_room.points[:, 1]) < 0.9)
-    points = point_room.points + np.outer(is_piece, (0.0, shift_m, 0.0))
-    room = replace(point_room, points=points)
-    piece = replace(point_room, points=points[is_piece], descriptors=point_room.descriptors[is_piece])
-    shown_alone = asked(room_map, piece)[:4]
-    localizer = Localizer(room_map)
-    placed = user_learning._placed(localizer, asked(room_map, room) + shown_alone, silent)
-    walked = room.walk(60, sideways_m=0.1)
-
-    def misled(some: Sequence[user_learning._Placed]) -> int:
-        true = np.array([walked[round((one.query.time_s - 1e9) / HOUR_S)].position for one in some])
-        return int((np.linalg.norm([one.T_map_camera[:3, 3] for one in some] - true, axis=1) > 0.5 * shift_m).sum())
-
-    believed = user_learning._believed(localizer, placed)
-    assert misled(placed) >= 3
-    assert misled(believed) == 0
-    assert len(believed) >= 0.9 * len(placed)
 
 
 def test_a_query_held_back_is_where_it_is_believed_to_be(queries: list[AnsweredQuery]) -> None:
@@ -242,7 +228,7 @@ def test_a_map_that_would_be_worse_is_not_made(
     monkeypatch.setattr(user_learning, "_lesson", teach_badly)
     monkeypatch.setattr(user_learning, "_ROUNDS", 0)
     with pytest.raises(MappingFailed, match="would be worse"):
-        learn_from_queries(room_map, queries)
+        learn_from_queries(room_map, queries[:40])
 
 
 def test_a_pose_that_is_a_little_off_is_neither_right_nor_wrong(point_room: Any) -> None:

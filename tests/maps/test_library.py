@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from rholoc.errors import Conflict, InvalidMap, InvalidName, StorageFull, UnknownMap
 from rholoc.maps import Map, MapLibrary, check_map_name, map_to_bytes, save_map
+from rholoc.maps.map_folder import place_of
 
 
 @pytest.fixture
@@ -45,8 +46,8 @@ def test_what_is_not_a_name_is_refused_everywhere(library: MapLibrary, room_map:
 
 @given(st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}", fullmatch=True))
 def test_names_stay_inside_the_folder(name: str) -> None:
-    folder = Path("maps")
-    assert MapLibrary(folder).path(name).parent == folder
+    assert Path(place_of(name)).parent == Path()
+    assert Path(place_of(name, 2)).parent == Path(place_of("room", 1)).parent
 
 
 def test_maps_are_kept_by_name(library: MapLibrary, room_map: Map) -> None:

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from rholoc.mapping.report import map_statistics
+from rholoc.mapping.build.self_report import map_statistics
 from rholoc.maps import (
     Cloud,
     Map,

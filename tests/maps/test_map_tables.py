@@ -115,7 +115,7 @@ def test_a_trajectory_that_is_missing_or_not_text_is_refused(tmp_path: Path) -> 
         read_trajectory_csv(tmp_path / "t.csv")
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(tail=st.text(max_size=80))
 def test_whatever_follows_the_header_gives_a_table_or_our_error(tmp_path: Path, tail: str) -> None:
     (tmp_path / "t.csv").write_text(f"{PAPER_HEADER}\n{tail}", encoding="utf-8", errors="surrogatepass")

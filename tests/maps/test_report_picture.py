@@ -51,17 +51,13 @@ def test_coverage_is_coloured(make_map) -> None:
 @pytest.mark.parametrize(
     "held_out",
     [
-        HeldOutReport(4, 0, None, None),
-        HeldOutReport(4, 4, 0.01, 0.02),
         HeldOutReport(4, 4, 0.01, 0.02, errors_m=(0.01,), confidences=()),
         HeldOutReport(2, 0, None, None, errors_m=(None, None), confidences=(0.0, 0.2)),
-        HeldOutReport(1, 1, 0.0, 0.0, errors_m=(0.0,), confidences=(1.0,)),
     ],
 )
 def test_whatever_is_known_of_frames_held_out_there_is_a_picture(room_map: Map, held_out: HeldOutReport) -> None:
     assert picture(room_map, held_out).std() > 5
 
 
-@pytest.mark.parametrize(("features", "views"), [(0, 0), (3, 1)])
-def test_small_maps_have_a_picture(make_map, features: int, views: int) -> None:
-    assert picture(make_map(features=features, views=views)).min() < 100
+def test_an_empty_map_has_a_picture(make_map) -> None:
+    assert picture(make_map(features=0, views=0)).min() < 100

@@ -34,13 +34,11 @@ from rholoc.maps import (
     storable_patches,
     unpacked_pixels,
 )
-from rholoc.maps.cloud import Cloud
+from rholoc.maps.formats.rho_file import _DESCRIPTORS, _LANDMARKS, _VIEWS, _checksum, load_info
 from rholoc.maps.info import info_from_json, info_to_json
-from rholoc.maps.rho_file import _DESCRIPTORS, _LANDMARKS, _VIEWS, _checksum, load_info
 from rholoc.reports import MapReport
 from same_maps import assert_same_tables
 
-_CLOUD = Cloud(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.uint8), np.array([0, 1, 1], np.int32))
 _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
 
 
@@ -419,7 +417,7 @@ def _rewrite(path: Path, changed: dict[str, np.ndarray | None] | None = None, **
 
 
 def test_a_header_of_endless_arrays_is_refused_before_it_is_parsed(tmp_path, monkeypatch):
-    monkeypatch.setattr("rholoc.maps.rho_file.safe_open", None)
+    monkeypatch.setattr("rholoc.maps.formats.rho_file.safe_open", None)
     empty = b'"t%d":{"dtype":"U8","shape":[0],"data_offsets":[0,0]}'
     header = b"{" + b",".join(empty % number for number in range(300_000)) + b"}"
     for content in (header, b'{"__metadata__":{"info":"' + b"x" * 2**26 + b'"}}'):

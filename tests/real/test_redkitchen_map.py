@@ -23,7 +23,7 @@ OTHER_ROOM_CAMERA = "512,512,320,240"
 
 @pytest.fixture(scope="module")
 def localizer(real_data: Path) -> Localizer:
-    recording = read_recording(real_data / "redkitchen", camera=CAMERA, frames="400:1000:2")
+    recording = read_recording(real_data / "redkitchen", camera=CAMERA, frames="400:1000:4")
     return Localizer(build_map([recording], BuildOptions(poses=PoseMethod.GIVEN)))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -108,7 +108,6 @@ def test_what_is_no_image_is_refused(data: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-@settings(deadline=None)
 @given(suffix=st.sampled_from([".jpg", ".png", ".webp", ".bmp"]), fraction=st.floats(0, 0.97))
 def test_a_truncated_image_is_refused(suffix: str, fraction: float) -> None:
     data = encoded(suffix, gradient(160, 120))
@@ -116,7 +115,6 @@ def test_a_truncated_image_is_refused(suffix: str, fraction: float) -> None:
         decode_image(data[: int(fraction * len(data))])
 
 
-@settings(deadline=None)
 @given(data=st.data())
 def test_flipped_bytes_give_an_image_or_our_error(data: st.DataObject) -> None:
     content = bytearray(encoded(data.draw(st.sampled_from([".jpg", ".png", ".webp", ".bmp"])), gradient()))

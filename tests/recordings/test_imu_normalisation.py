@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import phone_recordings as phone
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from rholoc.errors import InvalidRecording
@@ -181,7 +181,6 @@ def test_sensors_without_a_common_time_are_refused() -> None:
 
 
 @given(rate_hz=st.floats(2.6, 2400), unit=st.sampled_from(sorted(PER_SECOND)), start_s=st.floats(-1e5, 2e9))
-@settings(deadline=None)
 def test_the_unit_of_time_follows_from_the_interval(rate_hz: float, unit: str, start_s: float) -> None:
     assert time_unit((start_s + np.arange(50) / rate_hz) * PER_SECOND[unit]) == unit
 

@@ -164,7 +164,7 @@ REFUSED: list[tuple[str, Callable[[Path], Path], str, str]] = [
     ("a file of 0 bytes", single("walk.zip", b""), "invalid_recording", "not a complete ZIP file"),
     ("a video of 0 bytes", single("walk.mp4", b""), "invalid_recording", "not a video that can be opened"),
     ("text that claims to be a video", single("walk.mov", b"hello " * 99), "invalid_recording", "not a video"),
-    ("a format nobody knows", single("walk.bag", b"#ROSBAG V2.0"), "invalid_recording", "not a recording of a known"),
+    ("a format nobody knows", single("walk.insv2", b"#FILM V2.0"), "invalid_recording", "not a recording of a known"),
     ("a ZIP file with no frames", packed({"notes.txt": b"hi"}), "invalid_recording", "neither a video nor images"),
     ("a ZIP file in a ZIP file", packed({"walk.zip": nested_zip()}), "invalid_recording", "neither a video nor images"),
     ("a ZIP bomb", packed({"imu.csv": b"\0" * 30_000_000}), "too_large", "suspiciously high compression ratio"),

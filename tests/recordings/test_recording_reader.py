@@ -249,9 +249,9 @@ def test_a_video_that_shrinks_after_it_was_read_is_reported(make_video, tmp_path
 
 
 def test_an_unknown_format_names_those_known(tmp_path: Path) -> None:
-    (tmp_path / "walk.bag").write_bytes(b"#ROSBAG V2.0")
+    (tmp_path / "walk.film").write_bytes(b"#FILM V2.0")
     with pytest.raises(InvalidRecording) as caught:
-        read_recording(tmp_path / "walk.bag")
+        read_recording(tmp_path / "walk.film")
     assert all(word in caught.value.hint for word in (".mp4", ".zip", "imu.csv", "frames/"))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rholoc.service.guard import KeyPolicy
+from rholoc.service.settings import KeyPolicy
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Every route declares who may use it, the guard holds it to that, and the README and OpenAPI say the same."""
+"""Every route declares who may use it, the guard holds it to that, and the documents and OpenAPI say the same."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ import pytest
 from fastapi import Request
 
 from rholoc.service import Settings, create_app
-from rholoc.service.access import OPEN, find_route, route_access
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.access.scopes import OPEN, find_route, route_access
+from rholoc.service.settings import KeyPolicy
 
-README = (Path(__file__).parents[2] / "server" / "README.md").read_text(encoding="utf-8")
+PAGES = "".join(
+    page.read_text(encoding="utf-8") for page in sorted((Path(__file__).parents[2] / "docs" / "service").glob("*.md"))
+)
 ROUTES = route_access(create_app(Settings()).routes)
 REQUESTS = [(method, route) for route in ROUTES for method in sorted(route.methods)]
 NAMES = {
@@ -82,7 +84,7 @@ def test_a_key_that_localizes_changes_no_map_or_camera_called_localize(http, sec
 
 
 def test_the_readme_shows_what_the_code_declares():
-    section = README.split("## Routes\n", 1)[1].split("\nNames of maps", 1)[0]
+    section = PAGES.split("## Routes\n", 1)[1].split("\nNames of maps", 1)[0]
     documented = dict(re.findall(r"^\| `(\w+ \S+)` \| `?(\w+)`? \|", section, re.MULTILINE))
     declared = {name_of(one): str(one[1].access.scope or "open") for one in REQUESTS}
     assert documented == {name: declared[name] for name in documented}
@@ -91,16 +93,15 @@ def test_the_readme_shows_what_the_code_declares():
     assert {name for name in hidden if "/v1/" in name} == {"OPTIONS /v1/recordings/{recording}"}
 
 
-def test_openapi_shows_the_scopes():
-    document = create_app(Settings()).openapi()
+def test_openapi_shows_the_scopes(openapi):
     shown = {
         f"{method.upper()} {path}": [scope for one in operation.get("security", []) for scope in one["ApiKey"]]
-        for path, item in document["paths"].items()
+        for path, item in openapi["paths"].items()
         for method, operation in item.items()
     }
     declared = {name_of(one): [one[1].access.scope] if one[1].access.scope else [] for one in REQUESTS}
     assert shown == {name: declared[name] for name in shown}
-    assert document["components"]["securitySchemes"]["ApiKey"]["scheme"] == "bearer"
+    assert openapi["components"]["securitySchemes"]["ApiKey"]["scheme"] == "bearer"
 
 
 @pytest.mark.parametrize("policy", [KeyPolicy.NEVER, KeyPolicy.ALWAYS])

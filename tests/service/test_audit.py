@@ -10,10 +10,10 @@ import httpx
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from rholoc.service import audit as module
-from rholoc.service.audit import AuditLog, Change
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access import audit as module
+from rholoc.service.access.audit import AuditLog, Change
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from rholoc.storage.database import open_database
 
 PATIENCE_S = 60

@@ -9,17 +9,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from rholoc.errors import Conflict, InvalidInput, StorageUnavailable
 from rholoc.geometry import Camera
 from rholoc.jobs import WAYPOINTS_FILE, Stores
+from rholoc.jobs.stores import CAMERAS, KEYS, SITES
 from rholoc.maps import CameraLibrary, CameraProfile, Map, Site, SiteLibrary, SiteMap
-from rholoc.service import backup as module
-from rholoc.service.backup import back_up, restore
-from rholoc.service.keys import KeyLimits, KeyStore, Scope
-from rholoc.storage import CAMERAS, KEYS, SITES
+from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
+from rholoc.service.operate import backup as module
+from rholoc.service.operate.backup import back_up, restore
 
 SHARED = [False, True]
 
@@ -146,7 +145,7 @@ def test_nothing_that_is_different_is_replaced(tmp_path: Path, stores: Stores, o
     content = file.read_bytes()
     with pytest.raises(Conflict, match="exists already"):
         back_up(file, stores)
-    there = open_stores("there", stores.shared is not None)
+    there = open_stores("there", stores.are_shared)
     there.library.put("room", version(picture_world, 9))
     there.documents(CAMERAS).write("phone.json", b"{}")
     held = contents(there)
@@ -198,50 +197,41 @@ def test_another_file_is_refused(tmp_path: Path, open_stores, content: bytes) ->
         restore(tmp_path / "y", there)
 
 
-def while_linking(monkeypatch: pytest.MonkeyPatch, act: Callable[[int], None]) -> None:
-    link, calls = module._link, iter(range(10**6))
+def before_the_first_file(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> None:
+    """Act once, after a backup has begun."""
+    add, calls = module._add, iter(range(10**6))
 
-    def acting(path: Path, into: Path) -> Path:
-        act(next(calls))
-        return link(path, into)
+    def acting(*args: object) -> object:
+        if next(calls) == 0:
+            act()
+        return add(*args)
 
-    monkeypatch.setattr(module, "_link", acting)
-    monkeypatch.setattr(module, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(module, "_add", acting)
 
 
 def test_maps_of_a_folder_are_those_of_one_moment(tmp_path: Path, open_stores, picture_world, monkeypatch) -> None:
     here, there = open_stores("here", False), open_stores("there", False)
     for number in (1, 2, 3):
         here.library.put("hall", version(picture_world, number))
-
-    def publish_once(call: int) -> None:
-        if call == 1:
-            here.library.put("hall", version(picture_world, 4))
-
-    while_linking(monkeypatch, publish_once)
+    before_the_first_file(monkeypatch, lambda: here.library.put("hall", version(picture_world, 4)))
     back_up(tmp_path / "all.backup", here)
     restore(tmp_path / "all.backup", there)
-    assert versions(there) == [4, 3, 2, 1]
+    assert versions(there) == [3, 2, 1]
 
 
 def test_maps_of_a_storage_are_those_of_one_moment(tmp_path: Path, open_stores, picture_world, monkeypatch) -> None:
     """A map is replaced, and its file removed, while the backup is written: it begins again."""
     here, there = open_stores("here", True), open_stores("there", False)
-    here.library.put("hall", version(picture_world, 3))
-    copies = here.library._copies
-    fetch, calls = copies.fetch, iter(range(100))
+    for number in (1, 2, 3):
+        here.library.put("hall", version(picture_world, number))
+    monkeypatch.setattr("rholoc.storage.maps._ORPHANED_AFTER_S", -10)
 
-    def replacing(blob: str, size_bytes: int, target: Path) -> None:
-        if next(calls) == 0:
-            for number in range(4, 11):
-                here.library.put("hall", version(picture_world, number))
-            named = {one.blob for one in here.shared.snapshot()[0]}
-            for stored, _ in list(copies.stored()):
-                if stored not in named:
-                    copies.remove(stored)
-        fetch(blob, size_bytes, target)
+    def replace_all() -> None:
+        for number in range(4, 11):
+            here.library.put("hall", version(picture_world, number))
+        here.library.sweep()
 
-    monkeypatch.setattr(copies, "fetch", replacing)
+    before_the_first_file(monkeypatch, replace_all)
     back_up(tmp_path / "all.backup", here)
     restore(tmp_path / "all.backup", there)
     assert versions(there) == [10, 9, 8, 7, 6, 5]
@@ -253,22 +243,11 @@ def versions(stores: Stores) -> list[int]:
     return [stores.library.get("hall").info.version, *(info.version for info in before)]
 
 
-def test_a_library_that_never_rests_is_said_so(tmp_path: Path, open_stores, monkeypatch) -> None:
-    here, rng = open_stores("here", False), np.random.default_rng(0)
-    here.documents(CAMERAS).write("phone.json", b"{}")
-    camera = here.maps_dir / "cameras" / "phone.json"
-    while_linking(monkeypatch, lambda _: camera.write_bytes(rng.bytes(rng.integers(1, 99))))
-    with pytest.raises(StorageUnavailable):
-        back_up(tmp_path / "all.backup", here)
-    assert not (tmp_path / "all.backup").exists()
-    assert not list(here.maps_dir.glob(".*.backup"))
-
-
 def test_a_storage_that_lost_a_file_leaves_no_backup(tmp_path: Path, open_stores, picture_world) -> None:
     here = open_stores("here", True)
     here.library.put("hall", picture_world.map_)
-    for stored, _ in list(here.library._copies.stored()):
-        here.library._copies.remove(stored)
+    for stored, _ in list(here.copies.stored()):
+        here.copies.remove(stored)
     with pytest.raises(StorageUnavailable, match="missing"):
         back_up(tmp_path / "all.backup", here)
     assert not (tmp_path / "all.backup").exists()

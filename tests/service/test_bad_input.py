@@ -23,9 +23,9 @@ PNG, JPEG, JSON = "image/png", "image/jpeg", "application/json"
 N = 12
 
 
-@pytest.fixture
-def still_serving(service, picture_world):
-    """After the test the service still answers, and its maps are what they were."""
+@pytest.fixture(scope="module", autouse=True)
+def _still_serving(service, picture_world):
+    """After all tests the service still answers, and its maps are what they were."""
     folder = service.settings.maps_dir
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     yield
@@ -45,9 +45,6 @@ def few_features(world, n=80):
         "camera": {"width": 640, "height": 480},
         "features": {"pixels": pixels.tolist(), "descriptors": descriptors},
     }
-
-
-pytestmark = pytest.mark.usefixtures("still_serving")
 
 
 def refused(answer: httpx.Response, status: int, code: str) -> dict[str, str]:

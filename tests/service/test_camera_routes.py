@@ -37,7 +37,13 @@ def test_a_camera_is_stored_listed_and_deleted(service, client):
     assert httpx.put(url, json=PROFILE).status_code == 201
     answer = httpx.put(url, json={**PROFILE, "calibration": {"rms_px": 0.2}})
     assert answer.status_code == 200
-    assert answer.json() == {"name": "pixel-7", **PROFILE, "distortion": [], "calibration": {"rms_px": 0.2}}
+    assert answer.json() == {
+        "name": "pixel-7",
+        **PROFILE,
+        "distortion": [],
+        "lens": "pinhole",
+        "calibration": {"rms_px": 0.2},
+    }
     assert httpx.get(url).json() == answer.json()
     assert httpx.get(service.url + "/v1/cameras").json() == {"cameras": [answer.json()], "unreadable": {}}
     assert httpx.delete(url).status_code == 204

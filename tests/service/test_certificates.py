@@ -16,8 +16,8 @@ import pytest
 from cryptography import x509
 
 from rholoc.errors import InvalidInput
-from rholoc.service import certificates
-from rholoc.service.certificates import addresses, server_certificate
+from rholoc.service.operate import certificates
+from rholoc.service.operate.certificates import addresses, server_certificate
 
 NAMES = ("127.0.0.1", "::1", "localhost", "phone-server.local")
 

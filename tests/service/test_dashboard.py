@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rholoc.service.metrics import Metrics
+from rholoc.service.http.metrics import Metrics
 
 DASHBOARD = Path(__file__).parents[2] / "docs" / "grafana.json"
 _SERIES = re.compile(r"_(bucket|sum|count|created|total)$")

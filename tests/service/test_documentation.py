@@ -1,42 +1,42 @@
-"""What is not documented fails here: every route, setting and error code is in the README."""
+"""What is not documented fails here: every route, setting and error code is in docs/service."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-import pytest
 from fastapi.routing import APIWebSocketRoute, iter_route_contexts
 
 from rholoc.service import Settings, create_app
 from rholoc.service.errors import error_classes, status_of
-from rholoc.service.track_messages import Begin, FrameMessage, TrackedOut
+from rholoc.service.routes.frames.track_messages import Begin, FrameMessage, TrackedOut
 
-README = (Path(__file__).parents[2] / "server" / "README.md").read_text(encoding="utf-8")
+PAGES = "".join(
+    page.read_text(encoding="utf-8") for page in sorted((Path(__file__).parents[2] / "docs" / "service").glob("*.md"))
+)
 
 
 def rows(heading: str) -> dict[str, list[str]]:
     """The table under a heading: its first column → the others."""
-    section = README.split(f"## {heading}\n", 1)[1].split("\n## ", 1)[0]
+    section = PAGES.split(f"## {heading}\n", 1)[1].split("\n## ", 1)[0]
     lines = [line.strip("|").split("|") for line in section.splitlines() if line.startswith("| `")]
     return {cells[0].strip().strip("`"): [cell.strip().strip("`") for cell in cells[1:]] for cells in lines}
 
 
-def test_every_route_is_documented_and_no_other():
-    paths = create_app(Settings()).openapi()["paths"]
+def test_every_route_is_documented_and_no_other(openapi):
     documented = {name for name in rows("Routes") if " /" in name}
-    assert documented == {f"{method.upper()} {path}" for path, item in paths.items() for method in item}
+    assert documented == {f"{method.upper()} {path}" for path, item in openapi["paths"].items() for method in item}
 
 
 def test_every_stream_is_documented_and_no_other():
     contexts = iter_route_contexts(create_app(Settings()).routes)
     streams = {context.path for context in contexts if isinstance(context.original_route, APIWebSocketRoute)}
     assert streams
-    assert streams == set(re.findall(r"^\| `(/v1/\S+)` \|", README, re.MULTILINE))
+    assert streams == set(re.findall(r"^\| `(/v1/\S+)` \|", PAGES, re.MULTILINE))
 
 
 def test_every_message_of_a_stream_is_documented():
-    section = README.split("### A stream of frames\n", 1)[1].split("\n### ", 1)[0]
+    section = PAGES.split("## A stream of frames\n", 1)[1].split("\n## ", 1)[0]
     for model in (Begin, FrameMessage, TrackedOut):
         for name in model.model_fields:
             assert f"`{name}`" in section or f'"{name}"' in section, name
@@ -63,8 +63,8 @@ def test_every_setting_comes_from_the_environment(monkeypatch):
     assert (Settings().port, Settings().worker) == (81, False)
 
 
-@pytest.mark.parametrize("parameter", ["fx", "distortion", "dof", "prior_position", "prior_radius_deg", "deadline_ms"])
-def test_the_named_parameters_exist(parameter):
-    operation = create_app(Settings()).openapi()["paths"]["/v1/maps/{map_name}/localize"]["post"]
-    assert parameter in {one["name"] for one in operation["parameters"]}
-    assert re.search(rf"`{parameter}`", README)
+def test_every_parameter_of_a_query_is_documented(openapi):
+    operation = openapi["paths"]["/v1/maps/{map_name}/localize"]["post"]
+    names = {one["name"] for one in operation["parameters"]}
+    assert {"fx", "distortion", "dof", "prior_position", "prior_radius_deg", "deadline_ms"} < names
+    assert [name for name in names if not re.search(rf"`{name}\b", PAGES)] == ["map_name"]

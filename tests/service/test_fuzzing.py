@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import fuzz
 from fuzz_requests import World, good_requests, prepared
 from rholoc.service import Settings, create_app
-from rholoc.service.access import route_access
+from rholoc.service.access.scopes import route_access
 
 REFUSED = {  # for want of a second walk, of many queries, of pictures, of a worker, of an open stream
     "POST /v1/maps/{map_name}/merge": 409,
@@ -38,7 +38,7 @@ def test_requests_of_every_route_and_streams_of_every_kind_are_damaged():
 def test_requests_are_accepted_before_they_are_damaged(tmp_path, monkeypatch):
     for name, value in fuzz.SETTINGS.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr("rholoc.service.middleware._REFUSAL_TAKES_S", 0.0)
+    monkeypatch.setattr("rholoc.service.http.boundary._REFUSAL_TAKES_S", 0.0)
     wrong = asyncio.run(refused(tmp_path))
     assert wrong == []
 

@@ -9,10 +9,11 @@ import pytest
 
 from rholoc.errors import Conflict, InvalidName, NotFound
 from rholoc.maps import FolderDocuments
-from rholoc.service.access import Access, RouteAccess
+from rholoc.service.access.guard import _address, check_query, check_same_site
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.access.scopes import Access, RouteAccess
 from rholoc.service.errors import CrossSite, InvalidRequest
-from rholoc.service.guard import KeyPolicy, _address, check_query, check_same_site, keys_needed
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy, keys_needed
 from rholoc_client import Client, Forbidden, Unauthorized
 from waiting import until
 

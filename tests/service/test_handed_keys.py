@@ -10,8 +10,8 @@ import httpx
 import numpy as np
 import pytest
 
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,10 @@ from rholoc.features import get_extractor
 from rholoc.jobs import JobKind
 from rholoc.jobs.table import JobTable
 from rholoc.maps import MapLibrary, load_map, save_map
-from rholoc.service import learning
-from rholoc.service.guard import KeyPolicy
+from rholoc.service.access.keys import HANDED_PREFIX, KeyStore, Scope
+from rholoc.service.frames import learning
 from rholoc.service.housekeeping import learn_tonight
-from rholoc.service.keys import HANDED_PREFIX, KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from waiting import until
 
 PNG = {"Content-Type": "image/png"}
@@ -38,9 +38,9 @@ def ask(service, world, **headers):
 
 def settled(service):
     """Everything that was answered so far is kept, or was found not to be wanted."""
-    learner = service.app.state.rholoc.learner
+    learner = service.app.state.rholoc.frames.learner
     until(lambda: learner.idle)
-    return service.app.state.rholoc.queries
+    return service.app.state.rholoc.learning.store
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ def test_queries_that_are_not_kept_are_answered_all_the_same(listening, picture_
         raise OSError("the disk is gone")
 
     with monkeypatch.context() as full:
-        full.setattr(listening.app.state.rholoc.queries, "add", fail)
+        full.setattr(listening.app.state.rholoc.learning.store, "add", fail)
         assert ask(listening, picture_world)["localized"]
         assert settled(listening)
     assert ask(listening, picture_world)["localized"]
@@ -177,18 +177,19 @@ def test_a_map_that_was_hardly_asked_is_refused_in_plain_words(serve, point_room
 
 def test_maps_learn_once_a_night(asked_often):
     state, night = asked_often.app.state.rholoc, datetime(2026, 3, 1, 3, 10, tzinfo=UTC)
-    before = len(state.jobs.list())
+    jobs = state.jobs.sync
+    before = len(jobs.list())
     learn_tonight(state, night)
     learn_tonight(state, night.replace(minute=20))
-    (job, *_), count = state.jobs.list(), len(state.jobs.list())
+    (job, *_), count = jobs.list(), len(jobs.list())
     assert count == before + 1
     assert job.map_name == "west"
-    state.jobs.cancel(job.id)
+    jobs.cancel(job.id)
     learn_tonight(state, night.replace(minute=30))
-    assert len(state.jobs.list()) == before + 1
+    assert len(jobs.list()) == before + 1
     learn_tonight(state, night.replace(day=2))
-    assert len(state.jobs.list()) == before + 2
-    state.jobs.cancel(state.jobs.list()[0].id)
+    assert len(jobs.list()) == before + 2
+    jobs.cancel(jobs.list()[0].id)
 
 
 def test_the_next_version_is_published_and_the_one_before_is_kept(asked_often):
@@ -221,6 +222,6 @@ def test_the_next_version_is_published_and_the_one_before_is_kept(asked_often):
 
 def test_jobs_without_recordings_leave_recordings_alone(asked_often):
     state = asked_often.app.state.rholoc
-    assert "" not in JobTable(state.jobs._engine).mapped_before(9e9)
-    state.jobs.delete_mapped_recordings(0)
-    assert state.recordings.list() == []
+    assert "" not in JobTable(state.jobs.sync._engine).mapped_before(9e9)
+    state.jobs.sync.delete_mapped_recordings(0)
+    assert state.recordings.sync.list() == []

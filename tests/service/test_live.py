@@ -9,8 +9,8 @@ import httpx
 import numpy as np
 import pytest
 
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from rholoc_client import Client, Prior
 
 

@@ -25,7 +25,7 @@ def _features(world):
 
 
 def _ask(service, body, **files):
-    url = service.url + "/v1/maps/room/localize"
+    url = service.url + "/v1/maps/room/localize/frames"
     if files:
         parts = {name: (name, content, "image/png") for name, content in files.items()}
         parts["request"] = ("request.json", json.dumps(body).encode(), "application/json")

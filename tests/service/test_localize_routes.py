@@ -144,7 +144,7 @@ def test_a_full_queue_answers_busy(serve, picture_world, monkeypatch):
         first = pool.submit(send_picture, running, picture_world)
         assert entered.wait(100)
         second = pool.submit(send_picture, running, picture_world)
-        waiting = running.app.state.rholoc.compute
+        waiting = running.app.state.rholoc.frames.compute
         while not waiting.full:
             time.sleep(0.01)
         refused = send_picture(running, picture_world)

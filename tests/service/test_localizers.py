@@ -8,9 +8,10 @@ from typing import cast
 
 from rholoc.maps import MapLibrary, save_map
 from rholoc.maps.map_cache import memory_bytes
-from rholoc.service.localize import Stopwatch, each_map
-from rholoc.service.localizers import Localizers
-from rholoc.service.map_choice import Candidates
+from rholoc.service.frames.best_map import each_map
+from rholoc.service.frames.localizers import Localizers
+from rholoc.service.frames.map_choice import Candidates
+from rholoc.service.frames.stopwatch import Stopwatch
 
 
 def test_a_map_that_leaves_memory_takes_its_localizer_along(tmp_path: Path, picture_world) -> None:

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from rholoc.maps import map_to_bytes
-from rholoc.service.map_choice import MOST_ASKED, Candidates
+from rholoc.service.frames.map_choice import MOST_ASKED, Candidates
 
 PNG = {"content-type": "image/png"}
 PATIENCE_S = 60.0
@@ -21,7 +21,7 @@ def campus(serve, picture_world, looking):
     for number in range(20):
         map_ = picture_world.map_ if number == 13 else looking(number)
         (running.settings.maps_dir / f"room{number:02}.rho").write_bytes(map_to_bytes(map_))
-    finder, until = running.app.state.rholoc.finder, time.monotonic() + PATIENCE_S
+    finder, until = running.app.state.rholoc.frames.finder, time.monotonic() + PATIENCE_S
     while finder.counts() != {"present": 20, "indexed": 20}:
         assert time.monotonic() < until
         time.sleep(0.05)
@@ -30,7 +30,7 @@ def campus(serve, picture_world, looking):
 
 def test_the_right_one_of_many_maps_answers(campus, picture_world, monkeypatch) -> None:
     asked: list[str] = []
-    localizers = campus.app.state.rholoc.localizers
+    localizers = campus.app.state.rholoc.frames.localizers
     get = type(localizers).get
     monkeypatch.setattr(type(localizers), "get", lambda self, name: (asked.append(name), get(self, name))[1])
     answer = httpx.post(

@@ -15,7 +15,9 @@ from rholoc.errors import InvalidInput, UnknownRecording
 from rholoc.jobs import RecordingStore
 from rholoc.maps import FloorPlan, MapLibrary
 from rholoc.maps.floor_plan import check_plan
-from rholoc.service.guard import KeyPolicy
+from rholoc.service.settings import KeyPolicy
+from rholoc.storage.replica import Replica
+from waiting import until
 
 _RHO = {"Content-Type": "application/octet-stream"}
 
@@ -33,8 +35,9 @@ def put(running, name: str, content: bytes, **headers: str) -> httpx.Response:
 def test_a_list_reads_no_map(running, picture_world, monkeypatch):
     for name in ("a", "b"):
         put(running, name, picture_world.rho()).raise_for_status()
-    library = running.app.state.rholoc.library
+    library = running.app.state.rholoc.maps.sync
     wanted = httpx.get(f"{running.url}/v1/maps/a").json()
+    until(lambda: running.app.state.rholoc.frames.finder.counts()["indexed"] == 2)  # which reads them once
     library._cache.drop("a")
     for copy in library.folder.glob("*.rho") if running.settings.shared_storage else ():
         copy.unlink()
@@ -75,7 +78,7 @@ def test_a_map_that_was_changed_is_not_replaced_if_the_request_says_so(running, 
 def test_a_picture_is_refused_by_its_header_before_it_is_decoded(running, picture_world, monkeypatch):
     put(running, "room", picture_world.rho()).raise_for_status()
     decoded = []
-    monkeypatch.setattr("rholoc.service.localize.decode_image", lambda *_: decoded.append(1))
+    monkeypatch.setattr("rholoc.service.frames.frame_features.decode_image", lambda *_: decoded.append(1))
     file = io.BytesIO()
     Image.new("L", (7000, 7000)).save(file, "PNG")
     answer = httpx.post(
@@ -101,7 +104,7 @@ def test_a_large_site_is_stored(serve, picture_world):
 
 def test_recordings_are_listed_while_one_is_deleted(serve, monkeypatch):
     running = serve()
-    store = running.app.state.rholoc.recordings
+    store = running.app.state.rholoc.recordings.sync
     other = RecordingStore(running.settings.data_dir, engine=store.engine)
     kept, gone = (store.create([("walk.mp4", [b"x"])]).id for _ in range(2))
     really = store.get
@@ -137,7 +140,7 @@ def test_pictures_of_maps_on_a_full_disk_say_so(serve, picture_world, monkeypatc
     async def start(*_args, **_options):
         return Full()
 
-    monkeypatch.setattr("rholoc.service.renderings.AsyncProgram.start", start)
+    monkeypatch.setattr("rholoc.service.maps.renderings.AsyncProgram.start", start)
     for path in ("preview.png", "report.png", "coverage", "download?format=png"):
         answer = httpx.get(f"{running.url}/v1/maps/room/{path}")
         assert (answer.status_code, answer.json()["code"]) == (507, "storage_full"), path
@@ -175,3 +178,13 @@ def test_metrics_need_no_key_where_the_setting_says_so(serve):
     assert httpx.get(f"{closed.url}/metrics").status_code == 401
     assert httpx.get(f"{opened.url}/metrics").status_code == 200
     assert httpx.get(f"{opened.url}/v1/maps").status_code == 401
+
+
+def test_a_correction_is_answered_with_the_version_that_it_made(serve, tmp_path, picture_world, monkeypatch):
+    """Not with what this server sees, which may be behind, or with what another request has made of it."""
+    running = serve(storage_url=f"file://{tmp_path}/storage")
+    put(running, "a", picture_world.rho()).raise_for_status()
+    before = httpx.get(f"{running.url}/v1/maps/a").json()["version"]
+    monkeypatch.setattr(Replica, "_see", lambda replica, changes: None)
+    answer = httpx.post(f"{running.url}/v1/maps/a/corrections", json={"kind": "labels", "tags": ["bright"]})
+    assert answer.json()["version"] == before + 1

@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 
 from rholoc.geometry import Similarity
-from rholoc.mapping.moving import move_map
+from rholoc.mapping.edit.moving import move_map
 from rholoc.maps import Cloud, load_map, map_to_bytes
 from rholoc.reports import MapReport, report_from_json
 
@@ -49,14 +49,6 @@ def test_a_map_is_put_renamed_replaced_taken_and_deleted(service, picture_world,
     assert httpx.delete(f"{url}/newer").status_code == 204
     assert httpx.get(f"{url}/newer").status_code == 404
     assert not list((service.settings.data_dir / "uploads").iterdir())
-
-
-def test_the_preview_is_a_picture(service):
-    answer = httpx.get(service.url + "/v1/maps/room/preview.png", timeout=120)
-    assert answer.headers["Content-Type"] == "image/png"
-    picture = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_COLOR)
-    assert min(picture.shape[:2]) > 500
-    assert picture.std() > 5
 
 
 def test_further_points_and_pictures_of_views(serve, picture_world):

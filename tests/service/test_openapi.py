@@ -6,37 +6,34 @@ import re
 
 import pytest
 from hypothesis import HealthCheck, given, settings
+from pydantic import TypeAdapter
 
-from rholoc.maps.library import is_name
-from rholoc.service import Settings, create_app
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.maps.catalogue import is_name
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.http.models import EXAMPLES, AnswerModel, RequestModel
+from rholoc.service.maps.corrections import CorrectionIn
 
 METHODS = ("get", "put", "post", "patch", "delete", "head", "options")
 
 
-@pytest.fixture(scope="module")
-def document():
-    return create_app(Settings()).openapi()
-
-
-def operations(document):
-    for path, item in document["paths"].items():
+def operations(openapi):
+    for path, item in openapi["paths"].items():
         for method in METHODS:
             if method in item:
                 yield f"{method.upper()} {path}", item[method]
 
 
-def resolve(document, node):
+def resolve(openapi, node):
     while "$ref" in node:
-        target = document
+        target = openapi
         for part in node["$ref"].removeprefix("#/").split("/"):
             target = target[part]
         node = target
     return node
 
 
-def has_example(document, media_type, media) -> bool:
-    schema = resolve(document, media.get("schema", {}))
+def has_example(openapi, media_type, media) -> bool:
+    schema = resolve(openapi, media.get("schema", {}))
     binary = schema.get("format") == "binary" or media_type in ("multipart/form-data", "image/png")
     return binary or bool({"example", "examples"} & (media.keys() | schema.keys()))
 
@@ -50,26 +47,42 @@ def references(node):
             yield from references(one)
 
 
-def test_every_operation_has_a_summary_a_description_and_examples(document):
-    for name, operation in operations(document):
+def test_every_example_is_one():
+    models = {model.__name__: model for base in (RequestModel, AnswerModel) for model in subclasses(base)}
+    for name, example in EXAMPLES.items():
+        if name == "CorrectionIn":  # one of each kind
+            for correction in example.values():
+                TypeAdapter(CorrectionIn).validate_python(correction)
+        else:
+            models[name].model_validate(example)
+
+
+def subclasses(kind):
+    for one in kind.__subclasses__():
+        yield one
+        yield from subclasses(one)
+
+
+def test_every_operation_has_a_summary_a_description_and_examples(openapi):
+    for name, operation in operations(openapi):
         assert operation.get("summary"), name
         assert operation.get("description"), name
         bodies = [operation.get("requestBody", {}), *operation["responses"].values()]
         for body in bodies:
             for media_type, media in body.get("content", {}).items():
-                assert has_example(document, media_type, media), (name, media_type)
+                assert has_example(openapi, media_type, media), (name, media_type)
 
 
-def test_every_reference_leads_somewhere(document):
-    found = set(references(document))
+def test_every_reference_leads_somewhere(openapi):
+    found = set(references(openapi))
     assert found
     for reference in found:
-        assert resolve(document, {"$ref": reference})
+        assert resolve(openapi, {"$ref": reference})
 
 
-def test_a_path_says_which_names_it_takes_as_the_service_does(document):
+def test_a_path_says_which_names_it_takes_as_the_service_does(openapi):
     patterns = {}
-    for _, operation in operations(document):
+    for _, operation in operations(openapi):
         for parameter in operation.get("parameters", ()):
             if parameter["in"] == "path" and "pattern" in parameter["schema"]:
                 patterns.setdefault(parameter["name"], set()).add(parameter["schema"]["pattern"])
@@ -86,7 +99,7 @@ SAY_MORE = {"GET /v1/maps/{map_name}/download", "GET /v1/audit", "GET /v1/jobs"}
 def probe(operation, key, checks):
     """Send a few requests that the schema allows and forbids, and judge the answers."""
 
-    @settings(max_examples=4, deadline=None, database=None, derandomize=True, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=4, database=None, derandomize=True, suppress_health_check=list(HealthCheck))
     @given(case=operation.as_strategy())
     def send(case):
         case.call_and_validate(headers=key, checks=checks, timeout=60)
@@ -95,7 +108,7 @@ def probe(operation, key, checks):
 
 
 @pytest.mark.slow
-def test_every_route_does_what_its_schema_says(locked, document):
+def test_every_route_does_what_its_schema_says(locked, openapi):
     import schemathesis  # which takes a second of every start, and is used here alone
     from schemathesis.checks import CHECKS
 
@@ -109,4 +122,4 @@ def test_every_route_does_what_its_schema_says(locked, document):
         names = [name for name in CHECKS.get_all_names() if name != "positive_data_acceptance" or not says_more]
         probe(operation, key, CHECKS.get_by_names(names))
         probed.append(operation.label)
-    assert sorted(probed) == sorted(name for name, _ in operations(document))
+    assert sorted(probed) == sorted(name for name, _ in operations(openapi))

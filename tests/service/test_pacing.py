@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rholoc.service import pacing
-from rholoc.service.access import Access, RouteAccess
-from rholoc.service.keys import Scope
-from rholoc.service.pacing import FramesFirst, Pace
+from rholoc.service.access.keys import Scope
+from rholoc.service.access.scopes import Access, RouteAccess
+from rholoc.service.http import pacing
+from rholoc.service.http.pacing import FramesFirst, Pace
 
 
 class Clock:

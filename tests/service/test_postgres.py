@@ -45,9 +45,8 @@ def test_what_is_no_address_of_a_database_is_refused(tmp_path, url):
     assert "secret" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "command", [["serve", "--port", "0", "--no-worker"], pytest.param(["worker"], marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [["serve", "--port", "0", "--no-worker"], ["worker"]])
 def test_the_commands_refuse_a_database_in_one_line(tmp_path, command):
     environment = {**os.environ, "RHOLOC_DATABASE_URL": "postgresql://jobs:secret@127.0.0.1:1/jobs"}
     arguments = [sys.executable, "-m", "rholoc", *command, "--data", str(tmp_path), "--maps", str(tmp_path)]

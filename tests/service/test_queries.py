@@ -11,8 +11,8 @@ from rholoc.errors import InvalidCamera, InvalidDescriptors, InvalidInput
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.localization import Intrinsics
-from rholoc.service.queries import Frame, camera_for, feature_set, gravity_of, prior_of
-from rholoc.service.schemas import FeaturesIn, LocalizeOptions, PriorIn
+from rholoc.service.frames.queries import Frame, camera_for, feature_set, gravity_of, prior_of
+from rholoc.service.frames.requests import FeaturesIn, LocalizeOptions, PriorIn
 
 MAP_CAMERA = Camera(640, 480, 520.0, 521.0, 318.0, 241.0, (0.1, -0.1, 0.0, 0.0))
 

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyLimits, KeyStore, Scope
+from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from rholoc.storage.database import open_database
 from rholoc.storage.holdings import Holding, Holdings, Kind
 

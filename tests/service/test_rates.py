@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rholoc.service.access.keys import ApiKey, KeyLimits, KeyStore, Scope
+from rholoc.service.access.rates import Rates
 from rholoc.service.errors import TooManyRequests
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import ApiKey, KeyLimits, KeyStore, Scope
-from rholoc.service.rates import Rates
+from rholoc.service.settings import KeyPolicy
 
 
 def key(name: str, rate: float | None, burst: int | None = None) -> ApiKey:

@@ -13,8 +13,8 @@ import pytest
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.maps import MapLibrary
 from rholoc.pictures.rendering import Rendering
-from rholoc.service.renderings import Renderings
-from rholoc.service.storage_threads import StorageLanes
+from rholoc.service.maps.renderings import Renderings
+from rholoc.service.threads.storage import StorageLanes
 
 
 @pytest.fixture
@@ -24,7 +24,9 @@ def library(tmp_path, picture_world) -> MapLibrary:
     return library
 
 
-def test_a_rendering_is_made_once_and_again_when_the_map_changes(tmp_path, library, picture_world):
+def test_a_rendering_is_made_once_and_again_when_the_map_changes_and_not_of_one_that_is_gone_or_damaged(
+    tmp_path, library, picture_world
+):
     async def scenario() -> None:
         renderings = Renderings(tmp_path / "kept", library, StorageLanes())
         first, same = await asyncio.gather(*(renderings.get("room", Rendering.COVERAGE) for _ in range(2)))
@@ -38,6 +40,11 @@ def test_a_rendering_is_made_once_and_again_when_the_map_changes(tmp_path, libra
         renderings.sweep()
         assert kept not in (tmp_path / "kept").iterdir()
         assert len(list((tmp_path / "kept").iterdir())) == 1
+        with pytest.raises(UnknownMap):
+            await renderings.get("nowhere", Rendering.PREVIEW)
+        library.path("room").write_bytes(b"damaged")
+        with pytest.raises(InvalidMap, match=r"room\.rho"):
+            await renderings.get("room", Rendering.PREVIEW)
         await renderings.close()
 
     asyncio.run(scenario())
@@ -56,24 +63,16 @@ def test_a_process_that_is_killed_is_started_again(tmp_path, library):
     asyncio.run(scenario())
 
 
-def test_maps_that_are_gone_or_damaged_are_said(tmp_path, library):
-    async def scenario() -> None:
-        renderings = Renderings(tmp_path / "kept", library, StorageLanes())
-        with pytest.raises(UnknownMap):
-            await renderings.get("nowhere", Rendering.PREVIEW)
-        library.path("room").write_bytes(b"damaged")
-        with pytest.raises(InvalidMap, match=r"room\.rho"):
-            await renderings.get("room", Rendering.PREVIEW)
-        await renderings.close()
-
-    asyncio.run(scenario())
-
-
 def test_a_browser_that_has_a_picture_gets_304(service):
     for what in ("preview.png", "report.png", "coverage", "scene", "scene?landmarks=50"):
         url = f"{service.url}/v1/maps/room/{what}"
         first = httpx.get(url, timeout=60)
         assert first.headers["Cache-Control"] == "private, no-cache"
+        if what.endswith("png"):
+            assert first.headers["Content-Type"] == "image/png"
+            picture = cv2.imdecode(np.frombuffer(first.content, np.uint8), cv2.IMREAD_COLOR)
+            assert min(picture.shape[:2]) > 500
+            assert picture.std() > 5
         again = httpx.get(url, headers={"If-None-Match": f'"other", {first.headers["ETag"]}'})
         assert (again.status_code, again.content) == (304, b"")
     whole, part = (httpx.get(f"{service.url}/v1/maps/room/scene{query}") for query in ("", "?landmarks=50"))

@@ -60,7 +60,7 @@ def stored(service, url):
 
 def touched(service, time_s):
     """Let all uploads have had their last byte at a time."""
-    with service.app.state.rholoc.jobs.engine.begin() as connection:
+    with service.app.state.rholoc.jobs.sync.engine.begin() as connection:
         connection.execute(uploads_table.update().values(touched=time_s))
 
 
@@ -259,7 +259,7 @@ def test_an_unfinished_upload_expires(service):
     folder = service.settings.data_dir / "uploads" / url.rsplit("/", 1)[1]
     assert folder.exists()
     touched(service, time.time() - service.settings.upload_expires_s - 10)
-    service.app.state.rholoc.uploads.sweep()
+    service.app.state.rholoc.recordings.uploads.sweep()
     assert not folder.exists()
     assert httpx.head(url, headers=TUS).status_code == 404
 
@@ -273,7 +273,7 @@ def test_an_upload_can_be_given_up(service):
 def test_a_server_that_died_after_the_last_byte_queues_the_job_when_asked(service, monkeypatch):
     url = begun(service)
     with monkeypatch.context() as dead:
-        dead.setattr(service.app.state.rholoc.jobs, "submit", Mock(side_effect=OSError("killed")))
+        dead.setattr(service.app.state.rholoc.jobs.sync, "submit", Mock(side_effect=OSError("killed")))
         patch(url, 0, VIDEO)
     answer = httpx.head(url, headers=TUS)
     assert int(answer.headers["Upload-Offset"]) == len(VIDEO)

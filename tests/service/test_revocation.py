@@ -10,8 +10,8 @@ from contextlib import ExitStack
 import httpx
 import pytest
 
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from waiting import until
 
 
@@ -29,7 +29,7 @@ def watched(serve, picture_world):
 
 @pytest.fixture
 def store(watched) -> KeyStore:
-    return watched.app.state.rholoc.keys
+    return watched.app.state.rholoc.keys.sync
 
 
 def hand_on(running, secret: str, scope: Scope) -> tuple[str, str]:
@@ -145,7 +145,7 @@ def test_uploads_are_budgeted_for_each_key_and_go_with_it(watched, store):
 
 
 def test_handed_on_keys_are_budgeted_for_each_key(watched, store, monkeypatch):
-    monkeypatch.setattr("rholoc.service.routes.keys._MAX_HANDED_BY", 2)
+    monkeypatch.setattr("rholoc.service.access.keys._MAX_HANDED_BY", 2)
     greedy, other = store.create("hands on", Scope.MAP), store.create("hands on too", Scope.MAP)
     for _ in range(2):
         hand_on(watched, greedy, Scope.READ)

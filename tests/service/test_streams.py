@@ -12,8 +12,8 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from rholoc.service.access import STREAM_KEY_PREFIX, STREAM_PROTOCOL
-from rholoc.service.keys import KeyStore, Scope
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.access.scopes import STREAM_KEY_PREFIX, STREAM_PROTOCOL
 
 HERE = {"position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}
 CAMERA = {"fx": 520, "fy": 520, "cx": 319.5, "cy": 239.5}

@@ -18,7 +18,7 @@ from opentelemetry.trace import SpanKind, StatusCode
 
 from rholoc import telemetry
 from rholoc.errors import NotFound
-from rholoc.service.guard import KeyPolicy
+from rholoc.service.settings import KeyPolicy
 from waiting import until
 
 TRACE, PARENT = "0af7651916cd43dd8448eb211c80319c", "b7ad6b7169203331"
@@ -165,7 +165,7 @@ assert not any(name.startswith("opentelemetry.sdk") for name in sys.modules), "t
 
 
 def test_the_key_that_asked_is_named(spans: Spans, serve: Any) -> None:
-    from rholoc.service.keys import KeyStore, Scope
+    from rholoc.service.access.keys import KeyStore, Scope
 
     running = serve(keys=KeyPolicy.ALWAYS)
     secret = KeyStore(running.settings.data_dir).create("robot", Scope.READ)

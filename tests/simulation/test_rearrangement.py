@@ -5,13 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.simulation import make_test_site, make_walk, rearranged
+from rholoc.simulation import make_walk, rearranged
 from rholoc.simulation.scene import Box
-
-
-@pytest.fixture(scope="module")
-def site():
-    return make_test_site(0)
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +14,7 @@ def way():
     return make_walk(1).positions(np.linspace(0, 30, 60))
 
 
-@pytest.fixture(scope="module", params=[0, 1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[0, pytest.param(2, marks=pytest.mark.slow)])
 def rearrangement(site, way, request):
     """The room with a third of its furniture moved, and what was."""
     return rearranged(site, 1 / 3, request.param, way)
@@ -59,11 +54,11 @@ def test_what_was_moved_overlaps_nothing_and_stands_in_nobodys_way(way, rearrang
 
 
 def test_the_same_seed_moves_the_same(site, way):
-    (_, names), (_, again) = rearranged(site, 1 / 3, 4, way), rearranged(site, 1 / 3, 4, way)
+    (_, names), (_, again) = (rearranged(site, 1 / 6, 4, way) for _ in range(2))
     assert names == again
 
 
 def test_a_room_without_space_says_so(site):
-    grid = np.stack(np.meshgrid(np.arange(-2, 5, 0.3), np.arange(-1, 5, 0.3), [0.0]), axis=-1).reshape(-1, 3)
+    grid = np.stack(np.meshgrid(np.arange(-2, 5, 0.5), np.arange(-1, 5, 0.5), [0.0]), axis=-1).reshape(-1, 3)
     with pytest.raises(ValueError, match="find another place"):
         rearranged(site, 1.0, 0, grid)

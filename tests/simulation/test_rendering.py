@@ -24,13 +24,8 @@ CAMERA = PHONE_CAMERA.resized(320, 240)
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return make_test_site(0)
-
-
-@pytest.fixture(scope="module")
-def renderer(scene: Scene) -> Renderer:
-    return Renderer(scene, [face.paint.albedo for face in scene.faces])
+def renderer(site: Scene) -> Renderer:
+    return Renderer(site, [face.paint.albedo for face in site.faces])
 
 
 def poses_at(*times: float, walk: int = 1) -> list[Pose]:
@@ -58,11 +53,11 @@ def cast_rays(scene: Scene, pose: Pose, pixels: FloatArray) -> FloatArray:
     return np.asarray(nearest * rays[:, 2])
 
 
-def test_what_hides_what_agrees_with_ray_casting(scene: Scene, renderer: Renderer) -> None:
+def test_what_hides_what_agrees_with_ray_casting(site: Scene, renderer: Renderer) -> None:
     pixels = np.random.default_rng(0).integers(0, (CAMERA.width, CAMERA.height), (3000, 2))
     for pose in [*poses_at(0.5, 6.0, 12.0, 18.0, 24.0, 29.0), *poses_at(9.0, 21.0, walk=2)]:
         drawn = renderer.surface(CAMERA, pose).depth[pixels[:, 1], pixels[:, 0]]
-        cast = cast_rays(scene, pose, pixels.astype(np.float64))
+        cast = cast_rays(site, pose, pixels.astype(np.float64))
         assert np.mean(np.abs(drawn - cast) < 1e-6) > 0.998  # the rest are pixels right on an edge
 
 
@@ -117,26 +112,26 @@ def test_the_camera_may_look_anywhere(renderer: Renderer) -> None:
         assert (surface.depth > 0.02).all()
 
 
-def test_textured_rooms_give_features_and_blank_walls_do_not(scene: Scene) -> None:
+def test_textured_rooms_give_features_and_blank_walls_do_not(site: Scene) -> None:
     orb = cv2.ORB_create(1000)
     (pose,) = poses_at(8.0)
     counts = [
         len(orb.detect(cv2.cvtColor(render_view(s, PHONE_CAMERA, pose), cv2.COLOR_BGR2GRAY)))
-        for s in (scene, make_blank_wall())
+        for s in (site, make_blank_wall())
     ]
     assert counts[0] > 400
     assert counts[1] < 0.25 * counts[0]
 
 
-def test_rooms_and_pictures_follow_from_their_seed(scene: Scene) -> None:
+def test_rooms_and_pictures_follow_from_their_seed(site: Scene) -> None:
     again, other = make_test_site(0), make_test_site(3)
-    assert all(np.array_equal(a.paint.albedo, b.paint.albedo) for a, b in zip(scene.faces, again.faces, strict=True))
+    assert all(np.array_equal(a.paint.albedo, b.paint.albedo) for a, b in zip(site.faces, again.faces, strict=True))
     assert any(
         a.paint.albedo.shape != b.paint.albedo.shape or not np.array_equal(a.paint.albedo, b.paint.albedo)
-        for a, b in zip(scene.faces, other.faces, strict=False)
+        for a, b in zip(site.faces, other.faces, strict=False)
     )
     (pose,) = poses_at(2.0)
-    small = replace(scene, boxes=scene.boxes[:3])
+    small = replace(site, boxes=site.boxes[:3])
     pictures = [render_view(small, CAMERA, pose, Light.DIM, seed) for seed in (1, 1, 2)]
     assert np.array_equal(pictures[0], pictures[1])
     assert not np.array_equal(pictures[0], pictures[2])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.simulation import make_test_site, make_walk
+from rholoc.simulation import Scene, make_walk
 from rholoc.simulation.scene import Box, DrawOrder, Face, Paint
 
 GRAY = Paint(np.full((8, 8, 3), 128, np.uint8))
@@ -36,31 +36,28 @@ def test_boxes_are_painted_back_to_front() -> None:
     assert DrawOrder(boxes)(np.array([9.0, 0.0, 0.0])) == [1, 2, 0]
 
 
-def test_boxes_of_the_test_site_do_not_overlap_and_stand_in_the_room() -> None:
-    scene = make_test_site(1)
-    low, high = scene.room.corners.min(axis=0), scene.room.corners.max(axis=0)
+def test_boxes_of_the_test_site_do_not_overlap_and_stand_in_the_room(site: Scene) -> None:
+    low, high = site.room.corners.min(axis=0), site.room.corners.max(axis=0)
     samples = np.random.default_rng(0).uniform(-0.499, 0.499, (200, 3))
-    for i, box in enumerate(scene.boxes):
+    for i, box in enumerate(site.boxes):
         points = box.centre + (samples * box.size) @ box.axes
         assert (points >= low - 1e-9).all(), i
         assert (points <= high + 1e-9).all(), i
-        for j, other in enumerate(scene.boxes):
+        for j, other in enumerate(site.boxes):
             if i != j:
                 inside = (np.abs((points - other.centre) @ other.axes.T) < 0.5 * other.size - 1e-6).all(axis=1)
                 assert not inside.any(), (i, j)
 
 
-def test_the_walks_keep_clear_of_the_furniture() -> None:
-    scene = make_test_site(0)
+def test_the_walks_keep_clear_of_the_furniture(site: Scene) -> None:
     for number in (1, 2, 3):
         positions = make_walk(number).positions(np.linspace(0, 30, 301))
-        for box in scene.boxes:
+        for box in site.boxes:
             outside = np.abs((positions - box.centre) @ box.axes.T) - 0.5 * box.size
             assert np.linalg.norm(np.maximum(outside, 0), axis=1).min() > 0.3
 
 
-def test_boxes_block_the_view_behind_them() -> None:
-    scene = make_test_site(0)
-    scene = type(scene)(scene.room, (make_box((2.0, 0.0, 0.0)),))
+def test_boxes_block_the_view_behind_them(site: Scene) -> None:
+    scene = Scene(site.room, (make_box((2.0, 0.0, 0.0)),))
     ends = np.array([[4.0, 0, 0], [1.4, 0, 0], [4.0, 3.0, 0], [4.0, 0, 2.0]])
     assert scene.blocked(np.zeros(3), ends).tolist() == [True, False, False, False]

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from rholoc.storage import SharedStorage
+from rholoc.jobs import Stores
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "jobs"))  # of the tiny map and the sites of jobs
 
 from job_site import Site
 
-OpenStorage = Callable[..., SharedStorage]
+OpenStorage = Callable[..., Stores]
 
 
 @pytest.fixture
@@ -28,10 +28,9 @@ def open_storage(tmp_path: Path, storage_url: str) -> Iterator[OpenStorage]:
     """Opens the storage as one more process sees it, by default on one SQLite file; closes it at the end."""
     opened = []
 
-    def open_one(database_url: str | None = None, follow: bool = False, **options: object) -> SharedStorage:
-        shared = SharedStorage(storage_url, tmp_path / "data", database_url, **options)
-        shared._copies.folder = tmp_path / f"copies-{len(opened)}"  # each process may be on another machine
-        shared.library.folder = shared._copies.folder
+    def open_one(database_url: str | None = None, follow: bool = False, **options: object) -> Stores:
+        shared = Stores(tmp_path / "maps", tmp_path / "data", database_url, storage_url, **options)
+        shared.copies.folder = tmp_path / f"copies-{len(opened)}"  # each process may be on another machine
         shared.open(follow)
         opened.append(shared)
         return shared

@@ -15,9 +15,9 @@ from fake_pipeline import tiny_map
 from rholoc.geometry import Camera
 from rholoc.jobs import RecordingStore, Stores, move_in
 from rholoc.jobs.recording_notes import WAYPOINTS_FILE
+from rholoc.jobs.stores import CAMERAS, KEYS, SITES
 from rholoc.maps import CameraLibrary, CameraProfile, FramePose, MapLibrary, Site, SiteLibrary, SiteMap
-from rholoc.service.keys import KeyStore, Scope
-from rholoc.storage import CAMERAS, KEYS, SITES
+from rholoc.service.access.keys import KeyStore, Scope
 
 
 def test_maps_cameras_keys_and_recordings_are_brought_in(storage_url: str, tmp_path: Path) -> None:
@@ -35,8 +35,7 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(storage_url: str, tmp_p
     kept.note(entry.id, {WAYPOINTS_FILE: b"name,x,y,z\n"})
     stores = Stores(tmp_path / "m", tmp_path / "elsewhere", storage_url=storage_url)
     stores.open()
-    shared = stores.shared
-    assert shared is not None
+    shared = stores
     shared.library.put("room", tiny_map())
 
     moved = move_in(maps_dir, data_dir, stores)

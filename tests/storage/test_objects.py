@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from rholoc.errors import InvalidInput, StorageUnavailable
-from rholoc.storage import MissingObject, ObjectStorage
+from rholoc.errors import InvalidInput, MissingObject, StorageUnavailable
+from rholoc.storage import ObjectStorage
 
 
 @pytest.fixture(params=["file", "folder", "memory"])

@@ -11,10 +11,11 @@ from sqlalchemy.exc import OperationalError
 
 from rholoc.errors import Conflict, NotFound, UnknownCamera
 from rholoc.geometry import Camera
+from rholoc.jobs.stores import CAMERAS, KEYS, SITES
 from rholoc.localization import MapFinder
 from rholoc.maps import CameraLibrary, CameraProfile, Site, SiteLibrary, SiteMap
-from rholoc.service.keys import KeyStore, Scope
-from rholoc.storage import CAMERAS, KEYS, SITES, replica
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.storage import replica
 from waiting import until
 
 _CAMERA = CameraProfile(Camera(640, 480, 500.0, 500.0, 320.0, 240.0), {"rms_px": 0.2})

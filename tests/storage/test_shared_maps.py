@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from rholoc.disk import storage_full
 from rholoc.errors import Conflict, InvalidMap, RholocError, StorageFull, StorageUnavailable, UnknownMap
+from rholoc.jobs import Stores
 from rholoc.maps import Map, MapLibrary, load_map, map_to_bytes
-from rholoc.storage import SharedStorage
 from waiting import until
 
 NAMES = st.sampled_from(["hall", "room", "yard"])
@@ -68,13 +68,13 @@ def state(library: MapLibrary) -> dict[str, Any]:
     }
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(steps=st.lists(STEPS, max_size=12))
 def test_a_shared_library_does_what_a_folder_does(steps: list[Any], tmp_path_factory: Any) -> None:
     folder = tmp_path_factory.mktemp("world")
-    shared = SharedStorage(f"file://{folder}/storage", folder / "data")
+    shared = Stores(folder / "none", folder / "data", storage_url=f"file://{folder}/storage")
     shared.open()
-    other = SharedStorage(f"file://{folder}/storage", folder / "data")
+    other = Stores(folder / "none", folder / "data", storage_url=f"file://{folder}/storage")
     other.open()
     local = MapLibrary(folder / "maps")
     for number, step in enumerate(steps):
@@ -145,10 +145,10 @@ def test_what_goes_with_publishing_is_done_with_it_or_neither(open_storage: Any)
         raise Conflict("The job was cancelled.")
 
     with pytest.raises(Conflict, match="cancelled"):
-        shared.library.publishing_with(refuse).put("hall", tiny_map())
+        shared.library_acting(refuse).put("hall", tiny_map())
     assert shared.library.names() == []
     noted: list[Map] = []
-    shared.library.publishing_with(lambda _, map_: noted.append(map_)).put("hall", tiny_map())
+    shared.library_acting(lambda _, map_: noted.append(map_)).put("hall", tiny_map())
     assert [map_.info for map_ in noted] == [shared.library.get("hall").info]
 
 

@@ -10,11 +10,12 @@ import pytest
 
 from kept_queries import LATELY_S, keep_queries
 from rholoc.jobs import JobKind, JobOptions, JobQueue, QueryStore
+from rholoc.jobs.stores import ASKERS
 from rholoc.jobs.table import JobTable
 from rholoc.jobs.worker import Worker
-from rholoc.service.learning import Learner
+from rholoc.service.frames.learning import Learner
 from rholoc.service.settings import Settings
-from rholoc.storage import ASKERS, ObjectStorage
+from rholoc.storage import ObjectStorage
 from waiting import until
 
 ALICE = "a" * 12

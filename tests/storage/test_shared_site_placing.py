@@ -10,8 +10,8 @@ import pytest
 from house import DOORS, PAIRS, placed, put_house, put_rooms
 
 from rholoc.jobs import JobState
+from rholoc.jobs.stores import SITES
 from rholoc.maps import SiteLibrary
-from rholoc.storage import SITES
 from waiting import until
 
 if TYPE_CHECKING:
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 @pytest.mark.slow
 def test_another_machine_places_the_site_of_one_that_died(campus: Workplace) -> None:
-    assert campus.shared is not None
     put_rooms(campus.library)
-    sites = put_house(SiteLibrary(campus.maps_dir, campus.shared.documents(SITES)))
+    sites = put_house(SiteLibrary(campus.maps_dir, campus.stores.documents(SITES)))
     campus.control.hold(PAIRS[-1])
     worker = campus.start_worker()
     job = campus.queue.submit_placing("house")

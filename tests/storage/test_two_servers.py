@@ -9,9 +9,9 @@ from typing import Any
 import httpx
 import pytest
 
-from rholoc.service.app import open_keys, stores_of
-from rholoc.service.guard import KeyPolicy
-from rholoc.service.keys import KeyLimits, Scope
+from rholoc.jobs.stores import KEYS
+from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
 from waiting import until
 
 BUCKET = "rholoc"
@@ -129,9 +129,9 @@ def test_servers_stay_ready_while_the_database_is_gone(serve: Any, tmp_path: Any
 def test_what_keys_hold_is_counted_together(serve: Any, s3_url: str, postgres: Any, picture_world: Any) -> None:
     urls = {"database_url": postgres.create_database("quotas"), "storage_url": s3_url}
     running = [serve(**urls, keys=KeyPolicy.ALWAYS) for _ in range(2)]
-    stores = stores_of(running[0].settings)
+    stores = running[0].settings.stores()
     stores.open()
-    secret = open_keys(stores).create("mapper", Scope.ADMIN, limits=KeyLimits(maps=1))
+    secret = KeyStore(stores.data_dir, stores.documents(KEYS)).create("mapper", Scope.ADMIN, limits=KeyLimits(maps=1))
     stores.close()
     here, there = (httpx.Client(base_url=one.url, headers={"Authorization": f"Bearer {secret}"}) for one in running)
     until(lambda: there.get("/v1/maps").status_code == 200, HEARD_WITHIN_S)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray
 from rholoc.recordings import GRAVITY, Imu, Waypoint
-from rholoc.trajectory import dead_reckoning
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 
 STOPS = np.array([1.0, 6.0, 11.0, 16.0])
@@ -86,47 +83,6 @@ def test_a_perfect_imu_gives_the_perfect_walk() -> None:
     np.testing.assert_allclose(found[:, :3, :3], R[rows], atol=2e-3)
 
 
-def test_a_steady_push_from_rest_to_rest() -> None:
-    """What is left of speed at the end is taken out as a steady push the other way: nothing is left of this one."""
-    times = np.arange(0, 4, 0.01)
-    push = np.tile([0.3, -0.2, 0.1], (len(times), 1))
-    t, moved = dead_reckoning._rest_to_rest(times, push, 0.505, 2.5)
-    assert (t[0], t[-1]) == (0.505, 2.5)
-    assert np.all(np.diff(t) > 0)
-    np.testing.assert_allclose(moved, 0, atol=1e-12)
-    sway = np.sin(np.pi * (times - 1))[:, None] * [1.0, 0.5, 0.0]  # from 1 s to 3 s there and back in speed
-    t, moved = dead_reckoning._rest_to_rest(times, sway, 1.0, 3.0)
-    way = ((t - 1) - np.sin(np.pi * (t - 1)) / np.pi) / np.pi
-    np.testing.assert_allclose(moved, way[:, None] * [1.0, 0.5, 0.0], atol=1e-3)
-
-
-def test_a_leg_goes_on_where_the_last_rest_was() -> None:
-    times = np.arange(0, 5, 0.01)
-    sway = np.sin(np.pi * times)[:, None] * [1.0, 0.0, -2.0]
-    t, path = dead_reckoning._leg(times, sway, np.array([0.0, 2.0, 4.0]))
-    at = np.searchsorted(t, [2.0, 4.0])
-    np.testing.assert_allclose(path[at], np.outer([2, 4], [1.0, 0.0, -2.0]) / np.pi, atol=1e-3)
-    assert np.all(np.diff(t) > 0)
-
-
-@pytest.mark.parametrize("yaw_deg", [-170.0, -30.0, 0.0, 75.0])
-def test_the_heading_is_the_one_that_takes_ways_to_ways(yaw_deg: float) -> None:
-    rng = np.random.default_rng(0)
-    moved = rng.normal(size=(5, 3))
-    turned = Rotation.from_euler("z", yaw_deg, degrees=True)
-    found = dead_reckoning._yaw(moved, turned.apply(moved) + rng.normal(0, 1e-6, (5, 3)))
-    assert np.degrees((found.inv() * turned).magnitude()) < 1e-3
-
-
-def test_a_pause_near_a_waypoint_is_the_waypoint() -> None:
-    imu, *_ = walk()
-    rests = dead_reckoning._rests(imu, STOPS[[0, 1, 3]])
-    np.testing.assert_allclose(rests, STOPS, atol=0.3)
-    assert set(STOPS[[0, 1, 3]]) <= set(rests.tolist())
-    assert len(dead_reckoning._rests(imu, STOPS + 0.7)) == 4
-    assert len(dead_reckoning._rests(imu, STOPS + 1.3)) > 4
-
-
 def test_an_imu_that_cannot_place_the_camera_is_refused() -> None:
     imu, *_ = walk()
     at = np.array([2.0])
@@ -137,44 +93,3 @@ def test_an_imu_that_cannot_place_the_camera_is_refused() -> None:
         part = replace(imu, times=imu.times[kept], acceleration=imu.acceleration[kept])
         with pytest.raises(MappingFailed, match="does not cover"):
             integrate_between_waypoints(part, waypoints((0, 1, 3)), at)
-
-
-def test_the_gyroscopes_bias_is_what_makes_legs_end_at_waypoints_and_keeps_gravity_level(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """In units of what each may be off: legs three tenths of a metre, forces 0.3 m/s², the bias a fiftieth rad/s."""
-    asked: list[Any] = []
-
-    def solve(residuals: Any, start: FloatArray, **options: Any) -> SimpleNamespace:
-        asked.extend([residuals, options])
-        return SimpleNamespace(x=start)
-
-    monkeypatch.setattr(dead_reckoning, "least_squares", solve)
-    imu, _, _ = walk()
-    exact = replace(
-        imu,
-        acceleration=imu.acceleration - [0.03, -0.02, 0.02],
-        angular_velocity=imu.angular_velocity - [0.002, -0.001, 0.001],
-    )
-    legs, forces = slice(0, 9), slice(9, 17)
-    integrate_between_waypoints(exact, waypoints((0, 1, 2, 3)), np.array([2.0]))
-    residuals, options = asked
-    assert options["loss"] == "soft_l1"
-    at_rest = residuals(np.zeros(3))
-    assert len(at_rest) == 9 + 8 + 3
-    np.testing.assert_allclose(at_rest, 0, atol=5e-3)
-    np.testing.assert_allclose(residuals(np.array([0.01, 0.0, -0.02]))[17:], [0.5, 0.0, -1.0])
-    higher = waypoints((0, 1, 2, 3))
-    x, y, z = higher[2].position
-    higher[2] = replace(higher[2], position=(x, y, z + 0.6))
-    asked.clear()
-    integrate_between_waypoints(exact, higher, np.array([2.0]))
-    missed = asked[0](np.zeros(3))[legs].reshape(3, 3)
-    np.testing.assert_allclose(missed[:, 2], [0, -2, 2], atol=5e-3)
-    asked.clear()
-    tilted = exact.acceleration.copy()
-    later = exact.times > 8  # from then on something pulls sideways, and up
-    tilted[later] += np.array([0.15, 0.0, 0.0]) @ R_CAMERA_IMU
-    integrate_between_waypoints(replace(exact, acceleration=tilted), waypoints((0, 1, 2, 3)), np.array([2.0]))
-    felt = np.linalg.norm(asked[0](np.zeros(3))[forces].reshape(4, 2), axis=1)
-    np.testing.assert_allclose(felt, [0, 0, 0.5, 0.5], atol=5e-3)

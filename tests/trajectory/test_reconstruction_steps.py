@@ -11,12 +11,10 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import BoolArray, Camera, FloatArray, Similarity, pose_matrix
 from rholoc.progress import Stage
 from rholoc.recordings import GRAVITY
-from rholoc.trajectory.optimization.adjustment import GIVEN, GUESSED, Fix, InertialState, Problem, State
+from rholoc.trajectory.optimization.adjustment import GIVEN, GUESSED, InertialState, State
 from rholoc.trajectory.reconstruction.figures import median_depth_of, scale_sigma_of, spread_covariances
-from rholoc.trajectory.reconstruction.from_imu import _of_corrected_scale
 from rholoc.trajectory.reconstruction.outcome import moved
-from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, _cleaned, camera_sigmas
-from rholoc.trajectory.reconstruction.waypoints import _noise_factor, _with_waypoints_met
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, camera_sigmas
 from rholoc.trajectory.visual.tracks import Observations
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
@@ -50,40 +48,10 @@ class _Adjusted:
         return found
 
 
-def test_no_waypoints_leave_the_noise_as_it_was_assumed() -> None:
-    assert _noise_factor([]) == 1.0
-
-
-@pytest.mark.parametrize(
-    ("sigmas", "factor"),
-    [
-        ([np.sqrt(3)] * 4, 1.0),  # off by one sigma along each of three axes
-        ([1.0, 2.0], np.sqrt((2 + 1 + 4) / (2 + 6))),
-        ([0.0] * 50, 0.4),
-        ([30.0] * 5, 2.0),
-    ],
-)
-def test_the_noise_of_waypoints_follows_how_far_they_are_off(sigmas: list[float], factor: float) -> None:
-    assert _noise_factor(sigmas) == pytest.approx(factor)
-
-
 def test_intrinsics_are_corrected_as_far_as_they_may_be_wrong() -> None:
     assert camera_sigmas(None) is GUESSED
     assert camera_sigmas(replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0))) is GIVEN
     assert camera_sigmas(replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0, 0.01))) is None
-
-
-def test_a_walk_whose_accelerometer_read_too_much_shrinks() -> None:
-    state = _state(np.arange(12.0).reshape(4, 3), np.full((2, 3), 5.0))
-    found = _of_corrected_scale(state, 1.25)
-    np.testing.assert_allclose(found.positions, state.positions / 1.25)
-    np.testing.assert_allclose(found.points, 4.0)
-    np.testing.assert_array_equal(found.R_map_camera, state.R_map_camera)
-    assert found.inertial is not None
-    assert state.inertial is not None
-    np.testing.assert_allclose(found.inertial.velocities, state.inertial.velocities / 1.25)
-    np.testing.assert_allclose(found.inertial.gravity, [0, 0, -GRAVITY / 1.25])
-    np.testing.assert_allclose(state.positions[1], [3, 4, 5])  # the one before is what it was
 
 
 def test_in_another_frame_everything_turns_with_the_walk() -> None:
@@ -125,34 +93,6 @@ def test_the_median_depth_is_of_points_ahead() -> None:
     adjusted = _Adjusted(state, used)
     observations = Observations(keyframes, tracks, np.zeros((5, 2)))
     assert median_depth_of(observations, adjusted) == 5.0  # of 3, 5 and 7
-
-
-def test_sightings_far_off_the_usual_are_left_out() -> None:
-    """Five points, each seen from three keyframes alike."""
-    observations = Observations(np.tile([0, 1, 2], 5), np.repeat(np.arange(5), 3), np.arange(30.0).reshape(15, 2))
-    problem = Problem(np.arange(2.0), observations)
-
-    def cleaned(*off_px: float) -> tuple[list[float], float]:
-        kept = _cleaned(problem, observations, np.repeat(off_px, 3))
-        return kept.observations.pixels[::3, 0].tolist(), kept.pixel_sigma_px
-
-    seen, sigma_px = cleaned(0.2, 0.4, 0.45, 2.4, 2.6)
-    assert seen == [0, 6, 12, 18]
-    assert sigma_px == pytest.approx(0.45 / 1.177)
-    assert cleaned(1.0, 2.0, 3.0, 14.0, np.inf)[0] == [0, 6, 12]  # five times 2.5, the median of what is finite
-    assert cleaned(*[0.01] * 5) == ([0, 6, 12, 18, 24], 0.35)
-
-
-def test_waypoints_that_are_met_or_cannot_be_bend_nothing() -> None:
-    state = _state(np.array([[float(i), 0.0, 0.0] for i in range(6)]))
-    near = tuple(Fix(k, (k + 0.1, 0.0, 0.0), 0.02) for k in (0, 2, 5))
-    turned = Rotation.from_euler("z", 20, degrees=True).apply(state.positions)
-    far = tuple(Fix(k, tuple(turned[k].tolist()), 0.02) for k in (0, 2, 5))
-    assert _with_waypoints_met(state, near, ()) is state
-    by_pictures = replace(state, inertial=None)
-    assert _with_waypoints_met(by_pictures, far, ()) is by_pictures
-    bent = _with_waypoints_met(state, far, ())
-    assert np.linalg.norm(bent.positions - turned, axis=1).max() < 0.2
 
 
 def test_progress_is_a_share_of_the_poses_stage() -> None:

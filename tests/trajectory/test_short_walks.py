@@ -16,12 +16,12 @@ _WRONG_M = 0.3
 @pytest.fixture(scope="module")
 def walk() -> SyntheticWalk:
     """The first six seconds of a walk."""
-    return SyntheticWalk(times=np.arange(0, 6, 0.1))
+    return SyntheticWalk(times=np.arange(0, 6, 0.2))
 
 
 def _waypoints(walk: SyntheticWalk) -> tuple[Waypoint, ...]:
     """Where the camera truly was, every second, the fourth measured wrong."""
-    rows = np.arange(5, len(walk.times), 10)
+    rows = np.arange(2, len(walk.times), 5)
     places = walk.T_map_camera[rows, :3, 3] + np.where(np.arange(len(rows)) == 3, _WRONG_M, 0.0)[:, None] * [0, 0, 1]
     return tuple(
         Waypoint(f"P{i}", float(walk.times[row]), tuple(place))
@@ -39,7 +39,7 @@ def test_with_imu_and_waypoints_one_of_which_is_wrong(walk: SyntheticWalk) -> No
     report = found.report
     assert found.scale is Scale.METRIC
     assert found.upright
-    assert len(found.rows) == report.keyframes == report.frames > 30
+    assert len(found.rows) == report.keyframes == report.frames > 25
     assert np.median(off_m) < 0.015
     assert off_m.max() < 0.05
     assert np.degrees(np.median(off_rad)) < 0.5
@@ -61,7 +61,7 @@ def test_by_pictures_alone_the_shape_is_right(walk: SyntheticWalk) -> None:
     assert found.scale is Scale.ARBITRARY
     to_truth = umeyama(found.T_map_camera[:, :3, 3], _truth(walk, found)[:, :3, 3])
     off_m, off_rad = pose_distances(to_truth.poses(found.T_map_camera), _truth(walk, found))
-    assert len(found.rows) > 30
+    assert len(found.rows) > 25
     assert np.median(off_m) < 0.02
     assert np.degrees(np.median(off_rad)) < 1.0
     assert found.report.disagreement_of_depth < 0.02

@@ -110,10 +110,9 @@ def _stepped(found: _Solution, step: FloatArray) -> tuple[Camera | None, FloatAr
 
 
 def _changed(camera: Camera, by: FloatArray) -> Camera | None:
-    values = (np.array(camera.parameters) + by).tolist()
-    pinhole = dict(zip(("fx", "fy", "cx", "cy"), values, strict=False))
+    fx, fy, cx, cy, *coefficients = (np.array(camera.parameters) + by).tolist()
     try:
-        return replace(camera, **pinhole, distortion=tuple(values[4:]))
+        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(coefficients))
     except InvalidCamera:
         return None
 

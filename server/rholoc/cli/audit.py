@@ -20,7 +20,7 @@ def audit(
     as_json: Json = False,
 ) -> None:
     """Show who changed what over HTTP: maps, sites, cameras, recordings, jobs, keys."""
-    from rholoc.service.audit import AuditLog
+    from rholoc.service.access.audit import AuditLog
     from rholoc.storage.database import open_database
 
     settings = service_settings(data_dir=data)

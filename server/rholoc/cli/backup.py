@@ -16,7 +16,7 @@ from rholoc.cli.serve import Data, Maps, service_settings
 if TYPE_CHECKING:
     from rholoc.jobs import Stores
     from rholoc.service import Settings
-    from rholoc.service.backup import Manifest
+    from rholoc.service.operate.backup import Manifest
 
 _MB = 1e6
 
@@ -29,7 +29,7 @@ def backup(
     as_json: Json = False,
 ) -> None:
     """Write maps, the versions that they replaced, sites, cameras and keys to a file; the server may run."""
-    from rholoc.service.backup import back_up
+    from rholoc.service.operate.backup import back_up
 
     with _opened(service_settings(maps_dir=maps, data_dir=data)) as stores:
         manifest = back_up(file, stores, recordings)
@@ -43,7 +43,7 @@ def restore(
     as_json: Json = False,
 ) -> None:
     """Bring back what is in a backup. Where something of it exists and is different, nothing is restored."""
-    from rholoc.service.backup import restore as bring_back
+    from rholoc.service.operate.backup import restore as bring_back
 
     with _opened(service_settings(maps_dir=maps, data_dir=data)) as stores:
         manifest, moved = bring_back(file, stores)
@@ -54,9 +54,8 @@ def restore(
 
 @contextmanager
 def _opened(settings: Settings) -> Iterator[Stores]:
-    from rholoc.service.app import stores_of
 
-    stores = stores_of(settings)
+    stores = settings.stores()
     try:
         stores.open()
         yield stores

@@ -110,9 +110,9 @@ def calibrate(
     """Calibrate a camera from a video or pictures of a flat board, filmed from all sides."""
     from rholoc.calibration import Board, BoardKind
     from rholoc.calibration import calibrate as calibrated
+    from rholoc.disk import replace_file
     from rholoc.geometry import Lens
     from rholoc.maps import CameraLibrary, CameraProfile, check_camera_name
-    from rholoc.maps.files import replace_file
     from rholoc.recordings import read_recording
 
     kind = BoardKind.CHARUCO if charuco else BoardKind.CHECKERBOARD

@@ -12,9 +12,9 @@ from rholoc.cli.console import print_notice
 from rholoc.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from rholoc.localization.density_localizer import Ascent
-    from rholoc.localization.landscape import Look
     from rholoc.maps import Map
+    from rholoc.paper.density_localizer import Ascent
+    from rholoc.paper.landscape import Look
 
 _FILM_FPS = 5.0
 _MOST_SHOTS = 40  # of a film along the views that saw a feature
@@ -48,8 +48,8 @@ def density(
     camera: options.Camera = None,
 ) -> None:
     """Show a feature's density over the picture, positions and headings; or how a picture is localized by it."""
+    from rholoc.disk import replace_file
     from rholoc.maps import load_map
-    from rholoc.maps.files import replace_file
     from rholoc.pictures.film import FILM_ENDINGS
 
     if (feature is None) == (picture is None):
@@ -81,8 +81,8 @@ def _feature(
     import numpy as np
 
     from rholoc.density.density import TARGET_RADIUS
-    from rholoc.localization.landscape import over_positions, seen_from
-    from rholoc.maps.vti import image_data
+    from rholoc.maps.formats.vti import image_data
+    from rholoc.paper.landscape import over_positions, seen_from
     from rholoc.pictures.density import feature_frames, feature_grid, feature_png
     from rholoc.pictures.film import film
 
@@ -115,7 +115,7 @@ def _look(map_: Map, feature: int, view: int, pixel: str | None) -> Look:
 
     import numpy as np
 
-    from rholoc.localization.landscape import Look
+    from rholoc.paper.landscape import Look
 
     look = Look.of_view(map_, feature, view)
     if pixel is not None:
@@ -134,7 +134,7 @@ def _look(map_: Map, feature: int, view: int, pixel: str | None) -> Look:
 def _sharpening(map_: Map, feature: int) -> bytes:
     import numpy as np
 
-    from rholoc.mapping.memory import observed_rays
+    from rholoc.mapping.build.remembered import observed_rays
     from rholoc.pictures.density import sharpening_png
 
     rays = observed_rays(map_)
@@ -148,9 +148,9 @@ def _sharpening(map_: Map, feature: int) -> bytes:
 
 
 def _picture(map_: Map, picture: Path, camera: str | None, starts: int, ending: str) -> bytes:
-    from rholoc.localization.density_localizer import TOLERANCES_PX
-    from rholoc.localization.landscape import Grid, product_over_positions
-    from rholoc.maps.vti import image_data
+    from rholoc.maps.formats.vti import image_data
+    from rholoc.paper.density_localizer import TOLERANCES_PX
+    from rholoc.paper.landscape import Grid, product_over_positions
     from rholoc.pictures.density import ascent_frames, ascent_png
     from rholoc.pictures.film import film
 
@@ -170,7 +170,7 @@ def _ascents(map_: Map, picture: Path, camera: str | None, starts: int) -> list[
     """The ascents of a picture, the best last."""
     from rholoc.features import get_extractor
     from rholoc.geometry import Camera
-    from rholoc.localization.density_localizer import DensityLocalizer
+    from rholoc.paper.density_localizer import DensityLocalizer
     from rholoc.recordings import read_image
 
     if not picture.is_file():

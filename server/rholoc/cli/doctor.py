@@ -15,7 +15,7 @@ _MARKS = {"ok": "ok     ", "warning": "warning", "error": "ERROR  "}
 
 def doctor(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
     """Check storage, maps, jobs, clock, fonts, video codecs, libraries and settings; the server may run."""
-    from rholoc.service.doctor import Level, examine
+    from rholoc.service.operate.doctor import Level, examine
 
     found = examine(service_settings(maps_dir=maps, data_dir=data))
     if as_json:

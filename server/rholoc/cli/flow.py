@@ -81,7 +81,7 @@ def _write_dense(found: Flow, read: Recording, out: Path, pictures: int, fields:
     import cv2
     import numpy as np
 
-    from rholoc.maps.files import replace_file
+    from rholoc.disk import replace_file
     from rholoc.pictures.flow import dense_png, tracks_png
     from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow, off_tracks
 
@@ -125,7 +125,7 @@ def _write_odometry(posed: Trajectory, read: Recording, out: Path) -> dict[str, 
     from rholoc.evaluation.odometry import measure_odometry
     from rholoc.evaluation.splits import poses_or_truth
     from rholoc.maps import write_trajectory_csv
-    from rholoc.maps.trajectory_table import TrajectoryTable
+    from rholoc.maps.formats.trajectory_table import TrajectoryTable
     from rholoc.pictures.trajectories import plot_top_view, save_figure
 
     count = len(posed.rows)

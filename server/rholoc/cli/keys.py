@@ -13,7 +13,7 @@ from rholoc.cli.options import Json, choice
 from rholoc.cli.serve import Data, opened_keys, service_settings
 
 if TYPE_CHECKING:
-    from rholoc.service.keys import KeyLimits, KeyStore
+    from rholoc.service.access.keys import KeyLimits, KeyStore
 
 _DAY_S = 24 * 3600.0
 
@@ -49,7 +49,7 @@ def create(
     data: Data = None,
 ) -> None:
     """Make a key and print it. It is shown only once: the server only keeps its hash."""
-    from rholoc.service.keys import KeyLimits, Scope
+    from rholoc.service.access.keys import KeyLimits, Scope
 
     wanted = choice(Scope, scope, "--scope")
     limits = KeyLimits(requests_per_s, burst, maps, stored_bytes, jobs)
@@ -69,7 +69,7 @@ def limit(
     data: Data = None,
 ) -> None:
     """Set how much a key allows, from the next request on. Limits that are not given are lifted."""
-    from rholoc.service.keys import KeyLimits
+    from rholoc.service.access.keys import KeyLimits
 
     key = _store(data).limit(name, KeyLimits(requests_per_s, burst, maps, stored_bytes, jobs))
     print_notice(f"The key of {name}: {_limited(key.limits) or 'no limits'}.")
@@ -112,7 +112,7 @@ def _store(data: Data) -> KeyStore:
     settings = service_settings(data_dir=data)
     if settings.shared_storage is not None:
         return opened_keys(settings)
-    from rholoc.service.keys import KeyStore
+    from rholoc.service.access.keys import KeyStore
 
     return KeyStore(settings.data_dir)
 

@@ -312,9 +312,9 @@ def export(
     ] = None,
 ) -> None:
     """Write a map for other programs, or as a picture."""
+    from rholoc.disk import replace_file
     from rholoc.exports import ExportFormat, export_map, parse_features
     from rholoc.maps import load_map
-    from rholoc.maps.files import replace_file
 
     form = options.choice(ExportFormat, to, "--to")
     chosen = None if features is None else parse_features(features)
@@ -347,8 +347,8 @@ def report(
     as_json: options.Json = False,
 ) -> None:
     """Draw a map's report: where it works and where not, how consistent it is, how exact its landmarks are."""
+    from rholoc.disk import replace_file
     from rholoc.maps import load_map
-    from rholoc.maps.files import replace_file
     from rholoc.pictures.map_report import report_png
 
     map_ = load_map(map_file)

@@ -14,8 +14,8 @@ from rholoc.errors import InvalidCamera
 
 if TYPE_CHECKING:
     from rholoc.geometry import Camera as GeometryCamera
-    from rholoc.mapping.from_observations import FitFigures
     from rholoc.maps import ObservationTable
+    from rholoc.paper.from_observations import FitFigures
 
 app = typer.Typer(no_args_is_help=True, help="The paper's data flow: observations, the map they give, a trajectory.")
 
@@ -44,9 +44,9 @@ def observations(
     as_json: options.Json = False,
 ) -> None:
     """Write what a walk saw from where (Table 4), before there is a map."""
-    from rholoc.mapping.observing import observe_recording
+    from rholoc.disk import replace_file
     from rholoc.maps import observations_csv
-    from rholoc.maps.files import replace_file
+    from rholoc.paper.observing import observe_recording
     from rholoc.recordings import CameraFile, read_recording, write_camera_json
     from rholoc.trajectory import PoseMethod
 
@@ -101,9 +101,9 @@ def fit(
     as_json: options.Json = False,
 ) -> None:
     """Fit densities to observations (loss 5) and write the map: the paper's map generator."""
-    from rholoc.mapping.from_observations import FitOptions, fit_figures, map_from_observations
-    from rholoc.mapping.table_reading import read_observations
     from rholoc.maps import DensityKind, save_map
+    from rholoc.paper.from_observations import FitOptions, fit_figures, map_from_observations
+    from rholoc.paper.table_reading import read_observations
 
     form = options.choice(DensityKind, density, "--density")
     check_target(out, "the result")
@@ -151,9 +151,9 @@ def localize(
 
     from rholoc.cli.localize import recording_camera
     from rholoc.features import get_extractor
-    from rholoc.localization.density_localizer import DensityLocalizer
     from rholoc.maps import load_map, write_trajectory_csv
-    from rholoc.maps.trajectory_table import TrajectoryTable
+    from rholoc.maps.formats.trajectory_table import TrajectoryTable
+    from rholoc.paper.density_localizer import DensityLocalizer
     from rholoc.recordings import read_recording
 
     degrees_of_freedom = options.dof(dof)

@@ -44,7 +44,7 @@ def info(
         print_figures(str(recording), _figures(description))
         _print_findings(description)
     if out is not None:
-        from rholoc.maps.files import replace_file
+        from rholoc.disk import replace_file
         from rholoc.pictures.recording import recording_png
 
         replace_file(out, recording_png(read))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import socket
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -16,7 +18,7 @@ from rholoc.errors import Conflict, InvalidInput, RholocError, StorageFull, Stor
 
 if TYPE_CHECKING:
     from rholoc.service import Settings
-    from rholoc.service.keys import KeyStore
+    from rholoc.service.access.keys import KeyStore
 
 _BACKLOG = 2048
 _SHUTDOWN_S = 5  # for requests in progress; clients that watch a job would otherwise stay as long as it takes
@@ -57,10 +59,10 @@ def serve(
 
     from rholoc.logs import configure_process_logs
     from rholoc.service import create_app
-    from rholoc.service.compute import compute_threads
-    from rholoc.service.connections import protocol_of, websocket_options
-    from rholoc.service.guard import keys_needed
-    from rholoc.service.storage_threads import storage_threads
+    from rholoc.service.http.connections import protocol_of, websocket_options
+    from rholoc.service.settings import keys_needed
+    from rholoc.service.threads.compute import compute_threads
+    from rholoc.service.threads.storage import storage_threads
 
     if settings.shared_storage is None:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)  # reported here, in one line, if they cannot be used
@@ -89,6 +91,11 @@ def serve(
                 if self.started:
                     print_notice(f"Serving the maps of {source} at {where} (the API: /docs).")
 
+            def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+                super().handle_exit(sig, frame)
+                if self.force_exit:  # what a second interrupt breaks off is no error to report
+                    logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)
+
         server = Announced(config)
         configure_process_logs()
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
@@ -97,18 +104,26 @@ def serve(
         gc.freeze()
         if keys is not None and keys_needed(settings.keys, settings.host) and not keys.keys():
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
-        server.run(sockets=[listener])
+        try:
+            server.run(sockets=[listener])
+        except KeyboardInterrupt:
+            _end_at_once(130)
     if not server.started:
         raise InvalidInput("The server did not start.", "The lines above say why.")
     if compute_threads() or storage_threads():  # Python would wait for them, though nobody needs their results
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)
+        _end_at_once(0)
+
+
+def _end_at_once(status: int) -> NoReturn:
+    """End this process without Python's tidying up, which waits for threads, or crashes beside those in native code."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
 
 
 def _https(settings: Settings, port: int) -> tuple[Path, str]:
     """The server's certificate and its address; prints the recorder's address, as a QR code too."""
-    from rholoc.service.certificates import addresses, server_certificate
+    from rholoc.service.operate.certificates import addresses, server_certificate
 
     everywhere = settings.host in (_EVERYWHERE, "::")
     hosts = (*addresses(), "127.0.0.1") if everywhere else (settings.host,)
@@ -168,12 +183,13 @@ def opened_keys(settings: Settings) -> KeyStore:
     Raises:
         InvalidInput, Conflict, StorageFull, StorageUnavailable: it cannot be opened.
     """
-    from rholoc.service.app import open_keys, stores_of
+    from rholoc.jobs.stores import KEYS
+    from rholoc.service.access.keys import KeyStore
 
-    stores = stores_of(settings)
+    stores = settings.stores()
     stores.open()
     stores.engine.dispose()
-    return open_keys(stores)
+    return KeyStore(stores.data_dir, stores.documents(KEYS))
 
 
 def service_settings(**options: object) -> Settings:

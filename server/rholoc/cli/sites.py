@@ -61,8 +61,7 @@ def put(
 
     from rholoc.mapping import solve_site
     from rholoc.maps import MapLibrary, SiteLibrary
-    from rholoc.service.schemas import SiteIn
-    from rholoc.service.site_documents import site_of
+    from rholoc.service.maps.site_documents import SiteIn, site_of
 
     try:
         wanted = SiteIn.model_validate_json(file.read_bytes())
@@ -163,7 +162,7 @@ def delete(name: Name, maps: Maps = _MAPS) -> None:
 
 def _shown(name: str, site: Site, maps: Path) -> dict[str, object]:
     from rholoc.maps import MapLibrary
-    from rholoc.service.site_documents import site_out
+    from rholoc.service.maps.site_documents import site_out
 
     return site_out(name, site, set(MapLibrary(maps).names())).model_dump(mode="json")
 

@@ -23,11 +23,10 @@ def _group() -> None:
 def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
     """Copy maps, cameras, sites, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
     from rholoc.jobs import move_in
-    from rholoc.service.app import stores_of
 
     settings = service_settings(maps_dir=maps, data_dir=data)
-    stores = stores_of(settings)
-    if stores.shared is None:
+    stores = settings.stores()
+    if not stores.are_shared:
         raise InvalidInput("RHOLOC_STORAGE_URL is not set.", "Set it to the storage that the servers share.")
     stores.open()
     try:

@@ -20,7 +20,8 @@ injected for every heading of the layout (rotational symmetry, Figure 4).
 
 Pixels and headings are the same for all observations, only the positions are those of the walk: the samples are a
 product, and so is their pseudo-inverse. What an observation adds is a rank-one update of a matrix as small as the
-position has monomials (:mod:`rholoc.density.recursive`): coefficients can be estimated as observations arrive.
+position has monomials (:mod:`rholoc.density.recursive_least_squares`): coefficients can be estimated as observations
+arrive.
 
 Such a fit knows the dependence on the position only as far as the walk showed it: along the walk the peaks lie within a
 pixel of the feature; a step aside, no observation tells how the feature moves, and the polynomial keeps it in place.
@@ -37,9 +38,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rholoc.density.density import TARGET_RADIUS, Arrays, DensityKind, DensityRows, Sightings
-from rholoc.density.places import Places
+from rholoc.density.localities import Places
 from rholoc.density.polynomial import monomials
-from rholoc.density.recursive import RecursiveFit
+from rholoc.density.recursive_least_squares import RecursiveFit
 from rholoc.density.tensor import (
     Layout,
     TensorDensities,

@@ -238,8 +238,8 @@ class LocalRayDensities:
         squared_px = (tolerance_px / evidence.focal_px * along) ** 2
         near = np.flatnonzero((along > 0) & (aside < squared_px + 3 * evidence.variances))  # whatever the axes are
         offsets = RayOffsets.between(evidence.landmarks[near], evidence.across[near], T_map_camera)
-        across = R @ evidence.across[near]
-        spread = across.transpose(0, 2, 1) @ evidence.covariances[near] @ across
+        moving = offsets.jacobian[:, :, :3]  # a landmark that moves does what a camera does that moves the other way
+        spread = moving @ evidence.covariances[near] @ moving.transpose(0, 2, 1)
         whitened, roots = _whitened(spread, squared_px[near], offsets)
         values = 1 - (whitened**2).sum(axis=1)
         is_inside = values > 0

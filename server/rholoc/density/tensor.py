@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from rholoc.density.density import TARGET_RADIUS, Arrays, DensityKind, DensityRows, Sightings, Slopes
 from rholoc.density.evidence import Evidence
-from rholoc.density.places import Places
+from rholoc.density.localities import Places
 from rholoc.density.polynomial import monomial_derivatives, monomials, power_factors, tensor_powers
 from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity
 from rholoc.lazy import lazy

@@ -17,11 +17,11 @@ import numpy as np
 from rholoc.geometry import Camera, FloatArray, on_plane, pose_matrix
 from rholoc.geometry.resection import is_narrow
 from rholoc.localization import Query
-from rholoc.localization.ascent import ascend
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.matches import Matches
-from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, evidence_of, settle
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import ascend
+from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, evidence_of, settle
 
 _MIN_MATCHES = 4
 _DISTINCT_CHANCE = 0.3

@@ -27,10 +27,10 @@ from rholoc.evaluation.splits import QuerySet
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import ByteArray, FloatArray, direction_angles
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.matches import Matches
-from rholoc.localization.seeds import vote_for_places
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.seeds import vote_for_places
 from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
-from rholoc.mapping.fitting import fit_densities
+from rholoc.mapping.build.density_fitting import fit_densities
 from rholoc.maps import Map, map_to_bytes
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording

@@ -18,7 +18,7 @@ from rholoc.features import FeatureSet
 from rholoc.features.matching import DescriptorIndex
 from rholoc.features.vlad import Vlad
 from rholoc.geometry import Camera, FloatArray, IntArray
-from rholoc.localization.map_index import MapIndex
+from rholoc.localization.index.map_index import MapIndex
 
 _OBSERVED_PX = 3.0
 _RATIO = 0.85

@@ -14,8 +14,7 @@ from rholoc.density import DensityKind
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput
 from rholoc.exports.reconstructions import colmap_model, nerfstudio_transforms
-from rholoc.mapping.fitting import fit_densities, ray_form
-from rholoc.mapping.observation_table import observation_table
+from rholoc.mapping.build.density_fitting import fit_densities, ray_form
 from rholoc.maps import (
     Map,
     coefficient_table,
@@ -28,7 +27,8 @@ from rholoc.maps import (
     trajectory_csv,
     view_trajectory,
 )
-from rholoc.maps.surfaces import MAX_SURFACES
+from rholoc.maps.formats.surfaces import MAX_SURFACES
+from rholoc.paper.observation_table import observation_table
 
 _SURFACES = 500  # where none are chosen
 _PIECE_BYTES = 2**18

@@ -64,7 +64,7 @@ class Camera:
         ):
             if focal <= 0:
                 raise InvalidCamera(f"The camera's {name} is {focal:g}; a focal length is positive.", hint)
-            field_deg = math.degrees(field_of_view_rad(self.lens, size / focal))
+            field_deg = math.degrees(field_of_view_rad(self.lens, float(size) / float(focal)))
             if not _MIN_FIELD_OF_VIEW_DEG <= field_deg <= most_deg:
                 raise InvalidCamera(
                     f"The camera's {name} {focal:g} px means a field of view of {field_deg:.1f}° over {size} px.", hint

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from rholoc.recordings import Recording
 
-# The most that all processes of a mapping job held: by benchmarks/mapping_stages.py 0.91 GB for 5 s of a drone, 0.98 GB
-# for 24 s with a phone, and of simulated walks 1.12 GB for 30 s and 1.43 GB for 2 minutes; by benchmarks/building.py,
-# measured longer ago, 2.3 GB for 5 minutes and 3.7 GB for 10. None held more than is expected here.
+# The most that all processes of a mapping job held: 0.91 GB for 5 s of a drone, 0.98 GB for 24 s with a phone, and of
+# simulated walks 1.12 GB for 30 s, 1.43 GB for 2 minutes, 2.3 GB for 5 and 3.7 GB for 10. None held more than is
+# expected here.
 _BASE_BYTES = 1e9
 _BYTES_PER_SECOND = 5e6
 SECONDS_PER_PICTURE = 1.0  # of a walk, that a picture without a time takes as much memory as

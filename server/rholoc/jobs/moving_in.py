@@ -9,11 +9,8 @@ from pathlib import Path
 
 from rholoc.errors import InvalidMap
 from rholoc.jobs.recording_store import ENTRY_FILE, RecordingStore
-from rholoc.jobs.stores import Stores
+from rholoc.jobs.stores import CAMERAS, KEYS, SITES, Stores, folder_documents
 from rholoc.maps import Documents, FolderDocuments, MapLibrary
-from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
-from rholoc.maps.sites import SITES_FOLDER
-from rholoc.storage import CAMERAS, KEYS, SITES
 
 
 @dataclass(frozen=True)
@@ -69,9 +66,11 @@ def move_in(
     """
     things = [
         *_maps(MapLibrary(maps_dir), stores.library),
-        *_documents("cameras", FolderDocuments(maps_dir / CAMERAS_FOLDER), stores.documents(CAMERAS)),
-        *_documents("sites", FolderDocuments(maps_dir / SITES_FOLDER), stores.documents(SITES)),
-        *_documents("keys", FolderDocuments(data_dir / KEYS), stores.documents(KEYS)),
+        *(
+            thing
+            for kind in (CAMERAS, SITES, KEYS)
+            for thing in _documents(kind, folder_documents(kind, maps_dir, data_dir), stores.documents(kind))
+        ),
         *_recordings(data_dir, stores),
     ]
     counts = {"maps": 0, "cameras": 0, "sites": 0, "keys": 0, "recordings": 0}
@@ -94,7 +93,7 @@ def _maps(folder: MapLibrary, library: MapLibrary) -> Sequence[_Thing]:
     def bring(name: str) -> None:
         for number in sorted(folder.versions(name), reverse=True):
             with suppress(InvalidMap):
-                library.put_file(name, folder.previous_path(name, number))
+                library.put_file(name, folder.version_path(name, number))
         library.put_file(name, folder.path(name))
 
     return [_Thing("maps", name, name in present, bring) for name in folder.names()]

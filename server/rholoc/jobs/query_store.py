@@ -23,11 +23,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from rholoc.disk import reporting_full_disk
-from rholoc.errors import RholocError, StorageFull, StorageUnavailable
+from rholoc.errors import MissingObject, RholocError, StorageFull, StorageUnavailable
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray
 from rholoc.mapping import AnsweredQuery
-from rholoc.storage.objects import MissingObject, ObjectStorage, StoredObject
+from rholoc.storage.objects import ObjectStorage, StoredObject
 
 QUERIES_FOLDER = "queries"
 _SUFFIX = ".query"

@@ -8,8 +8,8 @@ import re
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import BinaryIO
@@ -17,11 +17,19 @@ from typing import BinaryIO
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from rholoc.disk import reporting_full_disk
-from rholoc.errors import Conflict, InvalidRecording, StorageFull, StorageUnavailable, TooLarge, UnknownRecording
+from rholoc.disk import reporting_full_disk, temporary_folder
+from rholoc.errors import (
+    Conflict,
+    InvalidRecording,
+    MissingObject,
+    StorageFull,
+    StorageUnavailable,
+    TooLarge,
+    UnknownRecording,
+)
 from rholoc.jobs.recording_notes import NOTE_FILES, notes_in
 from rholoc.storage.database import database_engine, reporting_full_database
-from rholoc.storage.objects import MissingObject, ObjectStorage, StoredObject
+from rholoc.storage.objects import ObjectStorage, StoredObject
 from rholoc.storage.tables import recording_notes_table, recordings_table
 
 ENTRY_FILE = ".entry.json"  # no uploaded file can have this name: theirs never start with a dot
@@ -218,16 +226,9 @@ class RecordingStore:
                     pending.write(name, chunk)
             return pending.commit()
 
-    @contextmanager
-    def new_folder(self) -> Iterator[Path]:
+    def new_folder(self) -> AbstractContextManager[Path]:
         """A hidden folder beside the recordings, which is removed at the end unless it was renamed."""
-        folder = self.root / f"{_PENDING_PREFIX}{uuid.uuid4().hex}"
-        with reporting_full_disk():
-            folder.mkdir(parents=True)
-        try:
-            yield folder
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+        return temporary_folder(self.root, _PENDING_PREFIX)
 
     def adopt(self, folder: Path, recording_id: str, file_name: str) -> RecordingEntry:
         """Turn a folder beside the recordings, which holds one complete file, into a recording; all at once.

@@ -8,10 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from rholoc.disk import replace_file
 from rholoc.errors import Conflict, InvalidMap, UnknownMap
 from rholoc.mapping import SearchedPair, add_links, map_state, search_links
-from rholoc.maps import MapLibrary, SiteLibrary, load_info
-from rholoc.maps.files import replace_file
+from rholoc.maps import MapLibrary, SiteLibrary
 from rholoc.progress import ProgressListener
 from rholoc.reports import report_from_json, report_to_json
 
@@ -87,8 +87,7 @@ def _store(pairs: Sequence[SearchedPair], site_name: str, sites: SiteLibrary, li
 
 def _state(library: MapLibrary, name: str) -> str | None:
     try:
-        library.stat(name)
-        info = load_info(library.path(name))
+        info = library.outline(name).info
     except (UnknownMap, InvalidMap):
         return None
     return map_state(info.id, info.version)

@@ -5,22 +5,51 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from rholoc.disk import reporting_full_disk
 from rholoc.jobs.recording_store import RecordingStore
 from rholoc.lazy import lazy
 from rholoc.maps import Documents, FolderDocuments, MapLibrary
 from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
 from rholoc.maps.sites import SITES_FOLDER
-from rholoc.storage import ASKERS, CAMERAS, KEYS, SITES, ObjectStorage, SharedStorage
-from rholoc.storage.database import check_database, database_engine
+from rholoc.storage import ObjectStorage
+from rholoc.storage.copies import Copies
+from rholoc.storage.database import check_database, database_engine, reporting_full_database
+from rholoc.storage.documents import StoredDocuments
+from rholoc.storage.maps import ActOnPublishing, StoredMaps
+from rholoc.storage.replica import Replica
+
+ASKERS, CAMERAS, KEYS, SITES = "askers", "cameras", "keys", "sites"  # kinds of small files
+_MAPS, _COPIES = "maps", "copies"
+_CATALOGUE = "catalogue.json"  # as it was last seen
+
+
+def documents_folder(kind: str, maps_dir: Path, data_dir: Path) -> Path:
+    """Where a server of its own keeps the small files of one kind."""
+    folders = {
+        CAMERAS: maps_dir / CAMERAS_FOLDER,
+        SITES: maps_dir / SITES_FOLDER,
+        KEYS: data_dir / KEYS,
+        ASKERS: data_dir,
+    }
+    return folders[kind]
+
+
+def folder_documents(kind: str, maps_dir: Path, data_dir: Path) -> FolderDocuments:
+    """The small files of one kind of a server of its own. Nobody else may read keys."""
+    return FolderDocuments(documents_folder(kind, maps_dir, data_dir), mode=0o700 if kind == KEYS else 0o777)
 
 
 class Stores:
     """The stores of one process. Nothing is asked of disk, storage or database before a store is first used.
 
+    Recordings, uploads, queries and jobs are objects and rows of the database. Maps and small files are files that
+    people may edit, ``maps_dir/NAME.rho``, unless other machines share them: then they are objects and rows, too.
+
     Args:
         maps_dir, data_dir: the service's folders.
         database_url: ``postgresql://…``, or None for the SQLite file in ``data_dir``.
-        storage_url: URL of the storage shared with other machines, or None for the folders.
+        storage_url: URL of the storage shared with other machines, as :class:`ObjectStorage` takes it, or None for the
+            folders.
         copies_bytes: what copies of shared maps may take on this disk.
         cache_bytes: what maps may take in memory.
 
@@ -38,16 +67,26 @@ class Stores:
         cache_bytes: float = math.inf,
     ) -> None:
         self.maps_dir, self.data_dir = Path(maps_dir), Path(data_dir)
-        self.shared: SharedStorage | None = None
-        if storage_url is not None:
-            self.shared = SharedStorage(storage_url, data_dir, database_url, copies_bytes, cache_bytes)
-        self.engine = database_engine(data_dir, database_url) if self.shared is None else self.shared.engine
-        self.library = MapLibrary(self.maps_dir, cache_bytes) if self.shared is None else self.shared.library
+        self.engine = database_engine(data_dir, database_url)
+        self._replica: Replica | None = None
+        self.copies: Copies | None = None
+        if storage_url is None:
+            self.library = MapLibrary(self.maps_dir, cache_bytes)
+        else:
+            self.objects = ObjectStorage(storage_url)
+            self.copies = Copies(self.objects, _MAPS, self.data_dir / _COPIES, copies_bytes)
+            self._replica = Replica(self.engine, self.copies.follow, self.copies.has_followed)
+            self.library = MapLibrary(StoredMaps(self._replica, self.copies), cache_bytes)
+
+    @property
+    def are_shared(self) -> bool:
+        """Whether other machines may share them."""
+        return self._replica is not None
 
     @lazy
     def objects(self) -> ObjectStorage:
         """The storage of everything but maps and small files."""
-        return ObjectStorage(self.data_dir) if self.shared is None else self.shared.objects
+        return ObjectStorage(self.data_dir)
 
     @lazy
     def recordings(self) -> RecordingStore:
@@ -56,26 +95,57 @@ class Stores:
 
     def documents(self, kind: str) -> Documents:
         """The small files of one kind."""
-        if self.shared is not None:
-            return self.shared.documents(kind)
-        if kind == KEYS:
-            return FolderDocuments(self.data_dir / KEYS, mode=0o700)
-        folders = {CAMERAS: self.maps_dir / CAMERAS_FOLDER, SITES: self.maps_dir / SITES_FOLDER, ASKERS: self.data_dir}
-        return FolderDocuments(folders[kind])
+        if self._replica is not None:
+            return StoredDocuments(self._replica, kind)
+        return folder_documents(kind, self.maps_dir, self.data_dir)
 
-    def open(self) -> None:
-        """Connect to the database once, and read the catalogue if it is shared.
+    def library_acting(self, act: ActOnPublishing) -> MapLibrary:
+        """The library of maps, with ``act`` called in each transaction that publishes one to shared storage.
 
-        Raises: as :meth:`SharedStorage.open`.
+        If ``act`` raises, nothing is published. Folders have no such transaction, and ``act`` is not called.
         """
-        if self.shared is None:
-            check_database(self.engine)
-        else:
-            self.shared.open()
+        if self._replica is None or self.copies is None:
+            return self.library
+        return MapLibrary(StoredMaps(self._replica, self.copies, act))
+
+    def open(self, follow: bool = False) -> None:
+        """Connect to the database once, create its tables if they are missing, and read the catalogue.
+
+        Args:
+            follow: whether to :meth:`follow` as well.
+
+        Raises:
+            StorageFull: the disk is full.
+            StorageUnavailable: the database does not answer, for now.
+            InvalidInput: PostgreSQL refuses the connection.
+            Conflict: the SQLite file is none.
+        """
+        check_database(self.engine)
+        if self.copies is not None:
+            with reporting_full_disk():
+                self.copies.folder.mkdir(parents=True, exist_ok=True)
+        with reporting_full_database():
+            self.refresh()
+        if follow:
+            self.follow()
+
+    def recall(self) -> None:
+        """Show what the catalogue held when this machine last followed it, until :meth:`open` succeeds."""
+        if self._replica is not None and self.copies is not None:
+            self._replica.recall(self.copies.folder / _CATALOGUE)
+
+    def follow(self) -> None:
+        """Go on seeing what other machines change, in a thread, until :meth:`close`."""
+        if self._replica is not None:
+            self._replica.follow()
+
+    def refresh(self) -> None:
+        """See what other machines have changed. Raises SQLAlchemyError if the database does not answer."""
+        if self._replica is not None:
+            self._replica.refresh()
 
     def close(self) -> None:
-        """Close the connections."""
-        if self.shared is None:
-            self.engine.dispose()
-        else:
-            self.shared.close()
+        """Stop following, and close the connections."""
+        if self._replica is not None:
+            self._replica.close()
+        self.engine.dispose()

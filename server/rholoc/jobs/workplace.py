@@ -6,17 +6,16 @@ import shutil
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
-import sqlalchemy as sa
-
-from rholoc.disk import reporting_full_disk
+from rholoc.disk import link_file, reporting_full_disk
 from rholoc.jobs.job import JobKind
 from rholoc.jobs.pipeline import MappingTask
 from rholoc.jobs.query_store import QueryStore
 from rholoc.jobs.recording_notes import READ_FILES, notes_in, write_notes
-from rholoc.jobs.stores import Stores
+from rholoc.jobs.stores import CAMERAS, SITES, Stores
 from rholoc.jobs.table import JobWork, Lease
-from rholoc.maps import CameraLibrary, Map, MapLibrary, SiteLibrary
-from rholoc.storage import CAMERAS, SITES
+from rholoc.maps import CameraLibrary, MapLibrary, SiteLibrary
+from rholoc.maps.map_folder import place_of
+from rholoc.storage.maps import ActOnPublishing
 
 _WORK, _INPUTS, _NOTES, _MAP_FILE, _LINKS_FILE = "work", "inputs", "notes", "map.rho", "links.json"
 
@@ -33,7 +32,7 @@ class Workplace:
     """
 
     def __init__(self, stores: Stores, max_frame_pixels: int) -> None:
-        self._stores, self._shared = stores, stores.shared
+        self._stores = stores
         self._max_frame_pixels = max_frame_pixels
 
     def task(self, lease: Lease, work: JobWork, memory_bytes: float) -> MappingTask:
@@ -52,12 +51,12 @@ class Workplace:
         return MappingTask(
             recording=self._stores.recordings.path(work.recording) if needs_recording else None,
             built_file=self.built_file(lease, work),
-            maps_dir=self._stores.maps_dir if self._shared is None else self._inputs(lease, work),
+            maps_dir=self._inputs(lease, work),
             map_name=work.map_name,
             options=work.options,
             max_frame_pixels=self._max_frame_pixels,
             folder=folder / _NOTES if needs_recording else None,
-            data_dir=self._stores.data_dir if self._shared is None else folder / _INPUTS,
+            data_dir=folder / _INPUTS,
             memory_bytes=memory_bytes,
         )
 
@@ -65,17 +64,10 @@ class Workplace:
         """The file with what a run built. It exists only once it is complete."""
         return self._folder(lease) / (_MAP_FILE if work.options.site is None else _LINKS_FILE)
 
-    def library(self, note: Callable[[sa.Connection, Map], None]) -> MapLibrary:
-        """The library to publish to.
-
-        Args:
-            note: called within the transaction that publishes to shared storage; if it raises, nothing is published.
-                Folders have no such transaction.
-        """
-        if self._shared is None:
-            return self._stores.library
-        self._shared.refresh()
-        return self._shared.library.publishing_with(note)
+    def library(self, note: ActOnPublishing) -> MapLibrary:
+        """The library to publish to; ``note`` is as for :meth:`Stores.library_acting`."""
+        self._stores.refresh()
+        return self._stores.library_acting(note)
 
     def sites(self) -> SiteLibrary:
         """The sites."""
@@ -111,9 +103,8 @@ class Workplace:
         return self._stores.data_dir / _WORK / lease.run
 
     def _inputs(self, lease: Lease, work: JobWork) -> Path:
-        """Folder with copies of the shared maps, site, camera and queries that a job needs."""
-        assert self._shared is not None
-        self._shared.refresh()
+        """Folder with the maps, the site, the camera and the queries that a job needs."""
+        self._stores.refresh()
         inputs = self._folder(lease) / _INPUTS
         inputs.mkdir(exist_ok=True)
         if self.built_file(lease, work).exists():
@@ -121,24 +112,20 @@ class Workplace:
         if work.options.site is not None:
             site = self.sites().get(work.options.site)
             SiteLibrary(inputs).put(work.options.site, site)
-            present = set(self._shared.library.names())
-            self._copy_maps([one.map for one in site.maps if one.map in present], inputs)
+            present = set(self._stores.library.names())
+            self._link_maps([one.map for one in site.maps if one.map in present], inputs)
         elif work.options.kind is not JobKind.BUILD:
-            self._copy_maps([work.map_name], inputs)
+            self._link_maps([work.map_name], inputs)
         if work.options.kind is JobKind.LEARN:
             queries = QueryStore(self._stores.objects)
-            queries.fetch(self._shared.library.map_id(work.map_name), inputs)
+            queries.fetch(self._stores.library.map_id(work.map_name), inputs)
         if work.options.camera is not None and "," not in work.options.camera:
-            cameras = CameraLibrary(inputs, self._shared.documents(CAMERAS))
+            cameras = CameraLibrary(inputs, self._stores.documents(CAMERAS))
             CameraLibrary(inputs).put(work.options.camera, cameras.get(work.options.camera))
         return inputs
 
-    def _copy_maps(self, names: Sequence[str], folder: Path) -> None:
-        """Copy the shared maps that are not in the folder yet."""
-        assert self._shared is not None
+    def _link_maps(self, names: Sequence[str], folder: Path) -> None:
+        """Give the files of maps that are not in the folder yet a second name there."""
         for name in names:
-            copy = MapLibrary(folder).path(name)
-            if not copy.exists():
-                arriving = copy.with_name(f".{copy.name}")
-                shutil.copyfile(self._shared.library.path(name), arriving)
-                arriving.replace(copy)
+            if not (link := folder / place_of(name)).exists():
+                link_file(self._stores.library.path(name), link)

@@ -1,10 +1,11 @@
-"""Frame → pose: seeds, ascent, confidence."""
+"""Frame → pose: search the map for a place, find the pose there, and decide how much to believe it."""
 
-from rholoc.localization.confidence import MIN_RECOGNIZED
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis
+from rholoc.localization.index.map_finder import VECTORS_FILE, MapFinder
+from rholoc.localization.index.view_index import LikelyMap
 from rholoc.localization.large_map import LARGE_MAP, AnyLocalizer, LargeMapLocalizer, localizer_of
 from rholoc.localization.localizer import Localizer
-from rholoc.localization.map_finder import VECTORS_FILE, MapFinder
 from rholoc.localization.place_recognition import LikelyView, likeliest_views
 from rholoc.localization.several_frames import (
     FEWEST_FRAMES,
@@ -24,7 +25,6 @@ from rholoc.localization.types import (
     Query,
     Reason,
 )
-from rholoc.localization.view_index import LikelyMap
 
 __all__ = [
     "FEWEST_FRAMES",

@@ -1,4 +1,4 @@
-"""Why a frame was not localized: the likeliest cause, from what the picture shows and from what else was tried."""
+"""Diagnosis of a refused frame: the likeliest cause, from the picture and from the best pose that the search found."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BLUR_RATIO = 0.15  # fine against coarse contrast; a sharp picture of a room ha
 
 
 class Cause(StrEnum):
-    """What a frame was most likely not localized for."""
+    """Likeliest cause of a refusal."""
 
     TOO_DARK = "too_dark"  # the picture is nearly black
     BLURRED = "blurred"  # the camera moved or was out of focus
@@ -38,12 +38,12 @@ class Cause(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The likeliest cause of a refusal.
+    """Likeliest cause of a refusal.
 
     Attributes:
         cause: for programs.
-        message: one sentence: what it looks like.
-        hint: one sentence: what to try.
+        message: one sentence for people: what is wrong.
+        hint: one sentence for people: what to try.
     """
 
     cause: Cause
@@ -63,12 +63,12 @@ TOO_LITTLE_TIME = Diagnosis(
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far a picture agrees with the likeliest pose.
+    """How well a picture agrees with the best pose that the search found.
 
     Attributes:
-        inliers: how many matches agree with that pose.
-        matches: of how many.
-        recognized: 0..1, the probability that it is of the right place.
+        inliers: number of matches that agree with the pose.
+        matches: number of all matches.
+        recognized: probability that the pose is of the right place, 0 to 1.
     """
 
     inliers: int
@@ -86,12 +86,12 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Sight:
-    """What a picture shows of how it was taken.
+    """Photometric measurements of a picture.
 
     Attributes:
-        brightness: the mean grey level, 0 to 255.
-        tint: how far its mean colour is from grey, in LAB's unit.
-        sharpness: contrast between neighbouring pixels against that over eight, in the worse direction.
+        brightness: mean grey level, 0 to 255.
+        tint: distance of the mean colour from grey, in units of LAB's A and B.
+        sharpness: contrast between adjacent pixels divided by contrast eight pixels apart, in the blurrier direction.
     """
 
     brightness: float
@@ -100,7 +100,7 @@ class Sight:
 
 
 def sight_of(image: ByteArray) -> Sight:
-    """Measure an image (H, W, 3) BGR or (H, W) grey."""
+    """Measure brightness, tint and sharpness of an image (H, W, 3) BGR or (H, W) grey."""
     height, width = image.shape[:2]
     if width > _WORK_WIDTH_PX:
         size = (_WORK_WIDTH_PX, max(1, round(height * _WORK_WIDTH_PX / width)))
@@ -116,14 +116,14 @@ def sight_of(image: ByteArray) -> Sight:
 
 
 def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: int, agreement: Agreement) -> Diagnosis:
-    """The likeliest cause as far as the picture shows it; without one, or where it is fine: an unknown place.
+    """Likeliest cause of a refusal, as far as the picture shows it. The default is an unknown place.
 
     Args:
-        image: the picture, or None where only its features were sent.
-        map_: the map that was asked.
-        features: how many features the picture has.
-        fewest: how many are too few.
-        agreement: how far the picture agrees with the likeliest pose.
+        image: the picture; None if only its features were sent.
+        map_: the map in which it was localized.
+        features: number of features in the picture.
+        fewest: minimum number of features.
+        agreement: agreement with the best pose found.
     """
     if image is not None and (found := _from_sight(sight_of(image), map_, agreement)) is not None:
         return found
@@ -141,7 +141,7 @@ def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: 
 
 
 def too_inexact(sigma_m: float, sigma_rad: float, max_sigma_m: float, max_sigma_rad: float) -> Diagnosis:
-    """The diagnosis of a pose whose standard deviations (metres, radians) exceed what was asked for."""
+    """Diagnosis of a pose with larger standard deviations [m, rad] than the query allows."""
     if sigma_m > max_sigma_m:
         known, wanted, option = f"{sigma_m:.2g} m", f"{max_sigma_m:.2g} m", "max_sigma_m"
     else:
@@ -155,7 +155,7 @@ def too_inexact(sigma_m: float, sigma_rad: float, max_sigma_m: float, max_sigma_
 
 
 def wrong_camera(given_px: float, fitting_px: float) -> Diagnosis:
-    """What to say where another focal length than the given one explains the picture."""
+    """Diagnosis of a picture that another focal length [px] than the given one explains better."""
     return Diagnosis(
         Cause.WRONG_CAMERA,
         f"The camera's focal length looks wrong: about {fitting_px:.0f} px fits better than {given_px:.0f} px.",
@@ -188,14 +188,14 @@ def _from_sight(sight: Sight, map_: Map, agreement: Agreement) -> Diagnosis | No
 
 
 def _brightness_of(map_: Map) -> float:
-    """The mean grey level of a map's recordings, 0 where it is not known."""
+    """Mean grey level of the recordings of a map; 0 if unknown."""
     known = [walk.figures.brightness for walk in map_.info.report.coaching]
     levels = [level for level in known if level is not None]
     return float(np.mean(levels)) if levels else 0.0
 
 
 def _sharpness(grey: FloatArray) -> float:
-    """Fine against coarse contrast in the worse of the two directions: a moving camera blurs along one."""
+    """Fine contrast divided by coarse contrast, in the blurrier of the two directions (motion blurs along one)."""
     if min(grey.shape) <= _COARSE_PX:
         return 1.0
     across = (grey, grey.T)
@@ -203,5 +203,5 @@ def _sharpness(grey: FloatArray) -> float:
 
 
 def _contrast(plane: FloatArray, apart: int) -> float:
-    """The root mean square difference of rows ``apart`` from each other."""
+    """Root mean square difference between rows that are ``apart`` rows from each other."""
     return float(np.sqrt(np.mean((plane[apart:] - plane[:-apart]) ** 2)))

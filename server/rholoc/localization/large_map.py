@@ -1,9 +1,8 @@
-"""Frame → pose in a large map: which places first, then a pose among the landmarks of those places alone.
+"""Localization in a large map: retrieve places first, then search for a pose among their landmarks alone.
 
-Features are looked up in an inverted file over all landmarks; what is found votes for the views that saw it; the
-likeliest views and those that share most with them are cut out as a map of their own, and searched as any map is.
-Nothing that is done for a frame takes time by the map's size, but for lists that lengthen with its square root and a
-few sums over its views; nothing that is kept grows with the square of anything.
+Features are looked up in an inverted file over all landmarks, and the results vote for views. The views with the most
+votes, and those that share most features with them, are cut out as a map of their own and searched like any map. Time
+per frame grows with the square root of the map's size at most; memory grows linearly.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from scipy.sparse import csr_array
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.features.matching import DescriptorIndex
 from rholoc.geometry import FloatArray, IntArray, ranges
-from rholoc.localization.confidence import MIN_RECOGNIZED
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED
+from rholoc.localization.index.map_index import MapIndex, chance_of_likeness
+from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.localizer import Localizer, SearchOptions, check_kind
-from rholoc.localization.map_index import MapIndex, chance_of_likeness
-from rholoc.localization.matches import Matches, NearestLandmarks
-from rholoc.localization.seeds import VIEWS_OF_LITTLE, groups_by_votes, views_by_prior
+from rholoc.localization.pose.seeds import VIEWS_OF_LITTLE, groups_by_votes, views_by_prior
 from rholoc.localization.types import Localization, Prior, Query
 from rholoc.maps import DensityKind, Map, MapPart, part_of
 
@@ -36,13 +35,13 @@ _VIEWS_EACH = 10
 
 @dataclass(frozen=True)
 class _Size:
-    """How much of a map is cut out for a frame.
+    """Size of the part that is cut out for a frame.
 
     Attributes:
-        places: the most places that its matches speak for.
-        rivals: the most that its features are like at all.
-        landmarks: the most that all views may have seen together; a room has about 6000.
-        views: the most of them.
+        places: maximum number of places that matches vote for.
+        rivals: maximum number of places that features resemble at all.
+        landmarks: maximum number of landmarks in all views together; a room has about 6000.
+        views: maximum number of views.
     """
 
     places: int
@@ -56,7 +55,7 @@ _CLOSELY = _Size(places=8, rivals=4, landmarks=6000, views=128)
 
 
 class PlaceIndex:
-    """All landmarks of a map by their descriptors, and the views that saw each."""
+    """Inverted file over all landmarks of a map, and the views that saw each."""
 
     def __init__(self, map_: Map) -> None:
         self.map = map_
@@ -71,26 +70,28 @@ class PlaceIndex:
         self._first_view, self._views = seen_by.indptr, seen_by.indices.astype(np.int32)
 
     def nearest(self, features: FeatureSet, some: IntArray | None = None) -> NearestLandmarks:
-        """What in the whole map a picture's features, or ``some`` of them (N,), are most like, nearly always."""
+        """Approximate nearest landmarks in the whole map for a picture's features, or for the rows ``some`` (N,) of
+        them.
+        """
         detections = np.arange(len(features)) if some is None else some
         distances, landmarks = self._descriptors.nearest(features.take(detections), _CANDIDATES)
         return NearestLandmarks(detections, landmarks, distances, self.metric)
 
     def votes(self, matches: Matches) -> FloatArray:
-        """(K,) as :func:`rholoc.localization.seeds.view_votes`."""
+        """(K,) votes as in :func:`rholoc.localization.pose.seeds.view_votes`."""
         landmarks, own = np.unique(matches.landmarks, return_inverse=True)
         belief = np.minimum(np.bincount(own, weights=matches.chances, minlength=len(landmarks)), 1.0)
         votes = self._sums(landmarks, belief)
         return np.asarray(votes / np.sqrt(np.maximum(np.diff(self.map.view_offsets), VIEWS_OF_LITTLE)))
 
     def shared_with(self, view: int) -> FloatArray:
-        """(K,) how many features each view shares with one of them."""
+        """(K,) number of features that each view shares with view ``view``."""
         first, last = self.map.view_offsets[view : view + 2]
         features = self.map.observations.features[first:last]
         return self._sums(features, np.ones(len(features)))
 
     def _sums(self, landmarks: IntArray, weights: FloatArray) -> FloatArray:
-        """(K,) the weights of those of some landmarks (M,) that each view saw, added up."""
+        """(K,) sum of the weights of the landmarks (M,) that each view saw."""
         first, last = self._first_view[landmarks], self._first_view[landmarks + 1]
         views, each = self._views[ranges(first, last)], np.repeat(weights, last - first)
         return np.bincount(views, each, len(self.map.views)).astype(np.float64)
@@ -98,10 +99,11 @@ class PlaceIndex:
 
 @dataclass(frozen=True, eq=False)
 class _NearestInPart(NearestLandmarks):
-    """The landmarks of a whole map that features are most like, of which those in a part of it count.
+    """Nearest landmarks in the whole map, restricted to a part of it.
 
-    A feature that is most like something elsewhere is no match in the part; what is alike elsewhere is a rival all the
-    same.
+    A feature that resembles a landmark elsewhere most has no match in the part, and a similar landmark elsewhere is
+    still a
+    rival.
 
     Attributes:
         part: the part.
@@ -130,13 +132,13 @@ def _in_part(found: NearestLandmarks, part: MapPart) -> _NearestInPart:
 
 
 class _PartIndex(MapIndex):
-    """The index of a part of a map, whose features are held against the whole map's.
+    """Index of a part of a map, with features compared against the whole map.
 
     Args:
         part: the part.
-        chance: the whole map's :func:`chance_of_likeness`.
-        places: the whole map's landmarks.
-        looked_up: what has been looked up there already, of which features.
+        chance: :func:`chance_of_likeness` of the whole map.
+        places: inverted file of the whole map.
+        looked_up: results of earlier look-ups there.
     """
 
     def __init__(
@@ -153,7 +155,7 @@ class _PartIndex(MapIndex):
 
 
 class LargeMapLocalizer:
-    """Localizes frames in a map of any size, whose densities are ``ray``; calls may come from several threads.
+    """Localizer for maps of any size with ``ray`` densities. Thread-safe.
 
     Args:
         map_: the map.
@@ -170,7 +172,7 @@ class LargeMapLocalizer:
 
     @property
     def extractor(self) -> Extractor:
-        """The extractor whose features the map is made of."""
+        """Extractor of the map's features."""
         return get_extractor(self.map.info.features)
 
     def localize(self, query: Query) -> Localization:
@@ -200,7 +202,9 @@ class LargeMapLocalizer:
         return clock.answered(answer, part)
 
     def _where(self, query: Query, some: IntArray, size: _Size) -> tuple[MapPart, Localizer]:
-        """The part of the map that some of a query's features (N,) speak for, and its localizer."""
+        """Cut out the part of the map that the rows ``some`` (N,) of a query's features vote for, and make its
+        localizer.
+        """
         nearest = self.index.nearest(query.features, some)
         part = self._part([nearest], query.prior, size)
         return part, self._localizer(part, _PartIndex(part, self._chance, self.index, (query.features, nearest)))
@@ -210,7 +214,7 @@ class LargeMapLocalizer:
         return self.index.votes(self.index.nearest(features).matches())
 
     def around(self, frames: Sequence[FeatureSet]) -> tuple[MapPart, Localizer]:
-        """The part of the map where frames of one place may be, and its localizer."""
+        """Cut out the part of the map for frames taken at one place, and make its localizer."""
         part = self._part([self.index.nearest(features) for features in frames], None, _CLOSELY)
         return part, self._localizer(part, MapIndex(part.map, self._chance))
 
@@ -218,7 +222,7 @@ class LargeMapLocalizer:
         return Localizer(part.map, self.min_recognized, self.options, index)
 
     def _part(self, found: Sequence[NearestLandmarks], prior: Prior | None, size: _Size) -> MapPart:
-        """The part of the map that frames' features speak for, with the places that may be taken for it."""
+        """Cut out the part of the map that features vote for, with the places that may be confused with it."""
         surely = np.sum([self.index.votes(nearest.matches()) for nearest in found], axis=0)
         perhaps = np.sum([self.index.votes(nearest.pairs()) for nearest in found], axis=0)
         views = [*self._places(surely, size.places), *self._places(perhaps, size.rivals)]
@@ -230,12 +234,12 @@ class LargeMapLocalizer:
         return part_of(self.map, np.sort(self._first_views(np.concatenate(views), size)))
 
     def _places(self, votes: FloatArray, most: int) -> Iterator[IntArray]:
-        """The views of the places that most votes are for."""
+        """Iterate over the views of the places with the most votes."""
         for _, views in islice(groups_by_votes(votes, self.index.shared_with, _VIEWS_EACH), most):
             yield views
 
     def _first_views(self, views: IntArray, size: _Size) -> IntArray:
-        """The first different ones of some views (N,), as many as ``size`` allows; at least one."""
+        """The first distinct views among ``views`` (N,), as many as ``size`` allows, at least one."""
         _, first = np.unique(views, return_index=True)
         views = views[np.sort(first)][: size.views]
         start, end = self.map.view_offsets[views], self.map.view_offsets[views + 1]
@@ -245,20 +249,20 @@ class LargeMapLocalizer:
 
 
 class _Clock:
-    """The time of one frame: what is left of it, and what it was spent on."""
+    """Time budget of one frame."""
 
     def __init__(self, deadline_s: float | None) -> None:
         self._deadline_s = deadline_s
         self._started = time.perf_counter()
 
     def remaining(self, query: Query) -> Query:
-        """The query with the time that is left."""
+        """The query with its deadline reduced by the time spent."""
         if self._deadline_s is None:
             return query
         return replace(query, deadline_s=max(self._deadline_s - (time.perf_counter() - self._started), 0.0))
 
     def answered(self, answer: Localization, part: MapPart) -> Localization:
-        """A part's answer as one of the whole map; what its own stages did not take, finding the part did."""
+        """Translate a part's answer to the whole map, and add the time spent on finding the part."""
         spent_ms = 1e3 * (time.perf_counter() - self._started) - sum(answer.timings_ms.values())
         timings_ms = {"place": spent_ms, **answer.timings_ms}
         return replace(answer, timings_ms=timings_ms, inlier_features=part.features[answer.inlier_features])
@@ -268,7 +272,7 @@ AnyLocalizer = Localizer | LargeMapLocalizer
 
 
 def localizer_of(map_: Map, min_recognized: float = MIN_RECOGNIZED) -> AnyLocalizer:
-    """The localizer that suits a map's size."""
+    """Localizer suited to a map's size."""
     if len(map_) > LARGE_MAP and map_.info.density is DensityKind.RAY:
         return LargeMapLocalizer(map_, min_recognized)
     return Localizer(map_, min_recognized)

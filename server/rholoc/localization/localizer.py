@@ -15,8 +15,8 @@ from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import UP, Camera, FloatArray, IntArray, Lens, Pose, angles_between, pose_distances
-from rholoc.localization.ascent import Optimum, ascend, upright
-from rholoc.localization.confidence import MIN_RECOGNIZED, belief_of
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED, belief_of
+from rholoc.localization.belief.map_uncertainty import gated, with_map_error
 from rholoc.localization.diagnosis import (
     INEXACT_MAP,
     TOO_LITTLE_TIME,
@@ -26,17 +26,18 @@ from rholoc.localization.diagnosis import (
     diagnose_picture,
     wrong_camera,
 )
-from rholoc.localization.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.map_uncertainty import gated, with_map_error, worst_sigma
-from rholoc.localization.matches import Matches, NearestLandmarks
-from rholoc.localization.ransac import lo_ransac
-from rholoc.localization.rivals import are_rivals, rival_seeds, shares
-from rholoc.localization.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
+from rholoc.localization.index.map_error import worst_sigma
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches, NearestLandmarks
+from rholoc.localization.pose.ascent import Optimum, ascend, upright
+from rholoc.localization.pose.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
+from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.rematching import SEARCH_RADII_PX, Verified, evidence_of, verify
+from rholoc.localization.pose.rivals import are_rivals, rival_seeds, shares
+from rholoc.localization.pose.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
 from rholoc.localization.types import (
     MAX_ALTERNATIVES,
     MIN_WEIGHT,
-    NO_BELIEF,
     Alternative,
     Belief,
     Dof,
@@ -46,7 +47,6 @@ from rholoc.localization.types import (
     Query,
     Reason,
 )
-from rholoc.localization.verification import SEARCH_RADII_PX, Verified, evidence_of, verify
 from rholoc.maps import Map
 
 _MIN_FEATURES = 8
@@ -60,23 +60,23 @@ _TRACKING_RADIUS_PX = 14.0  # around a prior: as far as a tracker's are off. Pai
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """How hard the localizer looks.
+    """Effort of the search.
 
     Attributes:
-        places: the most places that are searched for a seed.
-        views_each: how many views that see the same landmarks make up a place.
-        ransac_samples: the most and the least samples of LO-RANSAC in each place.
-        ransac_tolerance_px: how far off a match may be that agrees with a sample.
-        samples: minimal samples scored by the density in each place where RANSAC's pose is not conclusive.
-        seeds: the best of them that are ascended from.
-        seed_tolerances_px: the tolerances of that ascent, narrowing.
-        conclusive: the probability of the right place at which no further place is searched.
-        settled_sigma_m: the standard deviation along the worst axis, metres, up to which a conclusive pose is taken as
-            it is; others are looked for more closely in their place, and matched again.
-        hopeless, hopeless_poses: the search ends once that many poses are verified and each is less probably than
-            ``hopeless`` of the right place: the picture shows another.
-        expected: the probability of the right place at which it stops once the place that a prior names was looked at
-            closely: that of a pose that may be given out.
+        places: maximum number of places to search for a seed.
+        views_each: number of views with shared landmarks that make up a place.
+        ransac_samples: maximum and minimum number of LO-RANSAC samples per place.
+        ransac_tolerance_px: maximum reprojection error of an inlier of LO-RANSAC.
+        samples: number of minimal samples ranked by density in a place where LO-RANSAC is inconclusive.
+        seeds: number of best samples from which to ascend.
+        seed_tolerances_px: decreasing tolerances of that ascent.
+        conclusive: probability of the right place above which no further place is searched.
+        settled_sigma_m: a conclusive pose is final if its position's largest standard deviation is below this;
+            otherwise
+            its place is searched closely and all features are matched again.
+        hopeless: probability of the right place below which a verified pose counts as hopeless.
+        hopeless_poses: number of hopeless poses after which the search ends, because the picture shows another place.
+        expected: probability of the right place above which the search ends after a close look at the prior's place.
     """
 
     places: int = 8
@@ -95,7 +95,7 @@ class SearchOptions:
 
 @dataclass
 class _Stopwatch:
-    """Milliseconds by stage, and the deadline."""
+    """Milliseconds per stage, and the deadline."""
 
     deadline_s: float | None
     started: float = field(default_factory=time.perf_counter)
@@ -115,16 +115,16 @@ class _Stopwatch:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """A pose that may be the answer.
+    """A candidate pose.
 
     Attributes:
-        verified: the pose and what speaks for it.
-        camera: the camera that it was found with.
-        focal: what the matches say of that camera's focal length.
-        if_focal_right: how surely the pose is right if that focal length is.
-        near_prior: whether it lies where it was expected.
-        share: 0..1, what its rivals leave of the probability that the place is right.
-        rivals: the poses that exclude it, each with its probability of the right place, the likeliest first.
+        verified: the pose and its evidence.
+        camera: camera it was found with.
+        focal: what the matches say about that camera's focal length.
+        if_focal_right: belief in the pose, given that the focal length is right.
+        near_prior: whether the pose agrees with the prior.
+        share: factor 0 to 1 that rivals leave of the probability of the right place.
+        rivals: mutually exclusive poses, each with its probability of the right place, likeliest first.
     """
 
     verified: Verified
@@ -137,36 +137,36 @@ class _Found:
 
     @property
     def belief(self) -> Belief:
-        """How surely the pose is right."""
+        """Belief in the pose."""
         recognized = self.if_focal_right.recognized * self.focal.belief * self.share
         return Belief(recognized, self.if_focal_right.exact)
 
     @property
     def recognized(self) -> float:
-        """0..1, the probability that the pose is of the right place."""
+        """Probability 0 to 1 that the pose is of the right place."""
         return self.belief.recognized
 
     @property
     def sigma_m(self) -> float:
-        """The position's standard deviation along the worst axis, metres."""
+        """Standard deviation of the position along its worst axis."""
         return worst_sigma(self.verified.covariance[:3, :3])
 
 
 @dataclass
 class _Search:
-    """What a search has come to so far.
+    """State of a search.
 
     Attributes:
         query: the frame.
-        watch: its time.
-        matches: how many features match anywhere, or near the prior.
-        best: the likeliest pose where it was expected.
-        elsewhere: the likeliest pose where it was not.
-        reason: why there is none, should there be none.
-        place: the place that most matches speak for.
-        everywhere: the matches with the whole map.
-        nearest: what in the whole map each feature is most like.
-        is_sampled: whether that is known of some features only.
+        watch: its time budget.
+        matches: number of features that match anywhere, or near the prior.
+        best: likeliest candidate that agrees with the prior.
+        elsewhere: likeliest candidate that does not.
+        reason: reason for a refusal, if no candidate is good enough.
+        place: place with the most votes.
+        everywhere: matches with the whole map.
+        nearest: nearest landmarks of each feature in the whole map.
+        is_sampled: whether ``nearest`` covers only a sample of the features.
         found: all candidates.
     """
 
@@ -183,7 +183,7 @@ class _Search:
     found: list[_Found] = field(default_factory=list)
 
     def add(self, found: _Found | None) -> None:
-        """Take in a candidate."""
+        """Add a candidate."""
         if found is None:
             return
         self.found.append(found)
@@ -193,7 +193,7 @@ class _Search:
             self.elsewhere = _likelier(self.elsewhere, found)
 
     def is_over(self, conclusive: float, max_sigma_m: float = math.inf) -> bool:
-        """Whether a candidate is that surely of the right place, known that exactly, and hardly contradicted."""
+        """Whether some candidate is probable and exact enough, and nearly uncontested."""
         candidates = [found for found in (self.best, self.elsewhere) if found is not None]
         return any(
             found.if_focal_right.recognized >= conclusive
@@ -203,18 +203,18 @@ class _Search:
         )
 
     def is_hopeless(self, options: SearchOptions) -> bool:
-        """Whether enough poses were verified, and none may be of the right place."""
+        """Whether enough poses were verified without any chance of the right place."""
         likeliest = max((found.if_focal_right.recognized for found in self.found), default=1.0)
         return len(self.found) >= options.hopeless_poses and likeliest < options.hopeless
 
     def is_as_expected(self, enough: float) -> bool:
-        """Whether a candidate lies where a prior expects it, and is that surely of the right place."""
+        """Whether some candidate agrees with the prior and is probable enough."""
         if self.query.prior is None or self.best is None:
             return False
         return self.best.if_focal_right.recognized >= enough
 
     def outcome(self, conclusive: float) -> _Found | None:
-        """The candidate to answer with: one that contradicts the prior only where it is sure and the other is not."""
+        """Candidate to answer with. One that contradicts the prior wins only if it is sure and the other is not."""
         best, elsewhere = self._contested(self.best), self._contested(self.elsewhere)
         surely_elsewhere = elsewhere is not None and elsewhere.recognized >= conclusive
         if best is not None and (best.recognized >= MIN_RECOGNIZED or not surely_elsewhere):
@@ -222,7 +222,7 @@ class _Search:
         return elsewhere if surely_elsewhere else best
 
     def _contested(self, found: _Found | None) -> _Found | None:
-        """A candidate beside its rivals; one near the prior has only such rivals."""
+        """A candidate with its rivals; the rivals of a candidate near the prior must be near it too."""
         if found is None:
             return None
         others = [other for other in self.found if other.near_prior or not found.near_prior]
@@ -238,14 +238,14 @@ class _Search:
 
 
 class Localizer:
-    """Localizes frames in one map. Building it makes the index; calls may come from several threads.
+    """Localizer for one map. The constructor builds the index; methods are thread-safe.
 
     Args:
         map_: the map.
-        min_recognized: answers that are less probably of the right place are refused (``localized`` False, reason
-            ``not_recognized``).
-        options: how hard to look.
-        index: of the map, where it is made already.
+        min_recognized: minimum probability of the right place; less probable poses are refused with ``localized`` False
+            and the reason ``not_recognized``.
+        options: effort of the search.
+        index: index of the map, if it already exists.
     """
 
     def __init__(
@@ -262,11 +262,11 @@ class Localizer:
 
     @property
     def extractor(self) -> Extractor:
-        """The extractor whose features the map is made of."""
+        """Extractor of the map's features."""
         return get_extractor(self.map.info.features)
 
     def localize(self, query: Query) -> Localization:
-        """The pose of one frame, by equation (1); where there is none, the likeliest cause.
+        """Localize one frame by equation (1). A refusal states its likeliest cause.
 
         Raises:
             InvalidDescriptors: the features are not of the map's kind.
@@ -285,23 +285,23 @@ class Localizer:
         return replace(answer, diagnosis=diagnosis)
 
     def attempt(self, query: Query) -> Localization | None:
-        """The answer where the features at hand give a sure one, None otherwise; no more of them are looked for."""
+        """Answer from the features at hand. Returns None if they are inconclusive; never extracts more."""
         search = self._sure_search(query, _Stopwatch(query.deadline_s))
         answer = None if search is None else self._answer(search)
         return answer if answer is not None and answer.localized else None
 
     def view_votes(self, features: FeatureSet) -> FloatArray:
-        """(K,) how strongly a picture's features speak for each view of the map; no pose is looked for."""
+        """(K,) votes of a picture's features for each view of the map, without a pose."""
         return view_votes(self.index, self.index.match_everywhere(features))
 
     def candidate(self, query: Query) -> tuple[Verified, Belief] | None:
-        """The pose that would be answered with, however doubtful, and how surely it is right."""
+        """Best pose found, however doubtful, and the belief in it. None if there is none."""
         search = self._thorough_search(query, _Stopwatch(query.deadline_s))
         found = search.outcome(self.options.conclusive)
         return None if found is None else (found.verified, found.belief)
 
     def check(self, query: Query) -> None:
-        """Refuse features that are not of the map's kind.
+        """Check that features are of the map's kind.
 
         Raises:
             InvalidDescriptors: they are not.
@@ -309,7 +309,7 @@ class Localizer:
         check_kind(query.features, self.extractor)
 
     def adapted(self, query: Query) -> Query:
-        """A query without what means nothing in this map."""
+        """The query without constraints that are meaningless in this map."""
         if not self.map.info.upright:
             query = replace(query, gravity=None)
         if query.dof is Dof.AUTO and not self.index.seen_upright:
@@ -317,17 +317,19 @@ class Localizer:
         return query
 
     def _thorough_search(self, query: Query, watch: _Stopwatch) -> _Search:
-        """A quick look, and a close one where that is not sure."""
+        """Quick search, followed by a close one if the quick one is inconclusive."""
         return self._quick_search(query, watch) or self._search(self.adapted(_with_more_features(query, watch)), watch)
 
     def _quick_search(self, query: Query, watch: _Stopwatch) -> _Search | None:
-        """A look at what few features point to first; None unless more can be had and that is sure."""
+        """Quick search with the first features. Returns None if it is inconclusive and more features can be
+        extracted.
+        """
         if query.more_features is None or query.intrinsics is Intrinsics.UNKNOWN:
             return None
         return self._sure_search(query, watch)
 
     def _sure_search(self, query: Query, watch: _Stopwatch) -> _Search | None:
-        """A search by the features at hand; None unless it is conclusive."""
+        """Search with the features at hand. Returns None if it is inconclusive."""
         search = self._search(self.adapted(query), watch)
         found = search.outcome(self.options.conclusive)
         if found is None or found.recognized < self.options.conclusive:
@@ -335,7 +337,7 @@ class Localizer:
         return search if found.sigma_m <= self.options.settled_sigma_m else None
 
     def _search(self, query: Query, watch: _Stopwatch) -> _Search:
-        """Look for candidates, then for their rivals; not closely where more features can be had."""
+        """Search for candidates, then for their rivals; no close look if more features can be extracted."""
         search = _Search(query, watch)
         if len(query.features) < _MIN_FEATURES:
             search.reason = Reason.NO_FEATURES
@@ -347,7 +349,7 @@ class Localizer:
         return search
 
     def _look_around(self, search: _Search, rays: FloatArray) -> None:
-        """Look in one place after the other, the prior's first, until a candidate is sure or none can be expected."""
+        """Search one place after the other, beginning at the prior, until a candidate is conclusive or hope is lost."""
         watch, options = search.watch, self.options
         for place in self._places(search):
             if watch.late:
@@ -365,7 +367,7 @@ class Localizer:
                 return
 
     def _match_again(self, search: _Search, rays: FloatArray) -> None:
-        """Match all features again around a pose that is not known exactly, and refine it."""
+        """Match all features again around a pose that is not exact enough, and refine it."""
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN or query.more_features is not None:
             return
@@ -383,7 +385,7 @@ class Localizer:
                 return
 
     def _look_for_rivals(self, search: _Search, rays: FloatArray) -> None:
-        """Look for other poses that the picture may show as well as the best; a prior has settled that before."""
+        """Search for rivals of the best candidate; not needed if it agrees with a prior."""
         query, watch, best = search.query, search.watch, search.best or search.elsewhere
         if search.nearest is None or best is None or watch.late:
             return
@@ -400,7 +402,7 @@ class Localizer:
         watch.lap("seed")
 
     def _look(self, place: Place, search: _Search, rays: FloatArray) -> Iterator[_Found | None]:
-        """Poses that one place leads to, the cheapest to find first."""
+        """Iterate over candidates from one place, cheapest search first."""
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN:
             yield from self._look_with_any_focal(place, query, rays, watch)
@@ -419,7 +421,7 @@ class Localizer:
         yield from self._look_closely(place, query, rays, watch)
 
     def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
-        """The pose that LO-RANSAC finds in matches: enough for most frames."""
+        """Candidate from one LO-RANSAC over all matches, which suffices for most frames."""
         seed = self._ransac_seed(matches, query, rays)
         watch.lap("seed")
         if seed is None or not _plausible(seed, query):
@@ -429,9 +431,9 @@ class Localizer:
         return found
 
     def _track(self, prior: Prior, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
-        """The pose that LO-RANSAC finds in matches close about a prior: enough where few features are left.
+        """Candidate from one LO-RANSAC over matches near a prior, which suffices if few features are left.
 
-        From the prior itself the ascent may end on a lower peak beside the right one.
+        An ascent from the prior itself may end on a lower peak beside the right one.
         """
         some, T_map_camera = query.features.sample, prior.pose.T_map_camera
         near, _ = self.index.match_near(query.features, query.camera, T_map_camera, _TRACKING_RADIUS_PX, some)
@@ -439,7 +441,7 @@ class Localizer:
         return self._glance(near, query, rays, watch)
 
     def _places(self, search: _Search) -> Iterator[Place]:
-        """Where to look: about the prior, then where matches with the whole map point to."""
+        """Iterate over places to search: around the prior, then by votes of matches with the whole map."""
         query, options = search.query, self.options
         if query.prior is not None:
             near = place_of_prior(self.index, query.prior, options.views_each)
@@ -456,7 +458,7 @@ class Localizer:
         yield from islice(self._voted_places(search, others), options.places)
 
     def _voted_places(self, search: _Search, features: IntArray) -> Iterator[Place]:
-        """Where matches with the whole map point to, once some more of the query's ``features`` are matched."""
+        """Iterate over places by votes, after matching more of the query's ``features``."""
         query = search.query
         found = self.index.nearest_everywhere(query.features, features)
         search.nearest = found if search.nearest is None else search.nearest.joined(found)
@@ -471,7 +473,7 @@ class Localizer:
         yield from places_by_votes(self.index, search.everywhere, self.options.views_each, query.prior)
 
     def _look_closely(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found | None]:
-        """Poses that matches within one place lead to: from LO-RANSAC, then from samples scored by the density."""
+        """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
         evidence = evidence_of(self.index, matches, rays, query.camera)
@@ -518,7 +520,7 @@ class Localizer:
         return checked
 
     def _look_with_any_focal(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found]:
-        """As :meth:`_look_closely`, the focal length estimated along with the pose."""
+        """As :meth:`_look_closely`, with the focal length estimated along with the pose."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
         seed = focal_seed(self.index, matches, query, self.options.ransac_samples[0])
@@ -534,7 +536,7 @@ class Localizer:
                 yield self._candidate(verified, refined, focal, belief_of(verified))
 
     def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> _Found | None:
-        """A verified pose as a candidate, its camera's focal length held against what is seen."""
+        """Candidate from a verified pose, with the camera's focal length checked. None if it is implausible."""
         if verified is None or matches is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
             return None
         belief = belief_of(verified)
@@ -550,7 +552,7 @@ class Localizer:
     def _answer(self, search: _Search) -> Localization:
         found = search.outcome(self.options.conclusive)
         if found is None:
-            return _refusal(search.reason, search.matches, search.watch)
+            return Localization.refused(search.reason, search.matches, search.watch.timings_ms)
         query, verified = search.query, found.verified
         agreeing = verified.optimum.density > 0
         estimated = query.intrinsics is Intrinsics.UNKNOWN
@@ -577,7 +579,7 @@ class Localizer:
         return gated(with_map_error(self.index, answer), self.min_recognized, query)
 
     def _diagnose(self, search: _Search, answer: Localization) -> Diagnosis:
-        """The likeliest cause of a refusal: what was asked for may be at fault, the camera, or the picture."""
+        """Likeliest cause of a refusal: the request, the camera, or the picture."""
         query, watch = search.query, search.watch
         if answer.reason is Reason.DEADLINE or watch.late:
             return TOO_LITTLE_TIME
@@ -606,7 +608,7 @@ class Localizer:
 
 
 def _with_more_features(query: Query, watch: _Stopwatch) -> Query:
-    """The query with all features that can be had of it."""
+    """The query with all features that can be extracted."""
     if query.more_features is None:
         return query
     query = replace(query, features=query.more_features(), more_features=None)
@@ -682,18 +684,3 @@ def _true_to_gravity(T_map_camera: FloatArray, gravity: FloatArray | None) -> bo
         return True
     down = T_map_camera[:3, :3] @ (gravity / np.linalg.norm(gravity))
     return bool(angles_between(-down, UP) <= _MAX_GRAVITY_ERROR_RAD)
-
-
-def _refusal(reason: Reason, matches: int, watch: _Stopwatch) -> Localization:
-    return Localization(
-        False,
-        reason,
-        None,
-        None,
-        NO_BELIEF,
-        matches,
-        0,
-        np.zeros((0, 2)),
-        np.zeros(0, dtype=np.int64),
-        watch.timings_ms,
-    )

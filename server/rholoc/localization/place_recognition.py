@@ -1,4 +1,4 @@
-"""Which place? The views of a map that a picture is most like, without a pose."""
+"""Place recognition without a pose: the views of a map that look most like a picture."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rholoc.localization.large_map import AnyLocalizer
 
 @dataclass(frozen=True, eq=False)
 class LikelyView:
-    """A view that a picture may show much the same as.
+    """A view of the map that looks like a picture.
 
     Attributes:
-        view: its number in the map.
-        pose: where it was taken.
-        score: how strongly the picture's features speak for it; comparable between maps of one kind of features.
+        view: row of the view in the map.
+        pose: pose of the view's camera in the map frame.
+        score: sum of the matches' votes for the view; comparable between maps with the same kind of features.
     """
 
     view: int
@@ -27,7 +27,7 @@ class LikelyView:
 
 
 def likeliest_views(localizer: AnyLocalizer, features: FeatureSet, most: int) -> list[LikelyView]:
-    """The views of a map that a picture's features speak for, at most ``most``, the likeliest first."""
+    """Rank the views of a map by the votes of a picture's features. Returns at most ``most``, best first."""
     votes = localizer.view_votes(features)
     best = np.argsort(-votes, kind="stable")[:most]
     return [

@@ -1,8 +1,7 @@
-"""Several frames → their poses, by one density over all of them: a rig's cameras, or one camera on its way.
+"""Localize several frames together, with one density over all of them: the cameras of a rig, or one moving camera.
 
-What one frame cannot tell, several do: matches are pooled, seeds come from the generalized three-point problem (rays
-that do not meet in one point; poselib's solver), and the ascent climbs the sum of all frames' log densities, the frames
-held to each other by what is known of their relative poses.
+Matches are pooled, seeds come from the generalized three-point problem (rays through different centres; poselib's
+solver), and the ascent maximizes the sum of all frames' log densities with their relative poses as soft constraints.
 """
 
 from __future__ import annotations
@@ -18,19 +17,19 @@ from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Pose, is_rotation
 from rholoc.geometry.resection import resected
 from rholoc.lazy import lazy
-from rholoc.localization.ascent import Optimum
-from rholoc.localization.confidence import MIN_RECOGNIZED, joint_belief
-from rholoc.localization.joint_ascent import Link, ascend_together, joint_covariances
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED, joint_belief
+from rholoc.localization.belief.map_uncertainty import gated, with_map_error
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.large_map import AnyLocalizer
 from rholoc.localization.localizer import Localizer, check_kind
-from rholoc.localization.map_index import MapIndex
-from rholoc.localization.map_uncertainty import gated, with_map_error
-from rholoc.localization.matches import Matches, NearestLandmarks
-from rholoc.localization.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, shares, unexplained_by_place
-from rholoc.localization.seeds import vote_for_places
-from rholoc.localization.support import Support, support_of
-from rholoc.localization.types import NO_BELIEF, Belief, Dof, Intrinsics, Localization, Query, Reason
-from rholoc.localization.verification import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
+from rholoc.localization.pose.ascent import Optimum
+from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances
+from rholoc.localization.pose.pose_evidence import Support, support_of
+from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
+from rholoc.localization.pose.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, shares, unexplained_by_place
+from rholoc.localization.pose.seeds import vote_for_places
+from rholoc.localization.types import Belief, Dof, Intrinsics, Localization, Query, Reason
 
 FEWEST_FRAMES, MOST_FRAMES = 2, 10
 _PLACES = 6
@@ -42,17 +41,17 @@ _MIN_MATCHES = 6
 
 @dataclass(frozen=True, eq=False)
 class SeveralFrames:
-    """Frames whose poses relative to each other are known.
+    """Frames with known relative poses.
 
     Attributes:
-        frames: 2 to 10 of them; of each its features, camera, gravity and picture count, and the first one's ``dof``,
-            ``deadline_s`` and ``max_sigma_…``.
-        T_rig_cameras: (N, 4, 4) each camera's pose in one common frame, whatever it is: a rig's, or odometry's.
-        sigma_m: one sigma of the position of a frame as its predecessor sees it, metres along each axis.
-        sigma_rad: one sigma of its rotation, radians about each axis.
+        frames: 2 to 10 queries. Of each, features, camera, gravity and picture are used; ``dof``, ``deadline_s`` and
+            ``max_sigma_…`` come from the first one.
+        T_rig_cameras: (N, 4, 4) each camera's pose in an arbitrary common frame, such as a rig's or odometry's.
+        sigma_m: standard deviation of a frame's position relative to its predecessor, along each axis.
+        sigma_rad: standard deviation of its rotation, about each axis.
 
     Raises:
-        InvalidInput: too few or too many frames, no poses, or no uncertainty.
+        InvalidInput: too few or too many frames, invalid poses, or no positive standard deviation.
     """
 
     frames: tuple[Query, ...]
@@ -76,7 +75,7 @@ class SeveralFrames:
             raise InvalidInput("The uncertainty of the relative poses is not positive.", "Send sigmas above 0.")
 
     def within(self, spent_s: float) -> SeveralFrames:
-        """The same, with so much less time left."""
+        """A copy with the deadline reduced by ``spent_s``."""
         first, *others = self.frames
         if first.deadline_s is None:
             return self
@@ -84,19 +83,19 @@ class SeveralFrames:
 
     @property
     def links(self) -> list[Link]:
-        """From each frame to the next."""
+        """Relative pose from each frame to the next."""
         T = self.T_rig_cameras
         return [Link(i, i + 1, np.linalg.inv(T[i]) @ T[i + 1], self.sigma_m, self.sigma_rad) for i in range(len(T) - 1)]
 
 
 @dataclass(frozen=True, eq=False)
 class JointLocalization:
-    """The answer for several frames.
+    """Answer for several frames.
 
     Attributes:
-        first: the answer for the first of them; its matches and inliers are those of all frames.
-        poses: of all of them, in their order; empty where there is none.
-        inliers: how many matches agree in each.
+        first: answer for the first frame; its counts of matches and inliers cover all frames.
+        poses: pose of every frame, in order; empty if there is no answer.
+        inliers: number of inliers in each frame.
     """
 
     first: Localization
@@ -105,16 +104,16 @@ class JointLocalization:
 
 
 def is_rigid(T: FloatArray) -> bool:
-    """Whether a matrix (4, 4) is a rotation and a finite position."""
+    """Whether a matrix (4, 4) is a finite rigid transform."""
     return bool(np.isfinite(T).all() and np.allclose(T[3], (0, 0, 0, 1)) and is_rotation(T[:3, :3]))
 
 
 def localize_together(localizer: AnyLocalizer, asked: SeveralFrames) -> JointLocalization:
-    """The poses of several frames; "no pose" is an answer, as for one.
+    """Localize several frames. A refusal is an answer, as for one frame.
 
     Raises:
         InvalidDescriptors: a frame's features are not of the map's kind.
-        InvalidInput: a frame's intrinsics are unknown: one frame alone can estimate them.
+        InvalidInput: a frame's intrinsics are unknown; only single frames can estimate them.
     """
     for frame in asked.frames:
         check_kind(frame.features, localizer.extractor)
@@ -136,7 +135,7 @@ def localize_together(localizer: AnyLocalizer, asked: SeveralFrames) -> JointLoc
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Poses (N, 4, 4) that may be the answer, what speaks for them in each frame, and how surely they are right."""
+    """Candidate poses (N, 4, 4), their evidence in each frame, and the belief in them."""
 
     verified: tuple[Verified, ...]
     covariances: FloatArray
@@ -144,11 +143,11 @@ class _Candidate:
 
     @property
     def support(self) -> Support:
-        """What a frame says for the poses and against them, in the mean."""
+        """Mean evidence over the frames."""
         return Support.mean([one.support for one in self.verified])
 
     def is_rival_of(self, other: _Candidate) -> bool:
-        """Whether the two cannot both be right."""
+        """Whether two candidates exclude each other."""
         return any(are_rivals(a, b) for a, b in zip(self.verified, other.verified, strict=True))
 
 
@@ -164,7 +163,7 @@ class _Joint:
         self.timings_ms: dict[str, float] = {}
 
     def localize(self) -> JointLocalization:
-        """The answer."""
+        """Search, believe, answer."""
         best: _Candidate | None = None
         found: list[_Candidate] = []
         reason, matched = Reason.NO_AGREEMENT, 0
@@ -188,7 +187,7 @@ class _Joint:
         return self._answer(best, reason, matched)
 
     def _contested(self, best: _Candidate, found: list[_Candidate]) -> _Candidate:
-        """The poses, as sure as they are better than the next best: one that was found, or that is looked for now."""
+        """A candidate whose probability is shared with its best rival, which is found or searched for now."""
         rivals = [*found]
         if best.belief.recognized >= MIN_RECOGNIZED:
             rivals += self._looked_for(best)
@@ -201,7 +200,7 @@ class _Joint:
         return replace(best, belief=replace(best.belief, recognized=best.belief.recognized * share))
 
     def _looked_for(self, best: _Candidate) -> Iterator[_Candidate]:
-        """Poses that matches other than those of the best agree with."""
+        """Iterate over candidates from matches that the best candidate does not explain."""
         fewest = fewest_agreeing(sum(one.inliers for one in best.verified))
         by_frame = [
             list(unexplained_by_place(self.index, one, frame, verified))
@@ -221,11 +220,13 @@ class _Joint:
 
     @lazy
     def _nearest(self) -> list[NearestLandmarks]:
-        """What in the whole map each frame's features are most like."""
+        """Nearest landmarks of each frame's features in the whole map."""
         return [self.index.nearest_everywhere(frame.features) for frame in self.frames]
 
     def _pools(self) -> Iterator[list[Matches]]:
-        """Matches of every frame: with the whole map, then within its likeliest places, one after the other."""
+        """Iterate over sets of matches of all frames: with the whole map, then with one likely place after the
+        other.
+        """
         everywhere = [one.matches() for one in self._nearest]
         yield everywhere
         places = [vote_for_places(self.index, one, _PLACES, _VIEWS_EACH, None) for one in everywhere]
@@ -238,14 +239,14 @@ class _Joint:
             ]
 
     def _candidate(self, matches: list[Matches], fewest: float = _MIN_MATCHES) -> _Candidate | None:
-        """The poses that at least ``fewest`` of all frames' matches agree with, verified."""
+        """Verified candidate with at least ``fewest`` inliers over all frames. None if there is none."""
         T_map_rig = self._seed(matches, fewest)
         if T_map_rig is None:
             return None
         return self._verified(T_map_rig @ self.asked.T_rig_cameras)
 
     def _seed(self, matches: list[Matches], fewest: float = _MIN_MATCHES) -> FloatArray | None:
-        """The rig's pose (4, 4) by LO-RANSAC over all frames' matches."""
+        """Pose (4, 4) of the rig by LO-RANSAC over all frames' matches. None if too few agree."""
         ordered = [one.likeliest_first() for one in matches]
         if sum(len(one) for one in ordered) < fewest:
             return None
@@ -262,7 +263,7 @@ class _Joint:
         return T_map_rig if agreeing >= fewest and np.isfinite(T_map_rig).all() else None
 
     def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
-        """Match again around the poses and ascend, within each radius in turn."""
+        """Match again around the poses and ascend, within a wide and then a narrow radius."""
         T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities
         verified: tuple[Verified, ...] = ()
         wide: list[Matches] = []
@@ -292,11 +293,8 @@ class _Joint:
 
     def _answer(self, best: _Candidate | None, reason: Reason, matched: int) -> JointLocalization:
         timings_ms = {"match": 1e3 * (time.perf_counter() - self.started)}
-        nothing = np.zeros(0, dtype=np.int64)
         if best is None:
-            refusal = Localization(
-                False, reason, None, None, NO_BELIEF, matched, 0, np.zeros((0, 2)), nothing, timings_ms
-            )
+            refusal = Localization.refused(reason, matched, timings_ms)
             return JointLocalization(refusal, (), ())
         poses = tuple(Pose(one.optimum.T_map_camera) for one in best.verified)
         inliers = tuple(one.inliers for one in best.verified)

@@ -1,4 +1,4 @@
-"""What localization is asked and what it answers."""
+"""Queries to a localizer, and its answers."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import Any
 
+import numpy as np
+
 from rholoc.features import Extractor, FeatureSet, widened
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
 from rholoc.lazy import lazy
@@ -15,7 +17,7 @@ from rholoc.localization.diagnosis import Diagnosis
 
 
 class Dof(Enum):
-    """The degrees of freedom that are estimated."""
+    """Degrees of freedom to estimate."""
 
     AUTO = "auto"  # six; where the map's own views were upright, roll is improbable but not forbidden
     UPRIGHT = 5  # position and heading; the camera rolls by no more than a hand does: the paper's model
@@ -23,14 +25,14 @@ class Dof(Enum):
 
 
 class Intrinsics(StrEnum):
-    """What is known of a camera."""
+    """Knowledge of the camera's focal length."""
 
     GIVEN = "given"  # the query's camera holds
     UNKNOWN = "unknown"  # its focal length is only a guess, to be estimated along with the pose
 
 
 class Reason(StrEnum):
-    """Why there is no pose."""
+    """Reason for a refusal."""
 
     NO_FEATURES = "no_features"  # the image has too few features: blank, dark or blurred
     NO_MATCHES = "no_matches"  # too few of its features look like any of the map's
@@ -42,12 +44,12 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Prior:
-    """A pose that the answer is expected near. One that is elsewhere is given only where it is sure, and says so.
+    """Expected pose. A pose elsewhere is returned only if it is sure, and marked as such.
 
     Attributes:
         pose: the expected pose.
-        radius_m: how far the position may be from it, metres.
-        radius_rad: how far the heading may be from it, radians.
+        radius_m: maximum distance of the position from it.
+        radius_rad: maximum deviation of the heading from it.
     """
 
     pose: Pose
@@ -62,16 +64,17 @@ class Query:
     Attributes:
         features: its features, by the map's own extractor.
         camera: its intrinsics.
-        dof: what is estimated.
-        prior: where the pose is expected, or None.
-        gravity: (3,) the direction of gravity in the camera frame (down), or None. Poses that contradict it by more
-            than 10° are not considered; in a map that is not known to be upright it says nothing.
-        deadline_s: seconds that the answer may take, or None.
+        dof: degrees of freedom to estimate.
+        prior: expected pose, or None.
+        gravity: (3,) direction of gravity in the camera frame, pointing down, or None. Poses that deviate by more than
+            10°
+            are discarded. Ignored if the map is not known to be upright.
+        deadline_s: time budget of the answer, or None.
         intrinsics: whether the camera's focal length is known.
-        image: the picture itself, (H, W, 3) BGR, for the diagnosis of a refusal and the features' colours; or None.
-        more_features: finds more of them, and is asked where ``features`` do not suffice; None: those are all.
-        max_sigma_m: the position's greatest standard deviation along any axis that is of use, metres.
-        max_sigma_rad: the rotation's, radians.
+        image: (H, W, 3) BGR, for the diagnosis of a refusal and for colours, or None.
+        more_features: extracts more features if ``features`` do not suffice; None if ``features`` are complete.
+        max_sigma_m: maximum standard deviation of the position along any axis.
+        max_sigma_rad: maximum standard deviation of the rotation about any axis.
     """
 
     features: FeatureSet
@@ -88,7 +91,7 @@ class Query:
 
     @classmethod
     def of_picture(cls, image: ByteArray, extractor: Extractor, camera: Camera, **others: Any) -> Query:
-        """A picture (H, W, 3), BGR, its features found quickly at first; ``others`` are further attributes."""
+        """Query for a picture (H, W, 3) BGR; begins with few features. ``others`` are further attributes."""
         extractor = widened(extractor, camera)
         quick = extractor.quick
         more = None if quick is extractor else lambda: extractor.extract(image)
@@ -96,7 +99,7 @@ class Query:
 
     @lazy
     def colours(self) -> ByteArray | None:
-        """(N, 3) uint8, red, green and blue of the picture at each feature; None where they are not known."""
+        """(N, 3) uint8, red, green and blue at each feature; None without a colour picture."""
         if self.features.colours is not None or self.image is None or self.image.ndim != 3:
             return self.features.colours
         return self.features.coloured(self.image).colours
@@ -104,11 +107,11 @@ class Query:
 
 @dataclass(frozen=True)
 class Belief:
-    """How surely a pose is right.
+    """Belief in a pose.
 
     Attributes:
-        recognized: 0..1, the probability that the pose is of the right place: within 50 cm and 20° of the truth.
-        exact: 0..1, the probability that it is within 10 cm and 5° of the truth if the place is right.
+        recognized: probability 0 to 1 that the pose is of the right place: within 50 cm and 20° of the truth.
+        exact: probability 0 to 1 that the pose is within 10 cm and 5° of the truth, given that the place is right.
     """
 
     recognized: float
@@ -116,7 +119,7 @@ class Belief:
 
     @property
     def confidence(self) -> float:
-        """0..1, the probability that the pose is within 10 cm and 5° of the truth."""
+        """Probability 0 to 1 that the pose is within 10 cm and 5° of the truth."""
         return self.recognized * self.exact
 
 
@@ -130,12 +133,12 @@ MAX_ALTERNATIVES, MIN_WEIGHT = 4, 0.01
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another pose that the frame may have been taken from.
+    """Another possible pose of the frame.
 
     Attributes:
-        weight: 0..1, the probability that it is of the right place.
+        weight: probability 0 to 1 that it is of the right place.
         pose: the pose.
-        covariance: (6, 6) as of :class:`Localization`.
+        covariance: (6, 6) as in :class:`Localization`.
     """
 
     weight: float
@@ -145,30 +148,31 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """The answer for one frame.
+    """Answer for one frame.
 
     Attributes:
         localized: whether there is a pose to rely on.
-        reason: why there is none, else None.
+        reason: reason for a refusal, else None.
         pose: the pose, or None.
-        covariance: (6, 6) of position (metres, map frame) and rotation (radians, a small rotation in the map frame
-            applied from the left), in this order, or None. The map's own uncertainty at that place is part of it.
-        belief: how surely the pose, or the one that was withheld, is right.
-        matches: how many matches of features spoke.
-        inliers: how many of them agree with the pose.
-        inlier_pixels: (I, 2) pixels of those.
-        inlier_features: (I,) their rows in the map.
-        timings_ms: milliseconds by stage: extract (more features), match, seed, ascend, verify, diagnose.
-        near_prior: whether the pose is where the prior expects it; None without a prior.
-        camera: the camera as estimated, where its focal length was unknown.
-        focal_sigma_px: one sigma of that focal length.
-        diagnosis: the likeliest cause, where there is no pose.
-        map_trusted: whether the frame poses that the map was built on passed every check; None where it does not say.
-        expected_error_m: how far the map itself is expected to be off at the pose (root mean square, metres); None
-            where the map does not know, or there is no pose.
-        alternatives: at most four other poses that the frame may have been taken from, the likeliest first; a pose
-            that was withheld as not recognized is the first of them. The weights of all poses add up to at most one;
-            what is missing is the probability of none of them.
+        covariance: (6, 6) of position [m, map frame], then rotation [rad, a small rotation in the map frame from the
+            left],
+            including the map's own uncertainty there; or None.
+        belief: belief in the pose, or in the one that was withheld.
+        matches: number of matches considered.
+        inliers: number of matches that agree with the pose.
+        inlier_pixels: (I, 2) pixels of the inliers.
+        inlier_features: (I,) rows of the inliers' landmarks in the map.
+        timings_ms: milliseconds per stage: extract (more features), match, seed, ascend, verify, diagnose.
+        near_prior: whether the pose agrees with the prior; None without a prior.
+        camera: estimated camera, if its focal length was unknown.
+        focal_sigma_px: standard deviation of the estimated focal length.
+        diagnosis: likeliest cause of a refusal.
+        map_trusted: whether the trajectory that the map was built on passed every check; None if the map does not say.
+        expected_error_m: expected position error (root mean square) of the map itself at the pose; None if unknown or
+            without a pose.
+        alternatives: at most four other possible poses, likeliest first. A pose withheld as not recognized is the
+            first.
+            The weights of all poses add up to at most one; the remainder is the probability that none of them is right.
     """
 
     localized: bool
@@ -189,12 +193,43 @@ class Localization:
     expected_error_m: float | None = None
     alternatives: tuple[Alternative, ...] = ()
 
+    @classmethod
+    def refused(
+        cls,
+        reason: Reason,
+        matches: int = 0,
+        timings_ms: dict[str, float] | None = None,
+        diagnosis: Diagnosis | None = None,
+    ) -> Localization:
+        """Answer without a pose.
+
+        Args:
+            reason: why there is none.
+            matches: number of matches that spoke.
+            timings_ms: milliseconds by stage.
+            diagnosis: the likeliest cause.
+        """
+        nothing = np.zeros(0, np.int64)
+        return cls(
+            False,
+            reason,
+            None,
+            None,
+            NO_BELIEF,
+            matches,
+            0,
+            np.zeros((0, 2)),
+            nothing,
+            {} if timings_ms is None else timings_ms,
+            diagnosis=diagnosis,
+        )
+
     @property
     def recognized(self) -> float:
-        """0..1, the probability that the pose is of the right place: within 50 cm and 20° of the truth."""
+        """Probability 0 to 1 that the pose is of the right place: within 50 cm and 20° of the truth."""
         return self.belief.recognized
 
     @property
     def confidence(self) -> float:
-        """0..1, the probability that the pose is within 10 cm and 5° of the truth; at most ``recognized``."""
+        """Probability 0 to 1 that the pose is within 10 cm and 5° of the truth; at most ``recognized``."""
         return self.belief.confidence

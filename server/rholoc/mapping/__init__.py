@@ -1,8 +1,8 @@
 """Recording → map: the pipeline, the report, and learning that goes on."""
 
-from rholoc.mapping.answered import AnsweredQuery
-from rholoc.mapping.build import DEFAULT_FEATURES, BuildOptions, build_map
-from rholoc.mapping.correcting import (
+from rholoc.mapping.build.frame_features import small_picture
+from rholoc.mapping.build.pipeline import DEFAULT_FEATURES, BuildOptions, build_map
+from rholoc.mapping.edit.correcting import (
     lay_over_plan,
     remove_region,
     remove_views,
@@ -15,15 +15,14 @@ from rholoc.mapping.correcting import (
     set_up,
     set_wall,
 )
-from rholoc.mapping.forgetting import forget_recording
-from rholoc.mapping.frame_features import small_picture
-from rholoc.mapping.frames import levelled
-from rholoc.mapping.learning import UpdateOptions, update_map
-from rholoc.mapping.merging import merge_maps
-from rholoc.mapping.observation_table import observation_table
-from rholoc.mapping.site_linking import SearchedPair, add_links, map_state, search_links
-from rholoc.mapping.site_poses import find_link, pose_in_site, solve_site, with_link
-from rholoc.mapping.user_learning import FEWEST_QUERIES, learn_from_queries, too_few_queries
+from rholoc.mapping.edit.forgetting import forget_recording
+from rholoc.mapping.edit.frame_from_people import levelled
+from rholoc.mapping.learn.answered_query import AnsweredQuery
+from rholoc.mapping.learn.from_queries import FEWEST_QUERIES, learn_from_queries, too_few_queries
+from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
+from rholoc.mapping.learn.merging import merge_maps
+from rholoc.mapping.sites.linking import SearchedPair, add_links, map_state, search_links
+from rholoc.mapping.sites.poses import find_link, pose_in_site, solve_site, with_link
 
 __all__ = [
     "DEFAULT_FEATURES",
@@ -41,7 +40,6 @@ __all__ = [
     "levelled",
     "map_state",
     "merge_maps",
-    "observation_table",
     "pose_in_site",
     "remove_region",
     "remove_views",

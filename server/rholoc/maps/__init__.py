@@ -2,19 +2,40 @@
 
 from rholoc.density import DensityKind
 from rholoc.maps.cameras import CameraLibrary, CameraProfile, check_camera_name
+from rholoc.maps.catalogue import check_map_name
 from rholoc.maps.cloud import Cloud
-from rholoc.maps.coefficient_reading import is_coefficient_table, read_coefficient_table
-from rholoc.maps.coefficient_table import coefficient_table, write_coefficient_table
 from rholoc.maps.corrections import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.documents import Documents, FolderDocuments
-from rholoc.maps.export import landmark_sigmas, map_to_ply, map_to_vtp
 from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
-from rholoc.maps.gltf import map_to_gltf
+from rholoc.maps.formats.coefficient_reading import is_coefficient_table, read_coefficient_table
+from rholoc.maps.formats.coefficient_table import coefficient_table, write_coefficient_table
+from rholoc.maps.formats.gltf import map_to_gltf
+from rholoc.maps.formats.observation_table import ObservationTable, observations_csv
+from rholoc.maps.formats.ply_and_vtp import landmark_sigmas, map_to_ply, map_to_vtp
+from rholoc.maps.formats.rho_file import MapOutline, load_info, load_map, map_to_bytes, save_map
+from rholoc.maps.formats.scene import cloud_to_bytes, map_to_scene
+from rholoc.maps.formats.surfaces import map_surfaces_vtp
+from rholoc.maps.formats.trajectory_table import (
+    TrajectoryTable,
+    read_trajectory_csv,
+    trajectory_csv,
+    view_trajectory,
+    write_trajectory_csv,
+)
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
-from rholoc.maps.library import MapLibrary, MapStat, check_map_name
+from rholoc.maps.library import MapLibrary
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
+from rholoc.maps.memory import (
+    Memory,
+    check_memory,
+    memory_of,
+    packed_pixels,
+    source_cameras,
+    unpacked_pixels,
+    without_memory,
+)
 from rholoc.maps.names import (
     MapLabels,
     MapNames,
@@ -27,19 +48,8 @@ from rholoc.maps.names import (
     points_near,
     within_outline,
 )
-from rholoc.maps.observations import (
-    Memory,
-    check_memory,
-    memory_of,
-    packed_pixels,
-    source_cameras,
-    unpacked_pixels,
-    without_memory,
-)
 from rholoc.maps.part import MapPart, part_of
-from rholoc.maps.patches import moved_patches, packed_patches, storable_patches, unpacked_patches
-from rholoc.maps.rho_file import MapOutline, load_info, load_map, map_to_bytes, save_map
-from rholoc.maps.scene import cloud_to_bytes, map_to_scene
+from rholoc.maps.patch_bytes import moved_patches, packed_patches, storable_patches, unpacked_patches
 from rholoc.maps.sites import (
     MOST_MAPS,
     SITES_FOLDER,
@@ -51,15 +61,6 @@ from rholoc.maps.sites import (
     SiteMap,
     SiteOnEarth,
     check_site,
-)
-from rholoc.maps.surfaces import map_surfaces_vtp
-from rholoc.maps.tables import ObservationTable, observations_csv
-from rholoc.maps.trajectory_table import (
-    TrajectoryTable,
-    read_trajectory_csv,
-    trajectory_csv,
-    view_trajectory,
-    write_trajectory_csv,
 )
 from rholoc.maps.trust import Trust, consistency_m, expected_error_m, trust_of
 from rholoc.maps.validation import check_usable, validate_map
@@ -90,7 +91,6 @@ __all__ = [
     "MapObservations",
     "MapOutline",
     "MapPart",
-    "MapStat",
     "MapViews",
     "MapWaypoint",
     "Memory",

@@ -9,9 +9,9 @@ from typing import Any
 
 from rholoc.errors import InvalidCamera, InvalidInput, UnknownCamera
 from rholoc.geometry import Camera, Lens
-from rholoc.maps.documents import Documents, FolderDocuments
+from rholoc.maps.catalogue import check_name, some_of
+from rholoc.maps.documents import Documents, FolderDocuments, stored_names
 from rholoc.maps.json_values import check_json_value
-from rholoc.maps.library import check_name, some_of, stored_names
 
 FOLDER = "cameras"
 _SUFFIX = ".json"

@@ -2,57 +2,66 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
-from rholoc.errors import InvalidInput
-from rholoc.maps.files import replace_file
+from rholoc.disk import locked_folder, make_folder, replace_file
+from rholoc.maps.catalogue import is_name
 
 _TICK_NS = 2 * 10**9  # a folder that changed within its clock's last tick may change again and look the same
 
+Accepts = Callable[[bytes | None], bool]
 
-class Documents(Protocol):
+
+class Documents(ABC):
     """Small files by name, each replaced whole or not at all. Safe to share between threads and processes."""
 
+    @abstractmethod
     def names(self) -> list[str]:
-        """The names of all, in no order."""
-        ...
+        """The names of all files, in no order."""
 
+    @abstractmethod
     def read(self, name: str) -> bytes:
-        """What a file holds. Raises FileNotFoundError, and OSError where it cannot be read."""
-        ...
+        """Content of a file. Raises FileNotFoundError, and OSError where it cannot be read."""
 
+    @abstractmethod
     def stamp(self) -> object:
-        """What differs once any of them has changed; None where it is too early to tell."""
-        ...
+        """What differs once any file has changed; None where it is too early to tell."""
+
+    @abstractmethod
+    def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
+        """Store a file if ``accepts`` is None or returns True for its present content, which is None if it is missing.
+
+        Without ``content`` the file is removed. Returns False if it was not accepted, or was missing already.
+        """
 
     def write(self, name: str, content: bytes, called: str = "") -> None:
-        """Store a file, in place of the one that was there; errors speak of it as ``called``.
+        """Store a file in place of the one that was there. Errors refer to it as ``called``, by default its name.
 
         Raises:
-            StorageFull, InvalidInput: nothing was replaced.
+            StorageFull, InvalidInput, SQLAlchemyError: nothing was replaced.
         """
-        ...
+        self._set(name, content, called)
 
     def exchange(self, name: str, before: bytes | None, content: bytes, called: str = "") -> bool:
-        """Store a file if it still holds ``before``, or is still missing where that is None; whether it was stored.
+        """Store a file if it still holds ``before``, or is still missing where that is None. Returns whether it did.
 
-        Of several that exchange the same at one moment, in whichever process, one stores its file.
+        Of several threads or processes that exchange the same content at once, one stores its file.
 
         Raises:
-            StorageFull, InvalidInput: nothing was replaced.
+            StorageFull, InvalidInput, SQLAlchemyError: nothing was replaced.
         """
-        ...
+        return self._set(name, content, called, lambda present: present == before)
 
     def delete(self, name: str) -> None:
         """Remove a file. Raises FileNotFoundError."""
-        ...
+        if not self._set(name, None, ""):
+            raise FileNotFoundError(name)
 
 
-class FolderDocuments:
+class FolderDocuments(Documents):
     """The files of a folder, which is made when the first is written, with the permissions ``mode``."""
 
     def __init__(self, folder: Path, mode: int = 0o777) -> None:
@@ -60,13 +69,11 @@ class FolderDocuments:
         self._mode = mode
 
     def names(self) -> list[str]:
-        """The names of all files that are not hidden."""
         if not self._folder.is_dir():
             return []
         return [path.name for path in self._folder.iterdir() if path.is_file() and not path.name.startswith(".")]
 
     def read(self, name: str) -> bytes:
-        """What a file holds. Raises FileNotFoundError, and OSError where it cannot be read."""
         return (self._folder / name).read_bytes()
 
     def stamp(self) -> object:
@@ -77,33 +84,22 @@ class FolderDocuments:
             return None
         return changed_ns if time.time_ns() - changed_ns > _TICK_NS else None
 
-    def write(self, name: str, content: bytes, called: str = "") -> None:
-        """Store a file. Raises StorageFull, InvalidInput: nothing was replaced."""
-        self._make_folder()
-        replace_file(self._folder / name, content, called)
-
-    def exchange(self, name: str, before: bytes | None, content: bytes, called: str = "") -> bool:
-        """Store a file that holds ``before``. Raises StorageFull, InvalidInput: nothing was replaced."""
-        self._make_folder()
-        descriptor = os.open(self._folder, os.O_RDONLY)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)  # until the descriptor is closed
-            path = self._folder / name
-            if (path.read_bytes() if path.exists() else None) != before:
+    def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
+        path = self._folder / name
+        if content is None and not path.exists():
+            return False
+        make_folder(self._folder, self._mode)
+        with locked_folder(self._folder):
+            if accepts is not None and not accepts(path.read_bytes() if path.exists() else None):
                 return False
-            replace_file(path, content, called)
-        finally:
-            os.close(descriptor)
+            if content is None:
+                path.unlink()
+            else:
+                replace_file(path, content, called)
         return True
 
-    def _make_folder(self) -> None:
-        try:
-            self._folder.mkdir(mode=self._mode, parents=True, exist_ok=True)
-        except OSError as error:
-            raise InvalidInput(
-                f"The folder {self._folder.name} cannot be created: {error.strerror}.", "Check the folder."
-            ) from error
 
-    def delete(self, name: str) -> None:
-        """Remove a file. Raises FileNotFoundError."""
-        (self._folder / name).unlink()
+def stored_names(files: Documents, suffix: str) -> list[str]:
+    """The valid names, sorted, of files called a name and ``suffix``."""
+    names = [file.removesuffix(suffix) for file in files.names() if file.endswith(suffix)]
+    return sorted(name for name in names if is_name(name))

@@ -1,119 +1,59 @@
-"""The maps in a folder, by name."""
+"""The library of maps: reading, publishing, replacing and restoring maps by name, whatever keeps their files."""
 
 from __future__ import annotations
 
-import contextlib
+import filecmp
 import math
-import os
-import re
-import stat
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
-from rholoc.errors import Conflict, InvalidInput, InvalidMap, InvalidName, RholocError, UnknownMap
-from rholoc.maps.documents import Documents
-from rholoc.maps.files import replace_file
+from rholoc.disk import replace_file
+from rholoc.errors import Conflict, InvalidMap, MissingObject, UnknownMap
+from rholoc.maps.catalogue import MapCatalogue, MapFile, check_map_name, some_of
+from rholoc.maps.formats.rho_file import SUFFIX, MapOutline, load_map, load_outline, map_to_bytes
 from rholoc.maps.info import MapInfo
 from rholoc.maps.map import Map
 from rholoc.maps.map_cache import MapCache, Signature
-from rholoc.maps.rho_file import SUFFIX, MapOutline, load_info, load_map, load_outline, map_to_bytes
+from rholoc.maps.map_folder import MapFolder
 
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
-_NAMES_SHOWN = 5
 _PIECE_BYTES = 2**20
-_ALL = "all"
-_PREVIOUS = ".previous"  # the folder within a library's that keeps the maps that were replaced
-KEPT_VERSIONS = 5  # of each map that was replaced
-
-
-def is_name(name: str) -> bool:
-    """Whether maps and cameras may have this name: 1–64 letters, digits, ``.``, ``_``, ``-``; no ``.``, ``-`` first."""
-    return _NAME.fullmatch(name) is not None
-
-
-def check_name(name: str, what: str) -> str:
-    """The name, if it is valid for a ``what``.
-
-    Raises:
-        InvalidName: it is not.
-    """
-    if not is_name(name):
-        shown = name if len(name) <= 64 else name[:61] + "…"
-        raise InvalidName(
-            f"{shown!r} is not a valid {what} name.",
-            "Use 1 to 64 letters, digits, '.', '_' and '-', the first a letter, a digit or '_'.",
-        )
-    return name
-
-
-def some_of(names: Sequence[str]) -> str:
-    """The first few names, for people."""
-    return ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")
-
-
-def stored_names(files: Documents, suffix: str) -> list[str]:
-    """The names of what is kept in files called a name and ``suffix``, sorted."""
-    names = [file.removesuffix(suffix) for file in files.names() if file.endswith(suffix)]
-    return sorted(name for name in names if is_name(name))
-
-
-def check_map_name(name: str) -> str:
-    """The name, if it is valid for a map: not ``all``, which means all maps where several can be named.
-
-    Raises:
-        InvalidName: it is not.
-    """
-    if name == _ALL:
-        raise InvalidName(f"A map cannot be named {name}: that means all maps.", "Choose another name.")
-    return check_name(name, "map")
-
-
-@dataclass(frozen=True)
-class MapStat:
-    """What the file system says about a map.
-
-    Attributes:
-        name: the map's name.
-        size_bytes: the file's size.
-        modified: seconds since 1970, UTC.
-        signature: changes whenever the file is replaced.
-    """
-
-    name: str
-    size_bytes: int
-    modified: float
-    signature: Signature
 
 
 class MapLibrary:
-    """Maps as ``NAME.rho`` in one folder; safe to share between threads, and between processes except for renaming.
+    """Maps by name. Safe to share between threads and processes.
 
-    A map that :meth:`get` returned is unaffected when its file is replaced or deleted; the next :meth:`get` sees that.
+    A map that :meth:`get` returned is unaffected when it is replaced or deleted; the next :meth:`get` sees that.
+
+    Each method that takes a name raises InvalidName if no map can have it, and UnknownMap if none does.
 
     Args:
-        folder: of the maps.
+        maps: the folder of the maps, or another catalogue of them.
         cache_bytes: how much memory cached maps may take, including what is derived from them.
     """
 
-    def __init__(self, folder: Path, cache_bytes: float = math.inf) -> None:
-        self.folder = folder
+    def __init__(self, maps: Path | MapCatalogue, cache_bytes: float = math.inf) -> None:
+        self._catalogue: MapCatalogue = MapFolder(maps) if isinstance(maps, Path) else maps
         self._cache = MapCache(cache_bytes)
         self._outlines: dict[str, tuple[Signature, MapOutline]] = {}
         self._known_readable: dict[str, Signature] = {}
-        self._lock = threading.RLock()  # held while the folder is changed
         self._reading: dict[str, threading.Lock] = {}
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the maps' files on this machine."""
+        return self._catalogue.folder
+
     def names(self) -> list[str]:
-        """The names of all maps, sorted; empty if the folder does not exist."""
-        files = [file for file in self.folder.glob(f"*{SUFFIX}") if file.is_file()]
-        return sorted(file.stem for file in files if is_name(file.stem) and file.stem != _ALL)
+        """The names of all maps, sorted."""
+        return self._catalogue.names()
 
     def readable(self) -> list[str]:
-        """The names, sorted, of the maps that can be read; each file is read once to find out."""
-        return [name for name in self.names() if self._is_readable(name)]
+        """The names, sorted, of the maps that can be read; a file that was not checked is read once to find out."""
+        names = self.names()
+        return names if self._catalogue.holds_only_maps else [name for name in names if self._is_readable(name)]
 
     def _is_readable(self, name: str) -> bool:
         try:
@@ -125,69 +65,56 @@ class MapLibrary:
             return False
         return True
 
-    def path(self, name: str) -> Path:
-        """The path for a map of that name, whether or not it exists.
-
-        Raises:
-            InvalidName: it is not a valid name.
-        """
-        return self.folder / (check_map_name(name) + SUFFIX)
-
-    def stat(self, name: str) -> MapStat:
-        """Size, time and signature of a map's file.
-
-        Raises:
-            InvalidName: it is not a name.
-            UnknownMap: there is no such map.
-        """
-        path = self.path(name)
-        try:
-            status = path.stat()
-        except FileNotFoundError as error:
-            raise self._unknown(name) from error
-        if not stat.S_ISREG(status.st_mode):
+    def stat(self, name: str) -> MapFile:
+        """Size, time and signature of a map's file."""
+        check_map_name(name)
+        file = self._catalogue.find(name)
+        if file is None:
+            self._catalogue.look_again()  # another server may have published it just now
+            file = self._catalogue.find(name)
+        if file is None:
             raise self._unknown(name)
-        return MapStat(name, status.st_size, status.st_mtime, (status.st_ino, status.st_mtime_ns, status.st_size))
+        return file
+
+    def path(self, name: str) -> Path:
+        """A map's file on this machine, fetched if necessary.
+
+        Raises:
+            StorageUnavailable, StorageFull: it cannot be fetched.
+        """
+        try:
+            return self._catalogue.local(self.stat(name))
+        except MissingObject:  # it was replaced, and the file removed, before this process heard of it
+            self._catalogue.refresh()
+            return self._catalogue.local(self.stat(name))
 
     def map_id(self, name: str) -> str:
-        """The id of the map of that name, which all its versions have; the map itself is not read.
-
-        Raises:
-            InvalidName: it is not a name.
-            UnknownMap: there is no such map.
-            InvalidMap: its file is not a map.
-        """
-        self.stat(name)
-        return load_info(self.path(name)).id
+        """The id of a map, which all its versions have. Raises as :meth:`outline`."""
+        return self.stat(name).map_id or self.outline(name).info.id
 
     def outline(self, name: str) -> MapOutline:
-        """Description and size of the map of that name, by the header of its file; the map itself is not read.
+        """Description and size of a map, by the header of its file; the map itself is not read.
 
         Raises:
-            InvalidName: it is not a name.
-            UnknownMap: there is no such map.
             InvalidMap: its file is not a map.
+            StorageUnavailable: the header cannot be fetched.
         """
-        signature = self.stat(name).signature
+        file = self.stat(name)
         known = self._outlines.get(name)
-        if known is None or known[0] != signature:
-            known = self._outlines[name] = (signature, load_outline(self.path(name)))
+        if known is None or known[0] != file.signature:
+            known = self._outlines[name] = (file.signature, self._catalogue.outline(file, name))
         return known[1]
 
     def stamp(self) -> int | None:
         """Changes whenever a map is published, renamed or deleted, by any process; None where that is not known."""
-        try:
-            return self.folder.stat().st_mtime_ns
-        except OSError:
-            return None
+        return self._catalogue.stamp()
 
     def get(self, name: str) -> Map:
-        """The map of that name, from memory unless its file was replaced. Reading one does not block others.
+        """A map, from memory unless it was replaced. Reading one does not block others.
 
         Raises:
-            InvalidName: it is not a name.
-            UnknownMap: there is no such map.
             InvalidMap: its file is not a map.
+            StorageUnavailable, StorageFull: it cannot be fetched.
         """
         try:
             map_ = self._cache.get(name, self.stat(name).signature)
@@ -218,32 +145,34 @@ class MapLibrary:
 
     def is_here(self, name: str) -> bool:
         """Whether :meth:`get` would need nothing but memory and this machine's disk."""
-        return True
+        file = self._catalogue.find(name)
+        if file is None:
+            return False
+        return self._cache.get(name, file.signature) is not None or self._catalogue.is_here(file)
 
     def keeps(self, name: str, map_: Map) -> bool:
         """Whether this very object is the cached map of that name: neither replaced nor evicted."""
         return self._cache.holds(name, map_)
 
     def put(self, name: str, map_: Map) -> None:
-        """Store a map under a name, replacing any of that name.
+        """Publish a map under a name; the one that it replaces is kept.
 
         Raises:
-            InvalidName, InvalidMap, StorageFull, InvalidInput: nothing was replaced.
+            InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
         """
         self._put(name, map_to_bytes(map_), lambda _: map_)
 
     def put_file(self, name: str, source: Path | bytes, check: Callable[[Map], None] = lambda _: None) -> Map:
-        """Store the content of a ``.rho`` file under a name, replacing any map of that name; returns the map.
+        """Publish the content of a ``.rho`` file under a name, and return the map; the one that it replaces is kept.
 
         Args:
             name: the map's.
             source: the file, or its content.
-            check: raises if the map must not be stored.
+            check: raises if the map must not be published.
 
         Raises:
-            InvalidName, InvalidMap, StorageFull, InvalidInput, and what ``check`` raises: nothing was replaced.
+            InvalidMap, InvalidInput, StorageUnavailable, StorageFull, and what ``check`` raises: nothing was replaced.
         """
-
         called = check_map_name(name) + SUFFIX
 
         def read(arrived: Path) -> Map:
@@ -253,69 +182,88 @@ class MapLibrary:
 
         return self._put(name, source if isinstance(source, bytes) else _pieces(source), read)
 
-    def _put(self, name: str, data: bytes | Iterator[bytes], read: Callable[[Path], Map]) -> Map:
-        """Store a file under a name, once ``read`` has found a map in it; keep the map that it replaces."""
+    def replace(self, name: str, next_version: Map) -> None:
+        """Publish the next version of a map; do nothing if it is there already.
+
+        Raises:
+            Conflict: the map has changed since, and another update would be lost. Nothing was replaced.
+            InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
+        """
+        self._catalogue.refresh()
+        file, present = self.stat(name), self.get(name).info
+        if present == next_version.info:
+            return
+        if (present.id, present.version) != (next_version.info.id, next_version.info.version - 1):
+            raise _changed(name)
+        self._put(name, map_to_bytes(next_version), lambda _: next_version, instead_of=file)
+
+    def _put(
+        self,
+        name: str,
+        data: bytes | Iterator[bytes],
+        read: Callable[[Path], Map],
+        instead_of: MapFile | None = None,
+    ) -> Map:
+        """Publish a file under a name, once ``read`` has found a map in it.
+
+        Args:
+            name: the map's.
+            data: the file's content.
+            read: returns the map in a file.
+            instead_of: the file that it replaces; None: whichever there is.
+        """
         called = check_map_name(name) + SUFFIX
-        self._make_folder()
-        arrived = self.folder / f".{uuid4().hex}.upload"  # in the same folder, so that it can be renamed into place
+        self._catalogue.make_room()
+        arrived = self.folder / f".{uuid4().hex}.upload"
         replace_file(arrived, data, called=called)
         try:
             map_ = read(arrived)
-            if not self._holds_same(name, arrived):
-                self._publish(name, arrived, map_)
+            file = None if self.holds(name, arrived) else self._catalogue.store(arrived, map_)
+            with self._catalogue.changing(map_) as change:
+                present = change.present(name)
+                if instead_of is not None and present != instead_of:
+                    raise _changed(name)
+                if file is not None:
+                    replaced = [] if present is None else [present]
+                    change.arrange(name, file, [*replaced, *change.versions(name)])
         finally:
             arrived.unlink(missing_ok=True)
         return map_
 
-    def _holds_same(self, name: str, arrived: Path) -> bool:
-        """Whether the file of the map of a name has the same content: storing it again makes no version."""
+    def holds(self, name: str, file: Path) -> bool:
+        """Whether a map has the same content as a file. Raises StorageUnavailable, StorageFull."""
         try:
-            return self.outline(name).checksum == load_outline(arrived).checksum
-        except RholocError:  # there is none, or it cannot be read
+            return self.outline(name).checksum == load_outline(file).checksum
+        except UnknownMap:
             return False
-
-    def _publish(self, name: str, arrived: Path, map_: Map) -> None:
-        """Put a file that holds a map in the place of the map of a name, which is kept."""
-        with self._lock:
-            self._keep_previous(name)
-            arrived.replace(self.path(name))
-
-    def replace(self, name: str, next_version: Map) -> None:
-        """Store the next version of a map in place of its predecessor; do nothing if it is already there.
-
-        Raises:
-            InvalidName: it is not a valid name.
-            UnknownMap: the map no longer exists.
-            Conflict: the map has changed since, and another update would be lost. Nothing was replaced.
-            InvalidMap, StorageFull, InvalidInput: as :meth:`put`; nothing was replaced.
-        """
-        with self._lock:
-            present = self.get(name).info
-            if present == next_version.info:
-                return
-            if (present.id, present.version) != (next_version.info.id, next_version.info.version - 1):
-                raise changed(name)
-            self.put(name, next_version)
+        except InvalidMap:
+            return filecmp.cmp(self.path(name), file, shallow=False)
 
     def previous(self, name: str) -> MapInfo | None:
-        """The description of the map that was last replaced under a name; None if there is none to restore.
-
-        Raises:
-            InvalidName: it is not a valid name.
-        """
-        return self.versions(name).get(1)
+        """Description of the map that was last replaced under a name; None if there is none to restore."""
+        check_map_name(name)
+        return self._infos(name, self._catalogue.versions(name)[:1]).get(1)
 
     def versions(self, name: str) -> dict[int, MapInfo]:
-        """The descriptions of the maps that were replaced under a name, by number: 1 was replaced last.
+        """Descriptions of the maps that were replaced under a name, by number: 1 was replaced last."""
+        check_map_name(name)
+        return self._infos(name, self._catalogue.versions(name))
+
+    def _infos(self, name: str, files: Sequence[MapFile]) -> dict[int, MapInfo]:
+        found = {}
+        for number, file in enumerate(files, start=1):
+            with suppress(InvalidMap, MissingObject):
+                found[number] = self._catalogue.outline(file, name).info
+        return found
+
+    def version_path(self, name: str, number: int) -> Path:
+        """The file, on this machine, of a map that was replaced under a name, by its number in :meth:`versions`.
 
         Raises:
-            InvalidName: it is not a name.
+            Conflict: it is not kept.
+            StorageUnavailable, StorageFull: it cannot be fetched.
         """
-        found = {}
-        for number in range(1, KEPT_VERSIONS + 1):
-            with contextlib.suppress(InvalidMap):
-                found[number] = load_info(self.previous_path(name, number))
-        return found
+        return self._catalogue.local(self._version(name, number, self._catalogue.versions(name)))
 
     def restore(self, name: str, number: int = 1) -> None:
         """Restore a map that was replaced, by its number in :meth:`versions`.
@@ -323,97 +271,67 @@ class MapLibrary:
         The present one is kept in turn: restoring number 1 twice changes nothing.
 
         Raises:
-            InvalidName: it is not a valid name.
-            UnknownMap: there is no such map.
             Conflict: none was replaced, or it is no longer kept.
             InvalidMap: the one that was replaced cannot be read; nothing was changed.
+            StorageUnavailable, StorageFull: nothing was changed.
         """
-        with self._lock:
-            path, previous = self.path(name), self.previous_path(name, number)
-            self.stat(name)
-            if not previous.is_file():
-                raise no_version(name, number)
-            load_map(previous, f"The map before {name}")
-            present = previous.with_name(f".{uuid4().hex}.present")
-            _link(path, present)
-            previous.replace(path)
-            self._make_room(name, number)
-            present.replace(self.previous_path(name))
-
-    def previous_path(self, name: str, number: int = 1) -> Path:
-        """The file of a map that was replaced under a name, whether there is one of that number or not."""
-        path = self.folder / _PREVIOUS / self.path(name).name
-        return path if number == 1 else path.with_name(f"{path.name}.{number}")
-
-    def _previous_paths(self, name: str) -> list[Path]:
-        """The files of all replaced maps that are kept."""
-        paths = [self.previous_path(name, number) for number in range(1, KEPT_VERSIONS + 1)]
-        return [path for path in paths if path.is_file()]
-
-    def _keep_previous(self, name: str) -> None:
-        """Keep the map that is about to be replaced, if there is one, as number 1."""
-        path, previous = self.path(name), self.previous_path(name)
-        if not path.is_file():
-            return
-        previous.parent.mkdir(exist_ok=True)
-        arrived = previous.with_name(f".{uuid4().hex}.kept")
-        _link(path, arrived)
-        self._make_room(name, KEPT_VERSIONS)
-        arrived.replace(previous)
-
-    def _make_room(self, name: str, last: int) -> None:
-        """Free number 1 by moving numbers up by one, as far as the first free one; ``last`` is dropped if none is."""
-        free = next((n for n in range(1, last) if not self.previous_path(name, n).is_file()), last)
-        for number in range(free, 1, -1):
-            self.previous_path(name, number - 1).replace(self.previous_path(name, number))
+        self.stat(name)
+        wanted = self._version(name, number, self._catalogue.versions(name))
+        load_map(self._catalogue.local(wanted), f"The map before {name}")
+        with self._catalogue.changing() as change:
+            present, kept = change.present(name), change.versions(name)
+            if present is None:
+                raise self._unknown(name)
+            if self._version(name, number, kept) != wanted:
+                raise _changed(name)
+            change.arrange(name, wanted, [present, *(file for file in kept if file != wanted)])
 
     def delete(self, name: str) -> None:
-        """Delete a map, and those that it replaced.
-
-        Raises:
-            InvalidName: it is not a name.
-            UnknownMap: there is no such map.
-        """
-        with self._lock:
-            self._cache.drop(name)
-            try:
-                self.path(name).unlink()
-            except FileNotFoundError as error:
-                raise self._unknown(name) from error
-            for path in self._previous_paths(name):
-                path.unlink(missing_ok=True)
+        """Delete a map, and those that it replaced. Raises StorageUnavailable, StorageFull: nothing was deleted."""
+        self.stat(name)
+        with self._catalogue.changing() as change:
+            if change.present(name) is None:
+                raise self._unknown(name)
+            change.arrange(name, None, [])
+        self._cache.drop(name)
 
     def rename(self, name: str, new_name: str) -> None:
-        """Give a map another name.
+        """Give a map, and those that it replaced, another name.
 
         Raises:
-            InvalidName: one of them is not a name.
-            UnknownMap: there is no such map.
-            Conflict: there is a map of the new name.
+            Conflict: a map has the new name.
+            StorageUnavailable, StorageFull: nothing was renamed.
         """
-        with self._lock:
-            old, new = self.path(name), self.path(new_name)
-            if not old.is_file():
+        check_map_name(new_name)
+        self.stat(name)
+        with self._catalogue.changing() as change:
+            present, kept = change.present(name), change.versions(name)
+            if present is None:
                 raise self._unknown(name)
-            if new.exists():
-                raise name_taken(new_name)
-            old.rename(new)
-            for path in self._previous_paths(new_name):
-                path.unlink(missing_ok=True)
-            for path in self._previous_paths(name):
-                path.rename(path.with_name(new_name + path.name.removeprefix(name)))
-            self._cache.drop(name)
+            if change.present(new_name) is not None:
+                raise Conflict(f"There is already a map {new_name}.", "Choose another name, or delete that map first.")
+            change.arrange(name, None, [])
+            change.arrange(new_name, present, kept)
+        self._cache.drop(name)
+
+    def snapshot(self) -> Iterator[tuple[str, int, Path]]:
+        """Names, numbers and copies of all maps' files of one moment; see :meth:`MapCatalogue.snapshot`."""
+        return self._catalogue.snapshot()
 
     def sweep(self) -> None:
-        """Remove what is stored and belongs to no map: here, nothing."""
+        """Remove files that belong to no map, and complete a change that a crash broke off.
 
-    def _make_folder(self) -> None:
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InvalidInput(
-                f"The folder {self.folder.name} cannot be created: {error.strerror}.", "Check the map folder."
-            ) from error
+        Raises:
+            StorageUnavailable, SQLAlchemyError: it is done the next time.
+        """
+        self._catalogue.sweep()
+
+    def _version(self, name: str, number: int, versions: Sequence[MapFile]) -> MapFile:
+        if 1 <= number <= len(versions):
+            return versions[number - 1]
+        if number == 1:
+            raise Conflict(f"The map {name} has not replaced another.", "There is nothing to restore.")
+        raise Conflict(f"The map {name} keeps no version {number}.", "Its versions are listed by number.")
 
     def _unknown(self, name: str) -> UnknownMap:
         names = self.names()
@@ -422,35 +340,10 @@ class MapLibrary:
         )
 
 
-def changed(name: str) -> Conflict:
-    """The error for a change that started from a map that is no longer there."""
+def _changed(name: str) -> Conflict:
     return Conflict(
         f"The map {name} was changed in the meantime.", "Try again: the change will start from the new one."
     )
-
-
-def no_version(name: str, number: int) -> Conflict:
-    """The error for a version that is not kept."""
-    if number == 1:
-        return Conflict(f"The map {name} has not replaced another.", "There is nothing to restore.")
-    return Conflict(f"The map {name} keeps no version {number}.", "Its versions are listed by number.")
-
-
-def name_taken(name: str) -> Conflict:
-    """The error for a name that a map has already."""
-    return Conflict(f"There is already a map {name}.", "Choose another name, or delete that map first.")
-
-
-def _link(path: Path, other: Path) -> None:
-    """Give a file a second name; on file systems without hard links, copy it.
-
-    Raises:
-        StorageFull: the disk is full.
-    """
-    try:
-        os.link(path, other)
-    except OSError:
-        replace_file(other, path.read_bytes(), called=path.name)
 
 
 def _pieces(path: Path) -> Iterator[bytes]:

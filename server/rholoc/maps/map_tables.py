@@ -194,7 +194,7 @@ class MapObservations(MapTable):
     Attributes:
         views: (V,) int32, the view of each, never decreasing.
         features: (V,) int32, its feature.
-        pixels: (V, 2) float64, u and v, in whole steps of :func:`rholoc.maps.observations.packed_pixels`; None if the
+        pixels: (V, 2) float64, u and v, in whole steps of :func:`rholoc.maps.memory.packed_pixels`; None if the
             map does not keep them.
     """
 

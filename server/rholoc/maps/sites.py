@@ -16,8 +16,8 @@ from rholoc.errors import Conflict, InvalidInput, UnknownSite
 from rholoc.geometry import FloatArray, Pose
 from rholoc.geometry.earth import EarthPlace, enu_of, place_at
 from rholoc.lazy import lazy
-from rholoc.maps.documents import Documents, FolderDocuments
-from rholoc.maps.library import check_map_name, check_name, some_of, stored_names
+from rholoc.maps.catalogue import check_map_name, check_name, some_of
+from rholoc.maps.documents import Documents, FolderDocuments, stored_names
 from rholoc.reports import report_from_json, report_to_json
 
 SITES_FOLDER = "sites"

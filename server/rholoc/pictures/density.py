@@ -13,8 +13,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from rholoc.density.ray import landmarks_from_information, observation_information
 from rholoc.geometry import ByteArray, FloatArray, Pose
-from rholoc.localization.density_localizer import Ascent
-from rholoc.localization.landscape import (
+from rholoc.maps.map import Map
+from rholoc.paper.density_localizer import Ascent
+from rholoc.paper.landscape import (
     Grid,
     Look,
     over_headings,
@@ -23,7 +24,6 @@ from rholoc.localization.landscape import (
     product_over_positions,
     seen_from,
 )
-from rholoc.maps.map import Map
 from rholoc.pictures.style import INK, MARKED, MUTED, draw_scale_bar, figure_of, png_of
 
 _STEPS = 48  # of a grid's longer side

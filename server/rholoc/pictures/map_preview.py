@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from rholoc.maps.export import landmark_sigmas
+from rholoc.maps.formats.ply_and_vtp import landmark_sigmas
 from rholoc.maps.map import Map
 from rholoc.pictures.style import INK, MARKED, MUTED, draw_scale_bar, figure_of, png_of
 

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentF
 
 from rholoc.geometry import FloatArray
 from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
-from rholoc.maps.export import landmark_sigmas
+from rholoc.maps.formats.ply_and_vtp import landmark_sigmas
 from rholoc.maps.map import Map
 from rholoc.maps.trust import expected_error_m, trust_of
 from rholoc.pictures.style import GREEN, INK, MARKED, MUTED, draw_scale_bar, figure_of, png_of

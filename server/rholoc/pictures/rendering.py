@@ -14,11 +14,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TextIO
 
+from rholoc.disk import replace_file
 from rholoc.errors import RholocError
 from rholoc.maps.coverage import coverage_of
-from rholoc.maps.files import replace_file
+from rholoc.maps.formats.rho_file import load_map
 from rholoc.maps.map import Map
-from rholoc.maps.rho_file import load_map
 from rholoc.reports import report_to_json
 
 

@@ -24,14 +24,16 @@ from rholoc.jobs import (
     Stores,
     UploadStore,
 )
+from rholoc.jobs.stores import ASKERS, CAMERAS, KEYS, SITES
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
 from rholoc.maps import CameraLibrary, SiteLibrary
-from rholoc.service import web
-from rholoc.service.audit import Audited, AuditLog
-from rholoc.service.bodies import HeldBodies
-from rholoc.service.compute import ComputePool
-from rholoc.service.connections import ConcurrencyLimited, ProbesOnly, SlowBodies
+from rholoc.service.access.audit import Audited, AuditLog
+from rholoc.service.access.guard import Guard, SecurityHeaders
+from rholoc.service.access.keys import KeyStore
+from rholoc.service.access.open_streams import OpenStreams, StreamKind, stream_limits
+from rholoc.service.access.quotas import Quotas
+from rholoc.service.access.rates import RateLimited
 from rholoc.service.errors import (
     InvalidRequest,
     MethodNotAllowed,
@@ -42,33 +44,42 @@ from rholoc.service.errors import (
     invalid_request,
     status_of,
 )
-from rholoc.service.exports import Exports
-from rholoc.service.guard import Guard, SecurityHeaders
+from rholoc.service.frames.answerer import Answerer
+from rholoc.service.frames.learning import Learner
+from rholoc.service.frames.live import Live
+from rholoc.service.frames.localizers import Localizers
 from rholoc.service.housekeeping import clean_up_regularly, follow_keys
-from rholoc.service.job_events import JobEvents
-from rholoc.service.json_bodies import JsonBodies
-from rholoc.service.keys import KeyStore
-from rholoc.service.learning import Learner
-from rholoc.service.live import Live
-from rholoc.service.localizers import Localizers
-from rholoc.service.map_watch import MapWatch
-from rholoc.service.metrics import Metered, Metrics
-from rholoc.service.middleware import RequestBoundary
-from rholoc.service.open_streams import OpenStreams, stream_limits
-from rholoc.service.openapi import install
-from rholoc.service.pacing import FramesFirst
-from rholoc.service.quotas import Quotas
-from rholoc.service.rates import RateLimited
-from rholoc.service.readings import Readings
-from rholoc.service.renderings import Renderings
+from rholoc.service.http import web
+from rholoc.service.http.bodies import HeldBodies
+from rholoc.service.http.boundary import RequestBoundary
+from rholoc.service.http.connections import ConcurrencyLimited, ProbesOnly, SlowBodies
+from rholoc.service.http.json_bodies import JsonBodies
+from rholoc.service.http.metrics import Metered, Metrics
+from rholoc.service.http.openapi import install
+from rholoc.service.http.pacing import FramesFirst
+from rholoc.service.http.tracing import Traced
+from rholoc.service.http.tus import Tus
+from rholoc.service.libraries import (
+    AsyncAudit,
+    AsyncCameras,
+    AsyncJobs,
+    AsyncKeys,
+    AsyncLearning,
+    AsyncMaps,
+    AsyncQuotas,
+    AsyncRecordings,
+    AsyncSites,
+)
+from rholoc.service.maps.exports import Exports
+from rholoc.service.maps.map_watch import MapWatch
+from rholoc.service.maps.renderings import Renderings
+from rholoc.service.operate.readings import Readings
 from rholoc.service.routes import ROUTERS
+from rholoc.service.routes.frames.reading import READ_BY_HAND
 from rholoc.service.settings import Settings
-from rholoc.service.state import State
-from rholoc.service.storage_threads import StorageLanes
-from rholoc.service.stream_kind import StreamKind
-from rholoc.service.tracing import Traced
-from rholoc.service.tus import Tus
-from rholoc.storage import ASKERS, CAMERAS, KEYS, SITES
+from rholoc.service.state import Operation, State
+from rholoc.service.threads.compute import ComputePool
+from rholoc.service.threads.storage import StorageLanes
 from rholoc.storage.holdings import Holdings
 
 _log = structlog.get_logger("rholoc.service")
@@ -85,18 +96,19 @@ Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answ
 def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
     settings, metrics = settings or Settings(), Metrics()
-    stores = stores_of(settings)
-    keys, audit = open_keys(stores), AuditLog(stores.engine)
+    stores = settings.stores()
+    keys, audit, lanes = KeyStore(stores.data_dir, stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
         telemetry.begin("rholoc-server")
-        app.state.rholoc = state = await asyncio.to_thread(_start, settings, metrics, keys, audit, stores)
-        state.watch.start()
-        state.learner.start()
-        if state.worker is not None:
-            state.worker.start()
+        app.state.rholoc = state = await asyncio.to_thread(_start, settings, metrics, keys, audit, stores, lanes)
+        parts = state.operation
+        parts.watch.start()
+        state.frames.learner.start()
+        if parts.worker is not None:
+            parts.worker.start()
         cleanup = asyncio.create_task(clean_up_regularly(state))
         following = asyncio.create_task(follow_keys(state))
         try:
@@ -104,15 +116,15 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         finally:
             cleanup.cancel()
             following.cancel()
-            if state.worker is not None:
-                state.worker.stop()
-            state.watch.stop()
-            state.compute.close()
-            state.learner.close()
+            if parts.worker is not None:
+                parts.worker.stop()
+            parts.watch.stop()
+            state.frames.compute.close()
+            state.frames.learner.close()
             await state.renderings.close()
-            state.readiness.close()
-            state.threads.close()
-            state.jobs.close()
+            parts.readiness.close()
+            parts.lanes.close()
+            state.jobs.sync.close()
             stores.close()
             telemetry.end()
 
@@ -132,107 +144,109 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError, SQLAlchemyError):
         app.add_exception_handler(kind, _answer_error)
     app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
-    app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.compute.busy)
+    app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.frames.compute.busy)
     app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
     app.add_middleware(RateLimited, keys=keys)
     app.add_middleware(ConcurrencyLimited, max_of_client=max(_MIN_UNDER_WAY, settings.max_connections // 4))
     app.add_middleware(ProbesOnly)
     open_paths = ("/metrics",) if settings.open_metrics else ()
     app.add_middleware(
-        Guard, routes=app.routes, keys=keys, policy=settings.keys, host=settings.host, open_paths=open_paths
+        Guard,
+        routes=app.routes,
+        keys=keys,
+        lanes=lanes,
+        policy=settings.keys,
+        host=settings.host,
+        open_paths=open_paths,
     )
     app.add_middleware(Tus)
-    app.add_middleware(Audited, log=audit)
+    app.add_middleware(Audited, log=audit, lanes=lanes)
     app.add_middleware(RequestBoundary)
     app.add_middleware(Traced)
     app.add_middleware(SecurityHeaders)
     app.add_middleware(Metered, metrics=metrics)
-    install(app)
+    install(app, READ_BY_HAND)
     return app
 
 
-def stores_of(settings: Settings) -> Stores:
-    """Where the service keeps what it holds, not yet opened.
-
-    Raises:
-        InvalidInput: an URL is not valid.
-    """
-    return Stores(
-        settings.maps_dir,
-        settings.data_dir,
-        settings.jobs_database,
-        settings.shared_storage,
-        settings.storage_cache_bytes,
-        settings.map_cache_bytes,
-    )
-
-
-def open_keys(stores: Stores) -> KeyStore:
-    """The API keys of the service."""
-    return KeyStore(stores.data_dir, stores.documents(KEYS))
-
-
-def _start(settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores) -> State:
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
-    shared, library, recordings = stores.shared, stores.library, stores.recordings
-    if shared is None:
-        settings.maps_dir.mkdir(parents=True, exist_ok=True)
-    else:
-        shared.recall()
-    try:  # engines open their databases when they are first used, and shared.follow() sees them come back
-        stores.open()
-    except (RholocError, SQLAlchemyError) as error:
-        _log.warning("database_not_opened", error=str(error)[:200])
-    if shared is not None:
-        shared.follow()
+def _start(
+    settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores, lanes: StorageLanes
+) -> State:
+    _open(settings, stores)
+    keys.refresh()
+    library, recordings = stores.library, stores.recordings
     jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings, engine=stores.engine)
-    threads = StorageLanes()
-    queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
-    finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
-    compute = ComputePool(settings.concurrency, settings.queue_length)
-    readiness = Readings(settings, jobs, shared)
-    metrics.gauge("rholoc_jobs", "Mapping jobs, as last known", "state", lambda: readiness.jobs.value)
-    waiting = "Queued mapping jobs, by why no worker can take them, as last known"
-    metrics.gauge("rholoc_jobs_waiting", waiting, "obstacle", lambda: readiness.waiting.value)
-    metrics.gauge("rholoc_jobs_age_seconds", "Age of the last known numbers of jobs", "at", readiness.job_ages)
-    metrics.gauge("rholoc_frames", "Frames that are being localized, or wait", "at", lambda: {"now": compute.taken})
-    metrics.gauge("rholoc_maps", "Maps in the folder, and how many of them are indexed", "state", finder.counts)
-    streams = OpenStreams(keys, *stream_limits(settings.max_streams, settings.max_connections))
-    counted = lambda: {str(kind): streams.count(kind) for kind in StreamKind}  # noqa: E731
-    metrics.gauge("rholoc_streams", "Streams that are open", "kind", counted)
     uploads = UploadStore(
         recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads
     )
-    keys.refresh()
+    queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
+    learner = Learner(queries, settings, stores.documents(ASKERS))
+    sites = SiteLibrary(settings.maps_dir, stores.documents(SITES))
+    finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
+    compute = ComputePool(settings.concurrency, settings.queue_length)
+    frames = Answerer(
+        settings,
+        library,
+        sites,
+        Localizers(library, settings.min_recognized),
+        finder,
+        compute,
+        learner,
+        Live(settings.live, settings.keep_failures),
+        metrics,
+        lanes,
+    )
+    quotas = Quotas(Holdings(stores.engine), keys, library, recordings, uploads, jobs)
+    async_quotas = AsyncQuotas(quotas, lanes)
+    streams = OpenStreams(keys, *stream_limits(settings.max_streams, settings.max_connections))
+    readiness = Readings(settings, jobs, stores)
+    _measure(metrics, readiness, frames, streams)
+    worker = _worker(settings, jobs) if settings.worker else None
     return State(
         settings=settings,
-        library=library,
-        cameras=CameraLibrary(settings.maps_dir, stores.documents(CAMERAS)),
-        keys=keys,
-        audit=audit,
-        shared=shared,
-        localizers=Localizers(library, settings.min_recognized),
-        finder=finder,
-        sites=SiteLibrary(settings.maps_dir, stores.documents(SITES)),
-        watch=MapWatch(finder),
-        renderings=Renderings(settings.data_dir / "renderings", library, threads),
-        compute=compute,
-        held_bodies=HeldBodies(_BODIES_AT_ONCE * settings.max_request_bytes),
-        exports=Exports(settings.export_time_limit_s),
-        metrics=metrics,
-        live=Live(settings.live, settings.keep_failures),
-        recordings=recordings,
-        uploads=uploads,
-        jobs=jobs,
-        job_events=JobEvents(jobs, threads.database),
-        queries=queries,
-        learner=Learner(queries, settings, stores.documents(ASKERS)),
-        worker=_worker(settings, jobs) if settings.worker else None,
+        maps=AsyncMaps(library, queries, settings, lanes),
+        cameras=AsyncCameras(CameraLibrary(settings.maps_dir, stores.documents(CAMERAS)), lanes),
+        sites=AsyncSites(sites, lanes),
+        recordings=AsyncRecordings(recordings, uploads, jobs, lanes),
+        jobs=AsyncJobs(jobs, async_quotas, lanes),
+        learning=AsyncLearning(library, learner, jobs, lanes),
+        keys=AsyncKeys(keys, quotas, lanes),
+        quotas=async_quotas,
+        audit=AsyncAudit(audit, lanes),
         streams=streams,
-        quotas=Quotas(Holdings(jobs.engine), keys, library, recordings, uploads, jobs),
-        readiness=readiness,
-        threads=threads,
+        frames=frames,
+        held_bodies=HeldBodies(_BODIES_AT_ONCE * settings.max_request_bytes),
+        renderings=Renderings(settings.data_dir / "renderings", library, lanes),
+        exports=Exports(settings.export_time_limit_s),
+        operation=Operation(stores, metrics, readiness, worker, MapWatch(finder), lanes),
     )
+
+
+def _open(settings: Settings, stores: Stores) -> None:
+    """Open the stores as far as they answer."""
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    if not stores.are_shared:
+        settings.maps_dir.mkdir(parents=True, exist_ok=True)
+    stores.recall()
+    try:  # engines open their databases when they are first used, and stores.follow() sees them come back
+        stores.open()
+    except (RholocError, SQLAlchemyError) as error:
+        _log.warning("database_not_opened", error=str(error)[:200])
+    stores.follow()
+
+
+def _measure(metrics: Metrics, known: Readings, frames: Answerer, streams: OpenStreams) -> None:
+    """Let the metrics show jobs, frames, maps and streams."""
+    metrics.gauge("rholoc_jobs", "Mapping jobs, as last known", "state", lambda: known.jobs.value)
+    waiting = "Queued mapping jobs, by why no worker can take them, as last known"
+    metrics.gauge("rholoc_jobs_waiting", waiting, "obstacle", lambda: known.waiting.value)
+    metrics.gauge("rholoc_jobs_age_seconds", "Age of the last known numbers of jobs", "at", known.job_ages)
+    under_way = "Frames that are being localized, or wait"
+    metrics.gauge("rholoc_frames", under_way, "at", lambda: {"now": frames.compute.taken})
+    present = "Maps in the folder, and how many of them are indexed"
+    metrics.gauge("rholoc_maps", present, "state", frames.finder.counts)
+    counted = lambda: {str(kind): streams.count(kind) for kind in StreamKind}  # noqa: E731
+    metrics.gauge("rholoc_streams", "Streams that are open", "kind", counted)
 
 
 def _worker(settings: Settings, jobs: JobQueue) -> EmbeddedWorker:

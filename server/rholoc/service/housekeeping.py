@@ -15,7 +15,7 @@ from rholoc.errors import InvalidMap, RholocError, StorageUnavailable, UnknownMa
 from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.mapping import FEWEST_QUERIES
 from rholoc.service.state import State
-from rholoc.service.storage_threads import StorageThreads
+from rholoc.service.threads.storage import StorageThreads
 
 _EVERY_S = 600.0
 _KEYS_EVERY_S, _KEYS_WITHIN_S = 0.1, 5.0
@@ -29,7 +29,7 @@ async def clean_up_regularly(state: State) -> None:
     while True:
         for name, work in _WORKS.items():
             try:
-                await state.threads.transfers(work, state)
+                await state.operation.lanes.transfers(work, state)
             except Exception:  # the others are done all the same
                 _log.exception("housekeeping_failed", work=name)
         await asyncio.sleep(_EVERY_S)
@@ -40,7 +40,7 @@ async def follow_keys(state: State) -> None:
     threads = StorageThreads(1, _KEYS_WITHIN_S)
     while True:
         with suppress(StorageUnavailable, OSError):  # what is in memory goes on
-            await threads(state.keys.refresh)
+            await threads(state.keys.sync.refresh)
         state.streams.end_invalid()
         await asyncio.sleep(_KEYS_EVERY_S)
 
@@ -48,7 +48,7 @@ async def follow_keys(state: State) -> None:
 def _map_ids(state: State) -> set[str] | None:
     """The ids of all maps; None where one cannot be read."""
     try:
-        return {state.library.map_id(name) for name in state.library.names()}
+        return {state.maps.sync.map_id(name) for name in state.maps.sync.names()}
     except (InvalidMap, UnknownMap):
         return None
 
@@ -63,28 +63,28 @@ def learn_tonight(state: State, now: datetime) -> None:
     """Queue a job for each map that was asked often enough since the night before; once a night, on one server of all
     that share a database."""
     options = JobOptions(kind=JobKind.LEARN, priority=JobPriority.LOW)
-    for name in state.library.names():
+    for name in state.maps.sync.names():
         try:
-            map_id = state.library.map_id(name)
-            if state.queries.newer_than(map_id, time.time() - _DAY_S) < FEWEST_QUERIES:
+            map_id = state.maps.sync.map_id(name)
+            if state.learning.store.newer_than(map_id, time.time() - _DAY_S) < FEWEST_QUERIES:
                 continue
             night = hashlib.blake2b(f"{map_id} {now:%Y-%m-%d}".encode(), digest_size=16).hexdigest()
-            if state.jobs.learning(name) is None:
-                state.jobs.submit("", name, options, night)
+            if state.jobs.sync.learning(name) is None:
+                state.jobs.sync.submit("", name, options, night)
         except RholocError as error:
             _log.warning("map_does_not_learn", map=name, error=error.message)
 
 
 _WORKS: dict[str, Callable[[State], None]] = {
-    "uploads": lambda state: state.uploads.sweep(),
-    "maps": lambda state: state.library.sweep(),
-    "recordings": lambda state: state.recordings.sweep(),
+    "uploads": lambda state: state.recordings.uploads.sweep(),
+    "maps": lambda state: state.maps.sync.sweep(),
+    "recordings": lambda state: state.recordings.sync.sweep(),
     "renderings": lambda state: state.renderings.sweep(),
-    "mapped recordings": lambda state: state.jobs.delete_mapped_recordings(
+    "mapped recordings": lambda state: state.jobs.sync.delete_mapped_recordings(
         state.settings.recording_retention_days * _DAY_S
     ),
-    "queries": lambda state: state.queries.sweep(_map_ids(state)),
-    "uploads of revoked keys": lambda state: state.quotas.abandon_uploads(),
-    "quotas": lambda state: state.quotas.tidy(),
+    "queries": lambda state: state.learning.store.sweep(_map_ids(state)),
+    "uploads of revoked keys": lambda state: state.quotas.sync.abandon_uploads(),
+    "quotas": lambda state: state.quotas.sync.tidy(),
     "learning": _learn,
 }

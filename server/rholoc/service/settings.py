@@ -2,18 +2,42 @@
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import os
+from enum import StrEnum
 from pathlib import Path
 
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from rholoc.jobs import BuildLimits, Capacity
+from rholoc.jobs import BuildLimits, Capacity, Stores
 from rholoc.localization import MIN_RECOGNIZED
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
-from rholoc.service.guard import KeyPolicy
+
+
+class KeyPolicy(StrEnum):
+    """When a request needs an API key."""
+
+    AUTO = "auto"  # unless the server listens on this machine alone
+    ALWAYS = "always"
+    NEVER = "never"  # something in front of the server authenticates clients
+
+
+def keys_needed(policy: KeyPolicy, host: str) -> bool:
+    """Whether a server that listens on ``host`` requires keys."""
+    return policy is KeyPolicy.ALWAYS or (policy is KeyPolicy.AUTO and not is_loopback(host))
+
+
+def is_loopback(host: str) -> bool:
+    if host == "localhost":  # names below it may be anybody's, where a resolver does not keep them here
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
 
 _JOB_MEMORY_SHARE = 0.75
 _MAP_MEMORY_SHARE = 1 / 16
@@ -178,6 +202,21 @@ class Settings(BaseSettings):
     def worker_capacity(self) -> Capacity:
         """How much a worker takes on."""
         return Capacity(self.worker_jobs, self.worker_memory_gib * 2**30)
+
+    def stores(self) -> Stores:
+        """Where the service keeps what it holds, not yet opened.
+
+        Raises:
+            InvalidInput: an URL is not valid.
+        """
+        return Stores(
+            self.maps_dir,
+            self.data_dir,
+            self.jobs_database,
+            self.shared_storage,
+            self.storage_cache_bytes,
+            self.map_cache_bytes,
+        )
 
     @property
     def jobs_database(self) -> str | None:

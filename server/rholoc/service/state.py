@@ -2,86 +2,67 @@
 
 from __future__ import annotations
 
-import asyncio
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import Depends, Request
 
-from rholoc.jobs import EmbeddedWorker, JobQueue, QueryStore, RecordingStore, UploadStore
-from rholoc.localization import AnyLocalizer, MapFinder
-from rholoc.maps import CameraLibrary, Map, MapLibrary, SiteLibrary
-from rholoc.service.audit import AuditLog
-from rholoc.service.bodies import HeldBodies
-from rholoc.service.compute import ComputePool
-from rholoc.service.exports import Exports
-from rholoc.service.job_events import JobEvents
-from rholoc.service.keys import KeyStore
-from rholoc.service.learning import Learner
-from rholoc.service.live import Live
-from rholoc.service.localizers import Localizers
-from rholoc.service.map_watch import MapWatch
-from rholoc.service.metrics import Metrics
-from rholoc.service.open_streams import OpenStreams
-from rholoc.service.quotas import Quotas
-from rholoc.service.readings import Readings
-from rholoc.service.renderings import Renderings
+from rholoc.jobs import EmbeddedWorker, Stores
+from rholoc.service.access.open_streams import OpenStreams
+from rholoc.service.frames.answerer import Answerer
+from rholoc.service.http.bodies import HeldBodies
+from rholoc.service.http.metrics import Metrics
+from rholoc.service.libraries import (
+    AsyncAudit,
+    AsyncCameras,
+    AsyncJobs,
+    AsyncKeys,
+    AsyncLearning,
+    AsyncMaps,
+    AsyncQuotas,
+    AsyncRecordings,
+    AsyncSites,
+)
+from rholoc.service.maps.exports import Exports
+from rholoc.service.maps.map_watch import MapWatch
+from rholoc.service.maps.renderings import Renderings
+from rholoc.service.operate.readings import Readings
 from rholoc.service.settings import Settings
-from rholoc.service.storage_threads import StorageLanes
-from rholoc.storage import SharedStorage
+from rholoc.service.threads.storage import StorageLanes
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What keeps the service running, and shows how it runs."""
+
+    stores: Stores
+    metrics: Metrics
+    readiness: Readings
+    worker: EmbeddedWorker | None
+    watch: MapWatch
+    lanes: StorageLanes
 
 
 @dataclass(frozen=True)
 class State:
-    """The parts of one running service."""
+    """The parts of one running service, each for one concern."""
 
     settings: Settings
-    library: MapLibrary
-    cameras: CameraLibrary
-    keys: KeyStore
-    audit: AuditLog
-    shared: SharedStorage | None
-    localizers: Localizers
-    finder: MapFinder
-    sites: SiteLibrary
-    watch: MapWatch
-    renderings: Renderings
-    compute: ComputePool
-    held_bodies: HeldBodies
-    exports: Exports
-    metrics: Metrics
-    live: Live
-    recordings: RecordingStore
-    uploads: UploadStore
-    jobs: JobQueue
-    job_events: JobEvents
-    queries: QueryStore
-    learner: Learner
-    worker: EmbeddedWorker | None
+    maps: AsyncMaps
+    cameras: AsyncCameras
+    sites: AsyncSites
+    recordings: AsyncRecordings
+    jobs: AsyncJobs
+    learning: AsyncLearning
+    keys: AsyncKeys
+    quotas: AsyncQuotas
+    audit: AsyncAudit
     streams: OpenStreams
-    quotas: Quotas
-    readiness: Readings
-    threads: StorageLanes
-    publishing: asyncio.Lock = field(default_factory=asyncio.Lock)  # a large map takes memory while it is checked
-
-    async def map(self, name: str) -> Map:
-        """The map of a name, fetched from the storage if it is not on this machine.
-
-        Raises:
-            InvalidName, UnknownMap, InvalidMap: as :meth:`rholoc.maps.MapLibrary.get` does.
-            StorageUnavailable, StorageFull: it cannot be fetched.
-        """
-        await self._fetch(name)
-        return await self.threads.files(self.library.get, name)
-
-    async def localizer(self, name: str) -> AnyLocalizer:
-        """The localizer of the map of a name. Raises as :meth:`map` does."""
-        await self._fetch(name)
-        return await self.threads.files(self.localizers.get, name)
-
-    async def _fetch(self, name: str) -> None:
-        if not await self.threads.files(self.library.is_here, name):
-            await self.threads.fetches(self.library.path, name)
+    frames: Answerer
+    held_bodies: HeldBodies
+    renderings: Renderings
+    exports: Exports
+    operation: Operation
 
 
 def _state(request: Request) -> State:

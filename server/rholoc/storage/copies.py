@@ -17,6 +17,7 @@ from pathlib import Path
 from rholoc.disk import reporting_full_disk
 from rholoc.errors import StorageFull, StorageUnavailable
 from rholoc.storage.objects import ObjectStorage
+from rholoc.storage.replica import MapRow
 
 _SUFFIX = ".rho"
 _BROKEN_OFF_AFTER_S = 3600.0
@@ -82,8 +83,24 @@ class Copies:
             raise StorageUnavailable(f"The storage gave {size} bytes of a map of {size_bytes}.", "Try again later.")
 
     def read(self, blob: str, start: int, length: int) -> bytes:
-        """Some bytes of an object, without a copy of all of it. Raises as :meth:`ObjectStorage.read`."""
+        """Some bytes of an object; no copy is made of it. Raises as :meth:`ObjectStorage.read`."""
+        with suppress(FileNotFoundError), self._path(blob).open("rb") as file:
+            file.seek(start)
+            return file.read(length)
         return self._objects.read(self._key(blob), start, length)
+
+    def follow(self, before: MapRow, after: MapRow) -> None:
+        """Fetch a map's new file where the old one was in use here, so that the next request need not wait for it.
+
+        Raises:
+            StorageUnavailable, StorageFull: it cannot be fetched.
+        """
+        if not self.has_followed(before, after):
+            self.path(after.blob, after.size_bytes)
+
+    def has_followed(self, before: MapRow, after: MapRow) -> bool:
+        """Whether :meth:`follow` would fetch nothing."""
+        return self.has(after.blob) or not self.has(before.blob)
 
     def has(self, blob: str) -> bool:
         """Whether there is a copy of an object here."""

@@ -1,244 +1,110 @@
-"""The maps that several servers share: files in object storage, which of them has which name in the catalogue."""
+"""The catalogue of maps that several servers share: files in object storage, their names in the database."""
 
 from __future__ import annotations
 
-import copy
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
 
-from rholoc.errors import InvalidMap
-from rholoc.maps import Map, MapInfo, MapLibrary, MapStat, check_map_name, load_map
-from rholoc.maps.library import KEPT_VERSIONS, changed, name_taken, no_version
-from rholoc.maps.rho_file import LENGTH_BYTES, MapOutline, header_bytes, load_info, outline_of
+from rholoc.disk import make_folder, temporary_folder
+from rholoc.maps import Map
+from rholoc.maps.catalogue import KEPT_VERSIONS, MapCatalogue, MapChange, MapFile
+from rholoc.maps.formats.rho_file import LENGTH_BYTES, MapOutline, header_bytes, outline_of
 from rholoc.storage.copies import Copies
-from rholoc.storage.objects import MissingObject
-from rholoc.storage.replica import MapRow, Replica
+from rholoc.storage.replica import Replica
 from rholoc.storage.tables import map_versions_table, maps_table
 
 _ORPHANED_AFTER_S = 6 * 3600.0  # an object that the catalogue does not name may be on its way into it
 
-WithPublishing = Callable[[sa.Connection, Map], None]
+ActOnPublishing = Callable[[sa.Connection, Map], None]
 
 
-@dataclass(frozen=True)
-class _Version:
-    """A map's file, wherever it stands: under the name, or replaced."""
+class StoredMaps(MapCatalogue):
+    """Catalogue of maps whose names are in the database and whose files are objects; see :class:`MapCatalogue`.
 
-    blob: str
-    size_bytes: int
-    map_id: str
-    version: int
-
-
-@dataclass(frozen=True)
-class StoredMap:
-    """The file of a map in the storage.
-
-    Attributes:
-        name: the map's.
-        number: 0 of the map of that name; of those that it replaced as in :meth:`MapLibrary.versions`.
-        blob: the object's name.
-        size_bytes: its size.
-    """
-
-    name: str
-    number: int
-    blob: str
-    size_bytes: int
-
-
-class SharedMapLibrary(MapLibrary):
-    """Maps of which the catalogue knows the names and the storage holds the files.
-
-    It does what :class:`rholoc.maps.MapLibrary` does, for all servers and workers that share the two. Files never
-    change once they are stored: a change of a map is one transaction of the catalogue, whole or not at all.
+    Files never change once they are stored: a change is one transaction, whole or not at all. Methods that change
+    something, and :meth:`versions`, raise SQLAlchemyError if the database does not answer.
 
     Args:
-        replica: the catalogue.
+        replica: the database's catalogue.
         copies: the files, as far as they are here.
-        cache_bytes: what the maps that are kept in memory may take, with what is derived from them.
+        act: called in each transaction that publishes a map; if it raises, nothing is published.
     """
 
-    def __init__(self, replica: Replica, copies: Copies, cache_bytes: float) -> None:
-        super().__init__(copies.folder, cache_bytes)
-        self._replica = replica
-        self._copies = copies
-        self._with_publishing: WithPublishing = lambda connection, map_: None
-        self._acts_on_publishing = False
+    holds_only_maps = True
 
-    def publishing_with(self, act: WithPublishing) -> SharedMapLibrary:
-        """This library, which does something more in each transaction that publishes a map, or does neither."""
-        library = copy.copy(self)
-        library._with_publishing, library._acts_on_publishing = act, True
-        return library
+    def __init__(self, replica: Replica, copies: Copies, act: ActOnPublishing | None = None) -> None:
+        self._replica, self._copies, self._act = replica, copies, act
+
+    @property
+    def folder(self) -> Path:
+        return self._copies.folder
 
     def names(self) -> list[str]:
-        """The names of all maps, sorted."""
         return sorted(self._replica.maps)
 
-    def is_known(self, name: str) -> bool:
-        """As :meth:`MapLibrary.is_known`, by the catalogue as it was last seen."""
-        return name in self._replica.maps
-
-    def is_here(self, name: str) -> bool:
-        """As :meth:`MapLibrary.is_here`: in memory, or copied to this disk."""
+    def find(self, name: str) -> MapFile | None:
         row = self._replica.maps.get(name)
         if row is None:
-            return False
-        return self._cache.get(name, self.stat(name).signature) is not None or self._copies.has(row.blob)
+            return None
+        return _present(row.blob, row.size_bytes, row.modified, row.revision, row.map_id, row.version)
 
-    def path(self, name: str) -> Path:
-        """A copy of the map's file, on this machine; it is fetched where there is none.
-
-        Raises:
-            InvalidName: it is not a name.
-            UnknownMap: there is no such map.
-            StorageUnavailable, StorageFull: it cannot be fetched.
-        """
-        row = self._row(name)
-        try:
-            return self._copies.path(row.blob, row.size_bytes)
-        except MissingObject:  # it was replaced, and the file removed, before this server heard of it
-            self._replica.refresh()
-            row = self._row(name)
-            return self._copies.path(row.blob, row.size_bytes)
-
-    def stored(self, connection: sa.Connection) -> list[StoredMap]:
-        """The files of all maps, and of those that they replaced, as a transaction sees them."""
-        present = _selected(maps_table).add_columns(maps_table.c.name, sa.literal(0).label("number"))
-        replaced = _selected(map_versions_table).add_columns(map_versions_table.c.name, map_versions_table.c.number)
-        found = []
-        for wanted in (present.where(maps_table.c.blob.is_not(None)), replaced):
-            rows = connection.execute(wanted).mappings()
-            found += [StoredMap(row["name"], row["number"], row["blob"], row["size_bytes"]) for row in rows]
-        return found
-
-    def fetch(self, stored: StoredMap, target: Path) -> None:
-        """Copy the file of a map from the storage.
-
-        Raises:
-            MissingObject: it was removed since, as the map was replaced often.
-            StorageUnavailable, StorageFull: it cannot be fetched.
-        """
-        self._copies.fetch(stored.blob, stored.size_bytes, target)
-
-    def stat(self, name: str) -> MapStat:
-        """Size, time and signature of a map's file.
-
-        Raises:
-            InvalidName: it is not a name.
-            UnknownMap: there is no such map.
-        """
-        row = self._row(name)
-        return MapStat(name, row.size_bytes, row.modified, (row.revision, int(row.modified * 1e9), row.size_bytes))
-
-    def map_id(self, name: str) -> str:
-        """As :meth:`MapLibrary.map_id`, without fetching the map."""
-        return self._row(name).map_id
-
-    def outline(self, name: str) -> MapOutline:
-        """As :meth:`MapLibrary.outline`; of a file that is not here only the header is fetched.
-
-        Raises:
-            StorageUnavailable: it cannot be fetched.
-        """
-        row, signature = self._row(name), self.stat(name).signature
-        known = self._outlines.get(name)
-        if known is not None and known[0] == signature:
-            return known[1]
-        if self._copies.has(row.blob):
-            return super().outline(name)
-        length = header_bytes(self._copies.read(row.blob, 0, LENGTH_BYTES), name)
-        found = outline_of(self._copies.read(row.blob, LENGTH_BYTES, length), name)
-        self._outlines[name] = (signature, found)
-        return found
+    def versions(self, name: str) -> list[MapFile]:
+        with self._replica.engine.connect() as connection:
+            return _Change(connection, 0).versions(name)
 
     def stamp(self) -> int:
-        """As :meth:`MapLibrary.stamp`: the catalogue's revision."""
         return self._replica.revision
 
-    def replace(self, name: str, next_version: Map) -> None:
-        """As :meth:`MapLibrary.replace`; what another server published meanwhile is seen, too."""
+    def refresh(self) -> None:
         with suppress(SQLAlchemyError):
             self._replica.refresh()
-        present = self.get(name).info
-        if present == next_version.info:
-            return
-        expected = (next_version.info.id, next_version.info.version - 1)
-        if (present.id, present.version) != expected:
-            raise changed(name)
 
-        def check(connection: sa.Connection, map_: Map) -> None:
-            stands = _present(connection, name)
-            if stands is None or (stands.map_id, stands.version) != expected:
-                raise changed(name)
-            self._with_publishing(connection, map_)
+    def look_again(self) -> None:
+        self._replica.look_again()
 
-        self.publishing_with(check).put(name, next_version)
+    def is_here(self, file: MapFile) -> bool:
+        return self._copies.has(file.key)
 
-    def previous(self, name: str) -> MapInfo | None:
-        """As :meth:`MapLibrary.previous`."""
-        return self._infos(name, most=1).get(1)
+    def local(self, file: MapFile) -> Path:
+        return self._copies.path(file.key, file.size_bytes)
 
-    def versions(self, name: str) -> dict[int, MapInfo]:
-        """As :meth:`MapLibrary.versions`."""
-        return self._infos(name, most=KEPT_VERSIONS)
+    def outline(self, file: MapFile, name: str) -> MapOutline:
+        length = header_bytes(self._copies.read(file.key, 0, LENGTH_BYTES), name)
+        return outline_of(self._copies.read(file.key, LENGTH_BYTES, length), name)
 
-    def restore(self, name: str, number: int = 1) -> None:
-        """As :meth:`MapLibrary.restore`."""
-        self.stat(name)
-        with self._replica.engine.connect() as connection:
-            wanted = _versions(connection, name).get(number)
-        if wanted is not None:
-            self._check_readable(name, wanted)
+    def make_room(self) -> None:
+        make_folder(self.folder)
+        self._copies.make_room()  # something else may have filled the disk
+
+    def store(self, arrived: Path, map_: Map) -> MapFile:
+        size_bytes = arrived.stat().st_size
+        blob = self._copies.store(arrived)
+        return _replaced(blob, size_bytes, map_.info.id, map_.info.version)
+
+    @contextmanager
+    def changing(self, published: Map | None = None) -> Iterator[MapChange]:
         with self._replica.changing() as (connection, revision):
-            present, kept = _present(connection, name), _versions(connection, name)
-            if present is None:
-                raise self._unknown(name)
-            if wanted is None or kept.get(number) != wanted:
-                raise no_version(name, number)
-            del kept[number]
-            _set_versions(connection, name, [present, *kept.values()])
-            _set_map(connection, name, wanted, revision)
+            if published is not None and self._act is not None:
+                self._act(connection, published)
+            yield _Change(connection, revision)
 
-    def delete(self, name: str) -> None:
-        """As :meth:`MapLibrary.delete`."""
-        self.stat(name)
-        with self._replica.changing() as (connection, revision):
-            if _present(connection, name) is None:
-                raise self._unknown(name)
-            _set_versions(connection, name, [])
-            _set_map(connection, name, None, revision)
-        self._cache.drop(name)
-
-    def rename(self, name: str, new_name: str) -> None:
-        """As :meth:`MapLibrary.rename`."""
-        check_map_name(new_name)
-        self.stat(name)
-        with self._replica.changing() as (connection, revision):
-            present, kept = _present(connection, name), _versions(connection, name)
-            if present is None:
-                raise self._unknown(name)
-            if _present(connection, new_name) is not None:
-                raise name_taken(new_name)
-            _set_versions(connection, name, [])
-            _set_versions(connection, new_name, list(kept.values()))
-            _set_map(connection, name, None, revision)
-            _set_map(connection, new_name, present, revision)
-        self._cache.drop(name)
+    def snapshot(self) -> Iterator[tuple[str, int, Path]]:
+        now, before = maps_table.c, map_versions_table.c
+        present = sa.select(now.name, sa.literal(0), now.blob, now.size_bytes).where(now.blob.is_not(None))
+        replaced = sa.select(before.name, before.number, before.blob, before.size_bytes)
+        with self._replica.engine.connect() as connection:  # one statement sees one moment
+            rows = connection.execute(present.union_all(replaced)).all()
+        with temporary_folder(self.folder) as folder:
+            for name, number, blob, size_bytes in rows:
+                self._copies.fetch(blob, size_bytes, folder / "file")
+                yield name, number, folder / "file"
 
     def sweep(self) -> None:
-        """Remove the files from the storage that the catalogue has not named for hours.
-
-        Raises:
-            SQLAlchemyError, StorageUnavailable: it is done the next time.
-        """
         self._copies.sweep()
         old = time.time() - _ORPHANED_AFTER_S
         stored = [blob for blob, modified in self._copies.stored() if modified < old]
@@ -249,94 +115,42 @@ class SharedMapLibrary(MapLibrary):
             if blob not in named:
                 self._copies.remove(blob)
 
-    def prepare(self, before: MapRow, after: MapRow) -> None:
-        """Fetch a map's new file where the old one was in use here, so that the next request need not wait for it.
 
-        Raises:
-            StorageUnavailable, StorageFull: it cannot be fetched.
-        """
-        if not self.is_prepared(before, after):
-            self._copies.path(after.blob, after.size_bytes)
+class _Change:
+    """A transaction of the catalogue, at its revision."""
 
-    def is_prepared(self, before: MapRow, after: MapRow) -> bool:
-        """Whether :meth:`prepare` would fetch nothing."""
-        return self._copies.has(after.blob) or not self._copies.has(before.blob)
+    def __init__(self, connection: sa.Connection, revision: int) -> None:
+        self._connection, self._revision = connection, revision
 
-    def readable(self) -> list[str]:
-        """The names of all maps: files were checked before the catalogue named them, and none is fetched to do so."""
-        return self.names()
+    def present(self, name: str) -> MapFile | None:
+        c = maps_table.c
+        wanted = sa.select(c.blob, c.size_bytes, c.modified, c.revision, c.map_id, c.version).where(c.name == name)
+        row = self._connection.execute(wanted.where(c.blob.is_not(None))).first()
+        return None if row is None else _present(*row)
 
-    def _make_folder(self) -> None:
-        super()._make_folder()
-        self._copies.make_room()  # something else may have filled the disk
+    def versions(self, name: str) -> list[MapFile]:
+        c = map_versions_table.c
+        wanted = sa.select(c.blob, c.size_bytes, c.map_id, c.version).where(c.name == name).order_by(c.number)
+        return [_replaced(*row) for row in self._connection.execute(wanted)]
 
-    def _holds_same(self, name: str, arrived: Path) -> bool:
-        return not self._acts_on_publishing and super()._holds_same(name, arrived)
-
-    def _publish(self, name: str, arrived: Path, map_: Map) -> None:
-        size_bytes = arrived.stat().st_size
-        published = _Version(self._copies.store(arrived), size_bytes, map_.info.id, map_.info.version)
-        with self._replica.changing() as (connection, revision):
-            self._with_publishing(connection, map_)
-            present, kept = _present(connection, name), _versions(connection, name)
-            if present is not None:
-                _set_versions(connection, name, [present, *kept.values()])
-            _set_map(connection, name, published, revision)
-
-    def _row(self, name: str) -> MapRow:
-        check_map_name(name)
-        row = self._replica.maps.get(name)
-        if row is None:
-            self._replica.look_again()  # another server may have published it just now
-            row = self._replica.maps.get(name)
-        if row is None:
-            raise self._unknown(name)
-        return row
-
-    def _infos(self, name: str, most: int) -> dict[int, MapInfo]:
-        check_map_name(name)
-        with self._replica.engine.connect() as connection:
-            kept = _versions(connection, name)
-        found = {}
-        for number in range(1, most + 1):
-            if number in kept:
-                with suppress(InvalidMap, MissingObject):
-                    found[number] = load_info(self._copies.path(kept[number].blob, kept[number].size_bytes))
-        return found
-
-    def _check_readable(self, name: str, version: _Version) -> None:
-        load_map(self._copies.path(version.blob, version.size_bytes), f"The map before {name}")
+    def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
+        self._connection.execute(map_versions_table.delete().where(map_versions_table.c.name == name))
+        for number, file in enumerate(versions[:KEPT_VERSIONS], start=1):
+            self._connection.execute(map_versions_table.insert().values(name=name, number=number, **_columns(file)))
+        values: dict[str, object] = {"modified": time.time(), "revision": self._revision}
+        values |= {"blob": None} if present is None else _columns(present)
+        changed = self._connection.execute(maps_table.update().where(maps_table.c.name == name).values(**values))
+        if not changed.rowcount:
+            self._connection.execute(maps_table.insert().values(name=name, **values))
 
 
-def _present(connection: sa.Connection, name: str) -> _Version | None:
-    """The map of a name, None where there is none."""
-    row = connection.execute(_selected(maps_table).where(maps_table.c.name == name)).mappings().first()
-    return None if row is None or row["blob"] is None else _Version(**row)
+def _present(blob: str, size_bytes: int, modified: float, revision: int, map_id: str, version: int) -> MapFile:
+    return MapFile(blob, size_bytes, modified, (revision, int(modified * 1e9), size_bytes), map_id, version)
 
 
-def _versions(connection: sa.Connection, name: str) -> dict[int, _Version]:
-    """The maps that were replaced under a name, by number."""
-    table = map_versions_table
-    wanted = _selected(table).add_columns(table.c.number).where(table.c.name == name).order_by(table.c.number)
-    rows = [dict(row) for row in connection.execute(wanted).mappings()]
-    return {row.pop("number"): _Version(**row) for row in rows}
+def _replaced(blob: str, size_bytes: int, map_id: str, version: int) -> MapFile:
+    return MapFile(blob, size_bytes, 0.0, (0, 0, size_bytes), map_id, version)
 
 
-def _selected(table: sa.Table) -> sa.Select[tuple[str, int, str, int]]:
-    return sa.select(table.c.blob, table.c.size_bytes, table.c.map_id, table.c.version)
-
-
-def _set_versions(connection: sa.Connection, name: str, versions: Sequence[_Version]) -> None:
-    """Keep these as the maps that were replaced under a name, the one that was replaced last first."""
-    connection.execute(map_versions_table.delete().where(map_versions_table.c.name == name))
-    for number, version in enumerate(versions[:KEPT_VERSIONS], start=1):
-        connection.execute(map_versions_table.insert().values(name=name, number=number, **asdict(version)))
-
-
-def _set_map(connection: sa.Connection, name: str, version: _Version | None, revision: int) -> None:
-    """Give a name to a map's file; to none where ``version`` is None."""
-    values: dict[str, object] = {"modified": time.time(), "revision": revision}
-    values |= {"blob": None} if version is None else asdict(version)
-    changed = connection.execute(maps_table.update().where(maps_table.c.name == name).values(**values))
-    if not changed.rowcount:
-        connection.execute(maps_table.insert().values(name=name, **values))
+def _columns(file: MapFile) -> dict[str, object]:
+    return {"blob": file.key, "size_bytes": file.size_bytes, "map_id": file.map_id, "version": file.version}

@@ -20,7 +20,7 @@ from obstore.store import from_url
 
 from rholoc import telemetry
 from rholoc.disk import is_full, reporting_full_disk, storage_full, sync_folder, write_file
-from rholoc.errors import InvalidInput, StorageUnavailable
+from rholoc.errors import InvalidInput, MissingObject, StorageUnavailable
 
 _SCHEMES = ("file", "s3", "gs", "az", "memory")
 _PIECE_BYTES = 8 * 2**20
@@ -29,10 +29,6 @@ _CONNECT_TIMEOUT_S = 5.0
 _RETRY_FOR_S = 20.0
 _RETRIES = 5
 _ATTEMPTS = 100  # to write beside an object that is being deleted
-
-
-class MissingObject(StorageUnavailable):
-    """The catalogue names an object that the storage does not have (any more)."""
 
 
 @dataclass(frozen=True)
@@ -196,11 +192,11 @@ class ObjectStorage:
 
 def _put_file(path: Path, content: bytes | Path, mode: int) -> None:
     for attempt in range(_ATTEMPTS):
-        path.parent.mkdir(mode, parents=True, exist_ok=True)
         try:
+            path.parent.mkdir(mode, parents=True, exist_ok=True)
             write_file(path, content if isinstance(content, bytes) else _pieces(content))
             return
-        except FileNotFoundError:  # the last object beside it was deleted, and the folder with it
+        except (FileNotFoundError, FileExistsError):  # the last object beside it is deleted, and the folder with it
             if attempt == _ATTEMPTS - 1:
                 raise
 

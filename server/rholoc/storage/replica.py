@@ -12,7 +12,7 @@ import time
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,8 +20,8 @@ import sqlalchemy as sa
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
+from rholoc.disk import replace_file
 from rholoc.errors import RholocError
-from rholoc.maps.files import replace_file
 from rholoc.storage.change_listener import ChangeListener, notify
 from rholoc.storage.tables import catalogue_table, documents_table, maps_table
 
@@ -82,13 +82,13 @@ class Replica:
     ) -> None:
         self._engine = engine
         self._prepare = prepare
-        self._needs_nothing = is_prepared
-        self._maps: dict[str, MapRow] = {}
-        self._documents: dict[str, bytes] = {}
+        self._is_prepared = is_prepared
+        self._maps: Mapping[str, MapRow] = {}
+        self._documents: Mapping[str, bytes] = {}
         self._revision = -1
         self._looked_again_s = float("-inf")
         self._looking = threading.Lock()
-        self._unprepared: dict[str, MapRow] = {}
+        self._unprepared: Mapping[str, MapRow] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._follower: threading.Thread | None = None
@@ -121,8 +121,9 @@ class Replica:
         Raises:
             SQLAlchemyError: the database does not answer; what was seen stays.
         """
-        changes = self._changes()
-        self._apply(self._prepared(changes, self._follower is None))
+        self._see(self._changes())
+        if self._follower is None:
+            self._see_late()
 
     def look_again(self) -> None:
         """Refresh on a miss, at most a few times a second. Only one thread waits for the database at a time."""
@@ -190,14 +191,38 @@ class Replica:
             {row["path"]: None if row["content"] is None else bytes(row["content"]) for row in documents},
         )
 
-    def _apply(self, changes: _Changes) -> None:
+    def _see(self, changes: _Changes) -> None:
+        """Show changes. Changed maps that have to be prepared are noted, and stay what they are meanwhile."""
         with self._lock:
             if changes.revision <= self._revision:  # another thread was quicker, and has seen all of this
                 return
+            late = {name: row for name, row in changes.maps.items() if row is not None and self._must_wait(name, row)}
             is_first = self._revision < 0  # all of the catalogue, in place of what was recalled
-            self._maps = _merged({} if is_first else self._maps, changes.maps)
+            shown = {name: self._maps[name] if name in late else row for name, row in changes.maps.items()}
+            self._maps = _merged({} if is_first else self._maps, shown)
             self._documents = _merged({} if is_first else self._documents, changes.documents)
+            self._unprepared = _merged(self._unprepared, {name: late.get(name) for name in changes.maps})
             self._revision = changes.revision
+
+    def _must_wait(self, name: str, row: MapRow) -> bool:
+        before = self._maps.get(name)
+        return before is not None and before.revision < row.revision and not self._is_prepared(before, row)
+
+    def _see_late(self) -> None:
+        """Prepare the maps that have to be, outside the lock, and show them unless they have changed again."""
+        for name, row in list(self._unprepared.items()):
+            before = self._maps.get(name)
+            if before is None:
+                continue  # it was deleted just now
+            try:
+                self._prepare(before, row)
+            except RholocError:
+                _log.warning("map_not_fetched", map=name, exc_info=True)
+                continue
+            with self._lock:
+                if self._unprepared.get(name) == row:
+                    self._unprepared = _merged(self._unprepared, {name: None})
+                    self._maps = _merged(self._maps, {name: row})
 
     def _follow(self) -> None:
         failing = False
@@ -205,9 +230,8 @@ class Replica:
         while not self._stopping.is_set():
             listener.wait(FOLLOW_EVERY_S, self._stopping)
             try:
-                changes = self._changes()
-                self._apply(self._prepared(changes, may_wait=True))
-                self._apply_late()
+                self._see(self._changes())
+                self._see_late()
                 self._keep()
                 failing = False
             except Exception:  # whatever it was, later changes are still to be seen
@@ -228,46 +252,6 @@ class Replica:
         with suppress(OSError, RholocError):  # a full disk: what was kept before is better than nothing
             replace_file(self._kept_in, json.dumps(kept).encode(), called="the catalogue", mode=0o600)
             self._kept_revision = revision
-
-    def _prepared(self, changes: _Changes, may_wait: bool) -> _Changes:
-        """Changes with the maps that are ready to be asked; the others are noted, and stay what they are meanwhile."""
-        ready = {}
-        for name, row in changes.maps.items():
-            if row is None or self._is_prepared(name, row, may_wait):
-                ready[name] = row
-            with self._lock:
-                noted = self._unprepared.get(name)
-                if noted is not None and noted.revision > changes.revision:
-                    continue  # by a thread that was quicker, and has seen more
-                if row is None or name in ready:
-                    self._unprepared.pop(name, None)
-                else:
-                    self._unprepared[name] = row
-        return replace(changes, maps=ready)
-
-    def _is_prepared(self, name: str, row: MapRow, may_wait: bool) -> bool:
-        before = self._maps.get(name)
-        if before is None or before.revision >= row.revision or self._needs_nothing(before, row):
-            return True
-        if not may_wait:
-            return False
-        try:
-            self._prepare(before, row)
-        except RholocError:
-            _log.warning("map_not_fetched", map=name, exc_info=True)
-            return False
-        return True
-
-    def _apply_late(self) -> None:
-        """See the maps that could not be prepared before and now can."""
-        late = {name: row for name, row in list(self._unprepared.items()) if self._is_prepared(name, row, True)}
-        with self._lock:
-            for name, row in late.items():
-                if self._unprepared.get(name) == row:
-                    del self._unprepared[name]
-            present = self._maps
-            newer = {n: row for n, row in late.items() if n in present and present[n].revision < row.revision}
-            self._maps = _merged(present, newer)
 
 
 T = TypeVar("T")

@@ -120,7 +120,7 @@ uploads_table = sa.Table(
     sa.Column("touched", sa.Float, nullable=False),
 )
 
-# The requests that changed something, of all servers; see :mod:`rholoc.service.audit`.
+# The requests that changed something, of all servers; see :mod:`rholoc.service.access.audit`.
 changes_table = sa.Table(
     "rholoc_changes",
     metadata,

@@ -12,7 +12,6 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, Pose, Similarity
 from rholoc.recordings import Waypoint
 from rholoc.trajectory import Scale
-from rholoc.trajectory.frame import map_frame
 from rholoc.trajectory.frame.map_frame import (
     MapFrame,
     ScaleMeasurement,
@@ -22,7 +21,7 @@ from rholoc.trajectory.frame.map_frame import (
     up_by_gravity,
     up_by_pictures,
 )
-from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement, WaypointAlignment
+from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement
 
 TIMES = np.linspace(0.0, 30.0, 91)
 TURNED = Rotation.from_euler("xyz", [0.4, -0.3, 0.9]).as_matrix()
@@ -190,26 +189,6 @@ def test_waypoints_that_no_choice_fits_fail() -> None:
 @pytest.mark.parametrize(("sigma", "metric"), [(0.09, True), (0.11, False)])
 def test_a_scale_known_to_a_tenth_is_a_scale(sigma: float, metric: bool) -> None:
     assert (first(UP, sigma).scale is Scale.METRIC) is metric
-
-
-@pytest.mark.parametrize(
-    ("off_m", "next_off_m", "doubted"),
-    [(0.05, 0.099, True), (0.05, 0.101, False), (0.0, 0.039, True), (0.0, 0.041, False)],
-)
-def test_the_next_best_choice_must_be_twice_as_bad(
-    off_m: float, next_off_m: float, doubted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Than the best, or than two centimetres; by the waypoint that is missed furthest."""
-    missed_m = {0: next_off_m, 1: off_m, 2: next_off_m + 0.05}
-    choices = [tuple(replace(one, time=float(k)) for one in waypoints(0, 25, 50)) for k in missed_m]
-
-    def align(times: FloatArray, positions: FloatArray, chosen: tuple[Waypoint, ...]) -> WaypointAlignment:
-        return WaypointAlignment(Similarity.identity(), np.array([0.0, missed_m[int(chosen[0].time)], np.nan]))
-
-    monkeypatch.setattr(map_frame, "align_to_waypoints", align)
-    found = frame_of_waypoints(TIMES, reconstructed(), choices, None, "")
-    assert ("Other pauses" in " ".join(found.doubts)) is doubted
-    assert found.waypoints == choices[1]
 
 
 def test_a_camera_that_looks_straight_up_has_any_heading() -> None:

@@ -8,7 +8,6 @@ import pytest
 from rholoc.errors import InvalidWaypoints
 from rholoc.geometry import BoolArray, FloatArray, pose_matrix
 from rholoc.recordings import Imu, Waypoint
-from rholoc.trajectory.frame import waypoint_times
 from rholoc.trajectory.frame.map_frame import frame_of_waypoints
 from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
 
@@ -98,16 +97,6 @@ def test_how_fast_a_picture_at_rest_may_tremble(rate: float, imu: bool, still: b
     assert (len(found) == 1) is still
     if still:
         np.testing.assert_allclose(found, [[0.0, _TIMES[-1]]])
-
-
-@pytest.mark.parametrize(("seconds", "counts"), [(0.85, False), (0.95, True)])
-def test_a_pause_of_a_second_may_be_a_tenth_too_short(
-    seconds: float, counts: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    times = np.arange(0.0, 10.0, 0.05)
-    felt = Imu(times, np.zeros((200, 3)), np.zeros((200, 3)), True, None)
-    monkeypatch.setattr(waypoint_times, "is_still", lambda imu: (imu.times > 3) & (imu.times < 3 + seconds + 0.051))
-    assert len(find_pauses(times, np.zeros(200), felt)) == counts
 
 
 def test_pictures_are_judged_by_a_moment_and_outside_of_its_table_the_imu_does_not_rest() -> None:

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray
 from rholoc.recordings import Imu
-from rholoc.trajectory.inertial import gyroscope
 from rholoc.trajectory.inertial.gyroscope import (
     GyroCalibration,
     allowed_apart,
@@ -146,68 +145,6 @@ def test_what_counts_as_known(mounting_sigma_deg: float, residual_deg: float, kn
     assert (found.mounting_is_known, found.fits) == (known, fits)
 
 
-def _calibration(residual_deg: float, turned_deg: float = 0.0, mounting_sigma_deg: float = 0.0) -> GyroCalibration:
-    R = R_CAMERA_IMU @ Rotation.from_euler("y", turned_deg, degrees=True).as_matrix()
-    return GyroCalibration(0.0, 0.0, np.zeros(3), 0.0, R, False, mounting_sigma_deg, residual_deg)
-
-
-@pytest.mark.parametrize(
-    ("stated", "found", "believed"),
-    [
-        (_calibration(1.0), _calibration(0.3, 90.0), True),
-        (_calibration(1.0), _calibration(0.35, 90.0), False),  # not three times better
-        (_calibration(1.0), _calibration(0.1, 14.0), False),  # much the same mounting
-        (_calibration(1.0), _calibration(0.1, 16.0), True),
-        (_calibration(1.0), _calibration(0.1, 90.0, 2.9), True),
-        (_calibration(1.0), _calibration(0.1, 90.0, 3.1), False),  # hardly known
-        (_calibration(1.0), None, False),
-        (None, _calibration(0.1, 90.0), False),
-    ],
-)
-def test_another_mounting_is_believed_where_it_is_clearly_better(
-    stated: GyroCalibration | None, found: GyroCalibration | None, believed: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fit(times: FloatArray, R: FloatArray, imu: Imu) -> GyroCalibration | None:
-        return found if imu.R_camera_imu is None else stated
-
-    monkeypatch.setattr(gyroscope, "_fit", fit)
-    imu = replace(_imu(np.zeros(3)), R_camera_imu=R_CAMERA_IMU)
-    chosen = calibrate_gyro(np.zeros(0), np.zeros((0, 3, 3)), imu)
-    if not believed:
-        assert chosen is stated
-        return
-    assert found is not None
-    assert chosen is not None
-    assert chosen.contradicts_recording
-    assert chosen.R_camera_imu is found.R_camera_imu
-
-
-@pytest.mark.parametrize(
-    ("near", "far", "chosen"),
-    [
-        (0.29, 0.01, "near"),
-        (0.31, 0.15, "far"),
-        (0.31, 0.17, "near"),  # not twice as good
-        (2.0, None, "near"),
-        (None, 0.1, "none"),
-    ],
-)
-def test_clocks_far_apart_are_looked_for_where_near_ones_do_not_fit(
-    near: float | None, far: float | None, chosen: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = {"near": None if near is None else _calibration(near), "far": None if far is None else _calibration(far)}
-    tried = []
-
-    def fit(offsets: FloatArray, *_: object) -> GyroCalibration | None:
-        tried.append(tuple(np.round(offsets[[0, -1]], 3)))
-        return found["near" if offsets[-1] < 1 else "far"]
-
-    monkeypatch.setattr(gyroscope, "_fit_within", fit)
-    assert gyroscope._fit(np.zeros(0), np.zeros((0, 3, 3)), _imu(np.zeros(3))) is found.get(chosen)
-    assert tried[0] == (-0.25, 0.25)
-    assert tried[1:] == ([(-2.0, 2.0)] if near is not None and near > 0.3 else [])
-
-
 @pytest.mark.parametrize("delay_s", [0.037, -0.104])
 def test_without_noise_clock_bias_and_mounting_are_exact(delay_s: float) -> None:
     """A camera that sways; the gyroscope reads midway between its own rotations."""
@@ -218,7 +155,7 @@ def test_without_noise_clock_bias_and_mounting_are_exact(delay_s: float) -> None
     bias = np.array([0.01, -0.02, 0.015])
     imu = Imu(fine_s[:-1] + 0.0005 + delay_s, np.zeros((len(rate), 3)), rate @ R_CAMERA_IMU + bias, True, None)
     rows = np.searchsorted(fine_s, np.arange(0.0, 8.0, 0.1))
-    found = gyroscope._fit(fine_s[rows], turn[rows].as_matrix(), imu)
+    found = calibrate_gyro(fine_s[rows], turn[rows].as_matrix(), imu)
     assert found is not None
     assert found.time_offset_s == pytest.approx(delay_s, abs=5e-4)
     np.testing.assert_allclose(found.bias, bias, atol=2e-4)
@@ -234,7 +171,7 @@ def test_sigmas_are_those_of_the_fit() -> None:
     shaken = (
         walk.T_map_camera[:, :3, :3] @ Rotation.from_rotvec(np.radians(rng.normal(0, noise_deg, (100, 3)))).as_matrix()
     )
-    found = gyroscope._fit(walk.times, shaken, walk.imu)
+    found = calibrate_gyro(walk.times, shaken, walk.imu)
     assert found is not None
     sigma_rad = np.radians(noise_deg * np.sqrt(2))  # of a rotation from one to the next
     assert np.radians(found.residual_deg) == pytest.approx(1.54 * sigma_rad, rel=0.25)  # the median of a norm
@@ -245,13 +182,3 @@ def test_sigmas_are_those_of_the_fit() -> None:
     rates = np.column_stack([np.interp(walk.times, walk.imu.times, axis) for axis in walk.imu.angular_velocity.T])
     changes = np.sqrt(np.sum(np.diff(rates, axis=0) ** 2))
     assert found.time_offset_sigma_s == pytest.approx(sigma_rad / changes, rel=0.25)
-
-
-def test_some_eight_intervals_are_needed_within_the_imus_table() -> None:
-    sway = np.column_stack([np.sin(3 * _TIMES), np.cos(2 * _TIMES), np.sin(_TIMES)])
-    imu = _imu(sway)
-    R = orientations(imu, np.zeros(3)).as_matrix()
-    for first_s, last_s, enough in ((0.5, 1.85, False), (0.5, 2.15, True), (0.05, 1.6, False), (6.4, 8.0, False)):
-        here = (first_s <= _TIMES) & (last_s >= _TIMES)
-        found = gyroscope._fit_within(gyroscope._NARROW_OFFSETS_S, _TIMES[here], R[here], imu)
-        assert (found is not None) is enough, (first_s, last_s)

@@ -7,14 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from hand_held import hand_held_walk
-from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, angles_between, umeyama
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro
-from rholoc.trajectory.initialization import inertial_start as module
-from rholoc.trajectory.initialization.inertial_start import InertialStart, _covered, _integrated, inertial_start
+from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
 from rholoc.trajectory.visual.directions import PairDirection
 
 _BIAS = np.array([0.08, -0.05, 0.06])  # m/s²
@@ -106,43 +104,6 @@ def test_directions_worse_than_they_claim_do_not_shrink_the_walk(walk: _Walk) ->
     assert umeyama(walk.started(noisy).positions, walk.true).scale == pytest.approx(1, abs=0.25)
 
 
-_FORCE = np.array([0.3, -0.5, 9.9])  # m/s², in the world's axes
-_KEYFRAMES_S = np.array([0.105, 0.4, 1.0, 1.733])
-_GYRO = GyroCalibration(0.0, 0.0, np.zeros(3), 0.0, np.eye(3), False, 0.0, 0.0)
-
-
-def _imu(turn_rad_s: float) -> Imu:
-    """Two seconds at 200 Hz of one force, felt by an IMU that turns about the world's z axis."""
-    times = np.arange(0, 2, 0.005)
-    turned = Rotation.from_rotvec(times[:, None] * [0, 0, turn_rad_s])
-    felt = turned.inv().apply(np.tile(_FORCE, (len(times), 1)))
-    return Imu(times, felt, np.tile([0, 0, turn_rad_s], (len(times), 1)), True, None)
-
-
-@pytest.mark.parametrize("turn_rad_s", [0.0, 0.8])
-def test_a_constant_force_makes_speed_and_way(turn_rad_s: float) -> None:
-    R = Rotation.from_rotvec(_KEYFRAMES_S[:, None] * [0, 0, turn_rad_s]).as_matrix()
-    speed, way, by_v, by_p = _integrated(_imu(turn_rad_s), _GYRO, _KEYFRAMES_S, R)
-    dt = np.diff(_KEYFRAMES_S)[:, None]
-    np.testing.assert_allclose(speed, _FORCE * dt, atol=2e-3)
-    np.testing.assert_allclose(way, _FORCE * dt**2 / 2, atol=2e-3)
-    middle = Rotation.from_rotvec(0.5 * (_KEYFRAMES_S[1:] + _KEYFRAMES_S[:-1])[:, None] * [0, 0, turn_rad_s])
-    np.testing.assert_allclose(by_v, -dt[:, :, None] * middle.as_matrix(), atol=0.02)
-    np.testing.assert_allclose(by_p[:, 2, 2], -(dt[:, 0] ** 2) / 2, atol=1e-9)
-    if turn_rad_s == 0:
-        np.testing.assert_allclose(by_p, -(dt[:, :, None] ** 2) / 2 * np.eye(3), atol=1e-9)
-
-
-def test_an_interval_is_covered_by_a_table_without_a_gap() -> None:
-    imu = _imu(0.0)
-    kept = (imu.times < 0.5) | (imu.times > 0.9)
-    torn = replace(imu, times=imu.times[kept], acceleration=imu.acceleration[kept])
-    torn = replace(torn, angular_velocity=imu.angular_velocity[kept])
-    keyframes_s = np.array([-0.1, 0.1, 0.4, 0.6, 0.8, 1.0, 1.5, 1.9, 2.1])
-    assert _covered(keyframes_s, torn).tolist() == [False, True, False, False, False, True, True, False]
-    assert _covered(keyframes_s, imu).tolist() == [False, True, True, True, True, True, True, False]
-
-
 _R_CAMERA_IMU = Rotation.from_euler("xyz", [80, 10, 5], degrees=True).as_matrix()
 _SPEED, _PUSH = np.array([0.4, -0.2, 0.1]), np.array([0.3, 0.25, -0.1])
 _STEPS_S = np.cumsum([0.0, 0.2, 0.3, 0.25, 0.2, 0.4, 0.35, 0.3])
@@ -172,24 +133,6 @@ def _ways(positions: FloatArray) -> list[PairDirection]:
     pairs = [(i, j) for j in range(len(positions)) for i in range(max(0, j - 3), j)]
     units = [(positions[j] - positions[i]) / np.linalg.norm(positions[j] - positions[i]) for i, j in pairs]
     return [PairDirection(i, j, unit, 0.01) for (i, j), unit in zip(pairs, units, strict=True)]
-
-
-def test_the_true_walk_solves_the_equations_of_motion() -> None:
-    positions, speeds, R, imu, gyro = _pushed(_BIAS, 0.0)
-    motion = module._equations_of_motion(_STEPS_S + _DELAY_S, R, imu, gyro, np.arange(7) != 2)
-    true = np.concatenate([[0, 0, -GRAVITY], _BIAS, np.column_stack([speeds, positions]).ravel()])
-    A = module._stacked(
-        motion, module._direction_rows(np.array([1, 4]), np.array([3, 5]), np.array([[0, 0.6, 0.8]] * 2))
-    )
-    np.testing.assert_allclose((A @ true)[: len(motion.measured)], motion.measured, atol=1e-9)
-    across = (A @ true)[len(motion.measured) :].reshape(2, 3)
-    for found, (i, j) in zip(across, [(1, 3), (4, 5)], strict=True):
-        way = positions[j] - positions[i]
-        np.testing.assert_allclose(found, way - (way @ [0, 0.6, 0.8]) * np.array([0, 0.6, 0.8]), atol=1e-12)
-    dt = np.diff(_STEPS_S)
-    sigmas = motion.sigmas.reshape(2, 7, 3) / np.where(np.arange(7) == 2, 1e3, 1)[:, None]  # over a gap next to nothing
-    np.testing.assert_allclose(sigmas[0], np.tile(0.03 * np.sqrt(dt)[:, None], 3))
-    np.testing.assert_allclose(sigmas[1], np.tile(np.sqrt(0.03**2 * dt**3 / 3 + 0.002**2)[:, None], 3))
 
 
 def test_exact_measurements_give_the_exact_walk() -> None:
@@ -222,78 +165,3 @@ def test_half_of_a_walk_must_be_covered() -> None:
         part = replace(imu, times=imu.times[kept], acceleration=imu.acceleration[kept])
         part = replace(part, angular_velocity=imu.angular_velocity[kept])
         assert (inertial_start(_STEPS_S, R, _ways(positions), part, gyro) is not None) is starts
-
-
-def test_a_force_that_turns_is_summed_where_it_was_felt_and_a_bias_counts_as_less() -> None:
-    """By the accelerometer's bias the sums are linear: differences give the derivatives exactly."""
-    rng = np.random.default_rng(1)
-    times = np.arange(0, 2, 0.01)
-    rate = np.column_stack([np.sin(times), np.cos(2 * times), 0.5 + 0 * times])
-    imu = Imu(times, rng.normal(0, 1, (len(times), 3)), rate, True, None)
-    gyro = replace(_GYRO, R_camera_imu=_R_CAMERA_IMU, bias=np.array([0.1, -0.2, 0.05]))
-    keyframes_s = np.array([0.004, 0.5, 0.507, 1.111, 1.98])
-    R = Rotation.random(5, rng=rng).as_matrix()
-    speed, way, by_v, by_p = _integrated(imu, gyro, keyframes_s, R)
-    for axis in range(3):
-        more = replace(imu, acceleration=imu.acceleration - np.eye(3)[axis])
-        other_speed, other_way, *_ = _integrated(more, gyro, keyframes_s, R)
-        np.testing.assert_allclose(other_speed - speed, by_v[:, :, axis], atol=1e-12)
-        np.testing.assert_allclose(other_way - way, by_p[:, :, axis], atol=1e-12)
-    turn = np.linalg.inv(R[0] @ _R_CAMERA_IMU) @ by_v[0] / -(keyframes_s[1] - keyframes_s[0])
-    mean_rate = rate[times < 0.5].mean(axis=0) - gyro.bias
-    expected = Rotation.from_rotvec(0.5 * 0.5 * mean_rate).as_matrix()  # about half of the turn
-    assert np.degrees(Rotation.from_matrix(expected.T @ turn, assume_valid=True).magnitude()) < 3
-
-
-def test_outside_of_the_imus_table_nothing_is_summed() -> None:
-    speed, way, by_v, by_p = _integrated(
-        _imu(0.0), _GYRO, np.array([-2.0, -1.0, 0.5, 3.0, 4.0]), np.tile(np.eye(3), (5, 1, 1))
-    )
-    for sums in (speed, way, by_v, by_p):
-        assert not sums[[0, 3]].any()
-    np.testing.assert_allclose(speed[1:3], np.outer([0.5, 1.495], _FORCE), rtol=1e-6)
-
-
-def test_the_border_and_the_band_are_solved_as_one_system() -> None:
-    rng = np.random.default_rng(0)
-    n = 6 + 6 * 5
-    band = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) < 12
-    band[:6], band[:, :6] = True, True
-    A = rng.normal(size=(n, n)) * band
-    information = A @ A.T + 10 * np.eye(n)
-    target = rng.normal(size=n)
-    found = module._solved(csr_matrix(information).tocsc(), target)
-    np.testing.assert_allclose(found, np.linalg.solve(information, target), atol=1e-10)
-
-
-def test_weights_of_motion_fall_from_two_sigmas_on_or_from_twice_the_usual() -> None:
-    felt = np.array([0.0, 0.1, 0.4, 2.0, 6.0])
-    np.testing.assert_allclose(module._weights_of_motion(felt), 1 / (1 + felt**2 / 4))
-    np.testing.assert_allclose(module._weights_of_motion(10 * felt), 1 / (1 + (felt / 0.8) ** 2))
-
-
-def test_weights_of_directions_fall_with_the_angle_and_next_to_nothing_is_left_of_a_backward_one() -> None:
-    unit = np.tile([0.0, 0.0, 1.0], (4, 1))
-    sigma = np.full(4, 0.02)
-    between = np.array([[0.0, 0, 0.5], [0.02, 0, 0.5], [0.0, 0, -0.5], [0.0004, 0, 0.0]])
-    off = np.array([0.0, 0.02 / (0.02 * np.hypot(0.02, 0.5)), 3.0, 0.0004 / (0.02 * 0.02)])
-    np.testing.assert_allclose(module._weights_of_directions(between, unit, sigma), 1 / (1 + off**2 / 4) ** 2)
-
-
-def test_a_way_is_to_turn_to_its_direction_and_keeps_its_length() -> None:
-    """What is wanted lies across the way; one that is no way yet, or leads backward, is only to lose what is across."""
-    unit = np.tile([0.0, 0.6, 0.8], (3, 1))
-    between = np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 0.015], [0.0, 0.0, -1.0]])
-    toward, wanted = module._turned_to(between, unit)
-    np.testing.assert_allclose(toward, [[0, 0, 1], unit[1], unit[2]])
-    np.testing.assert_allclose(wanted, [[0.0, 1.2, 0.0], [0, 0, 0], [0, 0, 0]], atol=1e-12)
-
-
-def test_an_interval_that_ends_with_the_table_is_covered() -> None:
-    imu = _imu(0.0)
-    ends = np.array([imu.times[0], imu.times[100], imu.times[-1]])
-    assert _covered(ends, imu).tolist() == [True, True]
-    kept = (np.arange(400) < 101) | (np.arange(400) > 180)
-    torn = Imu(imu.times[kept], imu.acceleration[kept], imu.angular_velocity[kept], True, None)
-    at = imu.times[[0, 100, 181, 399]]
-    assert _covered(at, torn).tolist() == [True, False, True]

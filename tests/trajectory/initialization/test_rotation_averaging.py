@@ -8,7 +8,6 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.initialization import rotation_averaging
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.visual.two_view import PairRotation
 
@@ -94,11 +93,6 @@ def _gyro_sigma_deg(seconds: float) -> float:
     return float(np.sqrt(0.02**2 + 0.05**2 * seconds + (np.degrees(1e-3) * seconds) ** 2))
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.3, 2.0, 30.0])
-def test_what_a_gyroscope_is_worth_after_a_while(seconds: float) -> None:
-    assert np.degrees(rotation_averaging._gyro_sigma_rad(seconds)) == pytest.approx(_gyro_sigma_deg(seconds))
-
-
 @pytest.mark.parametrize(("apart_deg", "seconds"), [(0.3, 2.0), (0.8, 5.0), (3.0, 5.0), (0.5, 60.0)])
 def test_pictures_and_gyroscope_meet_by_what_they_are_worth(apart_deg: float, seconds: float) -> None:
     """Two keyframes, about one axis: pictures to 0.4°, doubted from twice that on."""
@@ -113,29 +107,3 @@ def test_pictures_and_gyroscope_meet_by_what_they_are_worth(apart_deg: float, se
     found, _ = average_rotations(2, [pair], np.array([0.0, seconds]), Rotation.identity(2))
     turned = Rotation.from_matrix(found[0].T @ found[1]).as_rotvec(degrees=True)
     np.testing.assert_allclose(turned, [0, 0, expected], atol=2e-3)
-
-
-@pytest.mark.parametrize(("apart", "support", "way"), [(12, 900, "loop"), (13, 900, "chain"), (12, 5, "chain")])
-def test_the_start_follows_neighbours_with_most_support(apart: int, support: int, way: str) -> None:
-    """A chain of pairs, and one that says something else of its ends: it is believed as a neighbour, if better."""
-    step = Rotation.from_euler("y", 3, degrees=True)
-    chain = [PairRotation(k, k + 1, step.inv().as_matrix(), 60) for k in range(apart)]
-    other = Rotation.from_euler("x", 70, degrees=True)
-    R, component = rotation_averaging._spread(
-        apart + 1, [*chain, PairRotation(0, apart, other.inv().as_matrix(), support)]
-    )
-    end = Rotation.from_euler("y", 3 * apart, degrees=True) if way == "chain" else other
-    np.testing.assert_allclose(R[-1], end.as_matrix(), atol=1e-12)
-    assert set(component.tolist()) == {0}
-
-
-def test_the_first_of_every_piece_is_the_identity() -> None:
-    pairs = [
-        PairRotation(3, 1, Rotation.from_euler("x", 10, degrees=True).as_matrix(), 9),
-        PairRotation(2, 4, np.eye(3), 9),
-    ]
-    R, component = rotation_averaging._spread(5, pairs)
-    assert component.tolist() == [0, 1, 2, 1, 2]
-    np.testing.assert_allclose(R[[0, 1, 2, 4]], np.tile(np.eye(3), (4, 1, 1)), atol=1e-12)
-    # R_1_3 turns by ten degrees about x, and 3 is seen from 1
-    np.testing.assert_allclose(R[3], Rotation.from_euler("x", 10, degrees=True).as_matrix(), atol=1e-12)

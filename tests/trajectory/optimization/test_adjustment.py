@@ -12,7 +12,6 @@ from scene import CAMERA, arc, cloud, in_pixels
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, pose_matrix, umeyama
-from rholoc.recordings import GRAVITY
 from rholoc.trajectory.optimization import adjustment
 from rholoc.trajectory.optimization.adjustment import (
     GUESSED,
@@ -195,17 +194,6 @@ def test_a_wrong_sighting_moves_nothing() -> None:
     adjusted = adjust(problem, State(_disturbed(T, 4), np.zeros((_POINTS, 3)), CAMERA), 15)
     to_truth = umeyama(adjusted.state.positions, T[:, :3, 3])
     assert np.linalg.norm(to_truth.points(adjusted.state.positions) - T[:, :3, 3], axis=1).max() < 0.012
-
-
-def test_gravity_is_free_where_the_waypoints_are_not_level() -> None:
-    T = arc(2)
-    problem = Problem(np.arange(2.0), _sightings(T, cloud(5), 0.0, 0), fixes=(Fix(0, (0.0, 0.0, 0.0), 0.02),))
-    level = adjustment._gravity_prior(problem).sigmas()
-    free = adjustment._gravity_prior(replace(problem, level_sigma_rad=None)).sigmas()
-    upright = adjustment._gravity_prior(replace(problem, fixes=())).sigmas()
-    assert np.all(free >= GRAVITY)
-    assert upright[0] < level[0] < 0.1
-    assert upright[2] == level[2] == pytest.approx(0.05)
 
 
 def test_a_keyframe_that_sees_nothing_stays_and_says_that_it_is_not_known() -> None:

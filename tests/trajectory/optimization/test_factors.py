@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
+from gtsam.symbol_shorthand import B, C, E, G, S, V, X
 from scene import CAMERA, arc, cloud, in_pixels
 from scipy.spatial.transform import Rotation
 
@@ -17,10 +16,7 @@ from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization import adjustment
 from rholoc.trajectory.optimization.adjustment import (
-    GIVEN,
-    GUESSED,
     Adjusted,
-    CameraSigmas,
     Fix,
     InertialState,
     Problem,
@@ -60,63 +56,6 @@ def _factors_of(graph: gtsam.NonlinearFactorGraph, *keys: int) -> list[gtsam.Non
     """Those between just these unknowns."""
     every = (graph.at(i) for i in range(graph.size()))
     return [factor for factor in every if sorted(factor.keys()) == sorted(keys)]
-
-
-def _covariance(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> FloatArray:
-    """Of the one unknown that a factor measures."""
-    A = factor.linearize(values).jacobian()[0]
-    return np.asarray(np.linalg.inv(A.T @ A))
-
-
-def _sigmas(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> FloatArray:
-    return np.sqrt(np.diag(_covariance(factor, values)))
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_sightings_cost_what_cauchys_loss_makes_of_their_distance(known: bool) -> None:
-    """Two sigmas are where it begins to doubt; intrinsics at their guess cost nothing more."""
-    T, points = arc(3), cloud(10)
-    observations = _sightings(T, points, 1.5)
-    used = np.arange(len(observations)) % 4 > 0
-    problem = Problem(np.arange(3.0), observations, camera_sigmas=None if known else GUESSED, pixel_sigma_px=0.6)
-    state = State(T, points, CAMERA)
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for k, one in enumerate(T):
-        values.insert(C(k), gtsam.Pose3(one))
-    adjustment._add_sightings(graph, values, problem, state, used)
-    seen = np.concatenate([in_pixels(points, one) for one in T])
-    off_px = residuals_px(observations, state) if known else np.linalg.norm(seen - observations.pixels, axis=1)
-    assert graph.error(values) == pytest.approx(_cauchy((off_px[used] / 0.6) ** 2, 2.0), rel=1e-4)
-    assert values.exists(D(0)) is not known
-
-
-@pytest.mark.parametrize("sigmas", [GUESSED, GIVEN, CameraSigmas(0.1, 0.02, 0.3)])
-def test_intrinsics_are_known_as_well_as_is_said(sigmas: CameraSigmas) -> None:
-    camera = replace(CAMERA, fx=500.0, fy=520.0)
-    covariance = adjustment._camera_prior(camera, sigmas).covariance()
-    deviations = np.sqrt(np.diag(covariance))
-    focal = np.sqrt(500.0 * 520.0)
-    np.testing.assert_allclose(deviations[:2], sigmas.focal * focal, rtol=1e-5)
-    np.testing.assert_allclose(deviations[3:5], sigmas.centre * 640)
-    np.testing.assert_allclose(deviations[5:7], sigmas.distortion)
-    assert deviations[[2, 7, 8]].max() < 1e-4  # no skew, nothing tangential
-    shape = np.array([1.0, -1.0, 0, 0, 0, 0, 0, 0, 0])  # of a pixel, which stays a square to a thousandth
-    assert np.sqrt(shape @ covariance @ shape) == pytest.approx(np.sqrt(2) * 1e-3 * sigmas.focal * focal, rel=1e-3)
-    assert np.count_nonzero(covariance - np.diag(np.diag(covariance))) == 2
-    assert GIVEN.focal < 1e-3 < 1e-2 < GUESSED.focal < 0.1
-    assert GIVEN.centre < 1e-4 < 5e-3 < GUESSED.centre < 0.02
-    assert 5e-3 < GIVEN.distortion < 0.02 < 0.1 < GUESSED.distortion < 0.3
-
-
-@pytest.mark.parametrize("distortion", [(), (-0.1, 0.02, 1e-3, -2e-3)])
-def test_a_camera_goes_to_the_solver_and_comes_back(distortion: tuple[float, ...]) -> None:
-    camera = Camera(640, 480, 500.0, 510.0, 322.0, 241.0, distortion)
-    model = adjustment._to_gtsam(camera)
-    for point in ([0.3, -0.2], [-0.1, 0.4]):
-        expected = camera.project(np.array([[*point, 1.0]]))[0]
-        np.testing.assert_allclose(model.uncalibrate(np.array(point)), expected, atol=1e-9)
-    back = adjustment._from_gtsam(model, camera)
-    assert back == replace(camera, distortion=(*distortion, 0.0, 0.0, 0.0, 0.0)[:4])
 
 
 def test_a_phones_imu_is_worth_what_data_sheets_say() -> None:
@@ -192,21 +131,6 @@ def test_the_true_walk_explains_what_the_imu_reads() -> None:
         np.testing.assert_allclose(tied.noiseModel().sigmas(), np.repeat([2e-4, 5e-4], 3))
 
 
-def test_the_imus_mounting_clock_and_biases_are_known_as_well_as_a_phones() -> None:
-    problem, state = _inertial_problem(_imu(), np.array([0.0, 1.0]))
-    graph, values = _inertial_graph(problem, state)
-    (mounting,), (clock,), (bias,) = (_factors_of(graph, key) for key in (E(0), S(0), B(0)))
-    np.testing.assert_allclose(mounting.noiseModel().sigmas(), np.repeat([0.02, 0.03], 3))
-    assert mounting.unwhitenedError(values)[:3] == pytest.approx(0, abs=1e-9)  # as calibrated, …
-    assert np.linalg.norm(mounting.unwhitenedError(values)[3:]) == pytest.approx(np.linalg.norm(_MOUNTED[:3, 3]))
-    assert clock.unwhitenedError(values)[0] == pytest.approx(_CLOCK_S)
-    np.testing.assert_allclose(clock.noiseModel().sigmas(), 3e-3)
-    np.testing.assert_allclose(bias.unwhitenedError(values), [*_BIAS[:3], 0, 0, 0])  # … and the gyroscope's bias
-    np.testing.assert_allclose(bias.noiseModel().sigmas(), np.repeat([0.3, 0.02], 3))
-    (gravity,) = _factors_of(graph, G(0))
-    np.testing.assert_allclose(gravity.unwhitenedError(values), 0)
-
-
 def test_over_a_gap_biases_wander_and_the_speed_is_open() -> None:
     imu = _imu()
     kept = (imu.times < 0.5) | (imu.times > 0.8)
@@ -219,17 +143,6 @@ def test_over_a_gap_biases_wander_and_the_speed_is_open() -> None:
     np.testing.assert_allclose(wander.noiseModel().sigmas(), np.repeat([2e-3, 2e-4], 3) * np.sqrt(0.9))
     np.testing.assert_allclose(speed.noiseModel().sigmas(), 10.0)
     np.testing.assert_allclose(speed.unwhitenedError(values), values.atVector(V(2)))
-
-
-def test_keyframes_outside_the_imus_table_have_no_imu() -> None:
-    imu = _imu(until_s=1.2)
-    problem, state = _inertial_problem(imu, np.array([-0.6, 0.0, 0.5, 1.5]))
-    _, values = _inertial_graph(problem, state)
-    assert [values.exists(X(k)) for k in range(4)] == [False, True, True, False]
-    ends = imu.times[[0, -1]] - _DELAY_S
-    problem, state = _inertial_problem(imu, np.array([ends[0], 0.5, ends[1]]))
-    _, values = _inertial_graph(problem, state)
-    assert all(values.exists(X(k)) for k in range(3))
 
 
 def test_readings_are_summed_as_trapezoids_between_any_two_times() -> None:
@@ -271,120 +184,11 @@ def test_a_gap_is_bridged_by_nothing_wherever_it_begins() -> None:
     assert preintegrated(imu, 0.5, 1.5, parameters, still, 0.3) is not None
 
 
-def test_gravity_is_as_level_as_the_waypoints() -> None:
-    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
-    fixed = Problem(np.zeros(1), nothing, fixes=(Fix(0, (0.0, 0.0, 0.0), 0.02),))
-    level = GRAVITY * np.radians(0.5)
-    np.testing.assert_allclose(adjustment._gravity_prior(fixed).sigmas(), [level, level, 0.05])
-    np.testing.assert_allclose(adjustment._gravity_prior(replace(fixed, fixes=())).sigmas(), [1e-4, 1e-4, 0.05])
-    free = replace(fixed, level_sigma_rad=None)
-    np.testing.assert_allclose(adjustment._gravity_prior(free).sigmas(), GRAVITY)
-    np.testing.assert_allclose(adjustment._gravity_prior(replace(free, fixes=())).sigmas(), [1e-4, 1e-4, 0.05])
-
-
 def _posed(T: FloatArray) -> gtsam.Values:
     values = gtsam.Values()
     for k, one in enumerate(T):
         values.insert(C(k), gtsam.Pose3(one))
     return values
-
-
-def test_keyframes_that_see_less_than_four_points_stay_about_where_they_are() -> None:
-    """By a radian, and by as much as the walk measures."""
-    T = arc(5)
-    graph, values = gtsam.NonlinearFactorGraph(), _posed(T)
-    values.insert(X(3), gtsam.Pose3())  # the IMU holds it
-    seeing = np.repeat([0, 1, 2], [4, 3, 9])
-    adjustment._hold_unseen(graph, values, seeing, State(T, np.zeros((0, 3)), _PINHOLE))
-    held = [k for k in range(5) if _factors_of(graph, C(k))]
-    assert held == [1, 4]
-    extent_m = np.linalg.norm(np.ptp(T[:, :3, 3], axis=0))
-    for k in held:
-        (factor,) = _factors_of(graph, C(k))
-        np.testing.assert_allclose(factor.unwhitenedError(values), 0, atol=1e-12)
-        np.testing.assert_allclose(_sigmas(factor, values), [1, 1, 1, *[extent_m] * 3])
-
-
-def test_fixes_cost_what_cauchys_loss_makes_of_them() -> None:
-    T = arc(4)
-    graph, values = gtsam.NonlinearFactorGraph(), _posed(T)
-    off_m = np.array([0.03, -0.06, 0.02])
-    adjustment._add_fixes(graph, [Fix(2, tuple((T[2, :3, 3] + off_m).tolist()), 0.02)])
-    assert graph.error(values) == pytest.approx(_cauchy(np.array([off_m @ off_m / 0.02**2]), 3.0))
-
-
-def test_what_nothing_measures_is_held() -> None:
-    """Place and heading of the first camera where an IMU measures the rest; else its pose, and the walk's size."""
-    T = pose_matrix(Rotation.random(5, rng=np.random.default_rng(2)).as_matrix(), arc(5)[:, :3, 3])
-    T[:, :3, 3] *= np.array([1, 2, 5, 3, 4])[:, None]
-    state, values = State(T, np.zeros((0, 3)), _PINHOLE), _posed(T)
-    metric = gtsam.NonlinearFactorGraph()
-    adjustment._fix_gauge(metric, values, state, metric=True)
-    assert metric.size() == 1
-    covariance = _covariance(metric.at(0), values)
-    about_map = T[0, :3, :3] @ covariance[:3, :3] @ T[0, :3, :3].T
-    assert np.sqrt(about_map[2, 2]) == pytest.approx(1e-4)
-    assert np.sqrt(np.linalg.eigvalsh(about_map)[1]) > 1  # rad, of its tilt
-    np.testing.assert_allclose(covariance[3:, 3:], 1e-8 * np.eye(3), atol=1e-12)
-
-    graph = gtsam.NonlinearFactorGraph()
-    adjustment._fix_gauge(graph, values, state, metric=False)
-    (pose,) = _factors_of(graph, C(0))
-    np.testing.assert_allclose(_sigmas(pose, values), 1e-4)
-    away_m = np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1)
-    far = int(away_m.argmax())
-    (size,) = _factors_of(graph, C(0), C(far))
-    assert size.unwhitenedError(values) == pytest.approx(0, abs=1e-12)
-    np.testing.assert_allclose(size.noiseModel().sigmas(), 1e-4 * away_m[far])
-
-
-def test_points_are_held_by_their_distance_from_who_sees_them() -> None:
-    T, points = arc(3), cloud(4)
-    observations = _sightings(T, points)
-    used = observations.tracks != 1
-    used &= ~((observations.tracks == 2) & (observations.keyframes == 0))
-    held = adjustment._held_points(observations, State(T, points, CAMERA), used, 0.3)
-    assert held.size() == 3
-    for i, (track, seeing) in enumerate([(0, [0, 1, 2]), (2, [1, 2]), (3, [0, 1, 2])]):
-        assert list(held.at(i).keys()) == [L(track)]
-        furthest_m = max(np.linalg.norm(points[track] - T[k, :3, 3]) for k in seeing)
-        A, b = held.at(i).jacobian()
-        np.testing.assert_allclose(A, 0.3 / furthest_m * np.eye(3))
-        np.testing.assert_allclose(b, 0)
-
-
-def test_points_go_first_and_what_all_share_last() -> None:
-    problem, state = _inertial_problem(_imu(), np.array([0.0, 0.4, 1.0, 2.0]))
-    points = cloud(12)
-    observations = _sightings(arc(4), points)
-    problem = replace(problem, observations=observations, camera_sigmas=GUESSED)
-    _, values = _inertial_graph(problem, state)
-    used = observations.tracks != 3
-    adjustment._add_sightings(gtsam.NonlinearFactorGraph(), values, problem, replace(state, points=points), used)
-    ordering = adjustment._ordering(values, observations, used)
-    keys = [ordering.at(i) for i in range(ordering.size())]
-    assert sorted(keys) == sorted(values.keys())
-    assert keys[:11] == [L(track) for track in range(12) if track != 3]
-    assert keys[-4:] == [G(0), S(0), E(0), D(0)]
-
-
-def test_a_state_goes_to_the_solver_and_comes_back() -> None:
-    problem, state = _inertial_problem(_imu(until_s=1.2), np.array([0.0, 0.5, 1.5]))
-    _, values = _inertial_graph(problem, state)
-    values.update(V(1), np.array([1.0, 2.0, 3.0]))
-    values.update(B(0), gtsam.imuBias.ConstantBias(np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5, 0.6])))
-    values.update(S(0), np.array([0.007]))
-    back = adjustment._state_of(values, problem, state, np.zeros(0, np.bool_))
-    np.testing.assert_allclose(back.T_map_camera, state.T_map_camera, atol=1e-12)
-    assert back.inertial is not None
-    assert state.inertial is not None
-    np.testing.assert_allclose(back.inertial.velocities[1], [1, 2, 3])
-    np.testing.assert_allclose(back.inertial.velocities[[0, 2]], state.inertial.velocities[[0, 2]])
-    np.testing.assert_allclose(back.inertial.biases[0], np.arange(1, 7) / 10)
-    np.testing.assert_allclose(back.inertial.biases[1:], np.tile(_BIAS, (2, 1)))
-    assert back.inertial.clock_s == 0.007
-    np.testing.assert_allclose(back.inertial.T_imu_camera, _MOUNTED)
-    np.testing.assert_allclose(back.inertial.gravity, [0, 0, -GRAVITY])
 
 
 def _no_points(_: float) -> gtsam.GaussianFactorGraph:
@@ -413,15 +217,6 @@ def test_covariances_are_of_the_place_and_of_the_rotation_about_the_maps_axes() 
         np.testing.assert_allclose(covariance[:3, :3], (k + 1) ** 2 * R @ np.diag(deviations[3:] ** 2) @ R.T, atol=1e-9)
         np.testing.assert_allclose(covariance[3:, 3:], (k + 1) ** 2 * R @ np.diag(deviations[:3] ** 2) @ R.T, atol=1e-9)
         np.testing.assert_allclose(covariance[:3, 3:], 0, atol=1e-9)
-
-
-def test_the_intrinsics_sigmas_are_in_the_order_of_the_intrinsics() -> None:
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    values.insert(D(0), adjustment._to_gtsam(CAMERA))
-    sigmas = np.arange(1.0, 10.0)
-    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-    graph.add(gtsam.PriorFactorCal3DS2(D(0), adjustment._to_gtsam(CAMERA), noise))
-    np.testing.assert_allclose(_adjusted(graph, values, arc(1)).camera_sigmas(), sigmas)
 
 
 def test_the_imus_misfit_is_in_its_own_noise() -> None:
@@ -464,12 +259,6 @@ def test_the_widest_angle_is_between_the_outermost_rays(half_angle_deg: float) -
     assert parallax_deg == pytest.approx([2 * half_angle_deg], rel=1e-6)
 
 
-@pytest.mark.parametrize(("half_angle_deg", "used"), [(0.7, False), (0.8, True)])
-def test_points_need_a_degree_and_a_half(half_angle_deg: float, used: bool) -> None:
-    assert adjustment._usable_points(*_two_rays(half_angle_deg), 0.7)[1].all() == used
-    assert adjustment._usable_points(*_two_rays(half_angle_deg), 0.7)[1].any() == used
-
-
 def test_the_distance_of_a_sighting_is_in_pixels() -> None:
     observations, state = _two_rays(4.0)
     moved = replace(observations, pixels=np.add(observations.pixels, [[3.0, 4.0], [0.0, 0.0], [-6.0, 8.0]]))
@@ -478,113 +267,6 @@ def test_the_distance_of_a_sighting_is_in_pixels() -> None:
         residuals_px(moved, replace(state, points=np.array([[0.0, 0, 10]]))), [5, 0, 10], atol=1e-9
     )
     assert np.isinf(residuals_px(moved, state, np.array([[0.0, 0, -10]]))).all()
-
-
-def test_sightings_far_off_and_points_seldom_seen_are_not_used() -> None:
-    """Twenty pixels are far off where most are near, four times the median where none is."""
-    T, points = arc(5), cloud(30)
-    seen = _sightings(T, points)
-    kept = ~((seen.tracks == 0) & (seen.keyframes > 1)) & ~((seen.tracks == 1) & (seen.keyframes > 2))
-    seen = Observations(seen.keyframes[kept], seen.tracks[kept], seen.pixels[kept])
-    state = State(T, points, CAMERA)
-    pixels = seen.pixels.copy()
-    (wrong,) = np.flatnonzero((seen.tracks == 7) & (seen.keyframes == 2))
-    pixels[wrong] += [0.0, 60.0]
-    found, used = adjustment._usable_points(replace(seen, pixels=pixels), state, 0.7)
-    assert not used[wrong]
-    assert used[(seen.tracks == 7) & (seen.keyframes != 2)].all()
-    assert not used[seen.tracks == 0].any()
-    assert used[seen.tracks == 1].all()
-    assert used.sum() == len(seen) - 3
-    np.testing.assert_allclose(found[8:], points[8:], atol=1e-4)
-    rough = pixels + np.random.default_rng(0).normal(0, 15, pixels.shape)
-    assert adjustment._usable_points(replace(seen, pixels=rough), state, 0.7)[1].mean() > 0.8
-
-
-def test_settled_points_are_where_no_step_lowers_their_cost() -> None:
-    """Under Cauchy's loss in the image; what lies behind a camera has no say."""
-    T, points = arc(6), cloud(12)
-    observations = _sightings(T, points, 1.0)
-    pixels = observations.pixels.copy()
-    pixels[3] += [9.0, -7.0]
-    behind = pose_matrix(np.eye(3), np.array([0.0, 0.0, 3.0]))
-    T = np.concatenate([T, behind[None]])
-    keyframes, tracks = np.append(observations.keyframes, 6), np.append(observations.tracks, 5)
-    seen = Observations(keyframes, tracks, np.concatenate([pixels, [[100.0, 100.0]]]))
-    state, sigma_px = State(T, points, CAMERA), 0.8
-    settled = adjustment._settled(points, seen, state, sigma_px)
-
-    def cost(at: FloatArray) -> FloatArray:
-        off_px = residuals_px(seen, state, at)
-        each = np.where(np.isfinite(off_px), np.log1p(np.minimum(off_px, 1e6) ** 2 / (2 * sigma_px) ** 2), 0.0)
-        return np.bincount(seen.tracks, each)
-
-    lowest = cost(settled)
-    for step in 2e-3 * np.concatenate([np.eye(3), -np.eye(3)]):
-        assert np.all(cost(settled + step) > lowest - 1e-4)
-        assert np.mean(cost(settled + step) > lowest) > 0.8
-    np.testing.assert_array_equal(points, cloud(12))  # the ones given are what they were
-
-
-class _Scripted(adjustment._Descent):
-    """Steps whose costs are known beforehand."""
-
-    costs: Iterator[float]
-
-    def _stepped(self, values: gtsam.Values, cost: float) -> tuple[gtsam.Values, float]:
-        return values, next(self.costs)
-
-
-@pytest.mark.parametrize(
-    ("costs", "tolerance", "steps"),
-    [
-        ([50.0, 49.0, 48.9], 1e-2, 3),
-        ([50.0, 49.6, 40.0], 1e-2, 2),
-        ([50.0, 49.0, 48.9, 48.899], 1e-3, 4),
-        ([100.0], 1e-3, 1),
-        ([90.0, 80.0, 70.0, 60.0, 50.0], 1e-3, 5),
-    ],
-)
-def test_steps_end_where_they_gain_too_little(costs: list[float], tolerance: float, steps: int) -> None:
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    values.insert(V(0), np.full(3, 10.0))
-    noise = gtsam.noiseModel.Isotropic.Sigma(3, np.sqrt(1.5))
-    graph.add(gtsam.PriorFactorVector(V(0), np.zeros(3), noise))  # a cost of a hundred
-    descent = _Scripted(graph, gtsam.Ordering(), _no_points, lambda values: values)
-    object.__setattr__(descent, "costs", iter(costs))
-    heard: list[float] = []
-    _, cost = descent.solve(values, 5, tolerance, heard.append)
-    assert cost == costs[steps - 1]
-    assert heard == pytest.approx(np.arange(1, steps + 1) / 5)
-
-
-def test_a_step_is_tried_whole_and_in_part_with_the_points_settled() -> None:
-    values = gtsam.Values()
-    values.insert(V(0), np.array([1.0, 0.0, 0.0]))
-    step = gtsam.VectorValues()
-    step.insert(V(0), np.array([8.0, 0.0, 0.0]))
-
-    def settled(there: gtsam.Values) -> gtsam.Values:
-        found = gtsam.Values(there)
-        found.update(V(0), np.add(there.atVector(V(0)), [0.0, 1.0, 0.0]))
-        return found
-
-    descent = adjustment._Descent(gtsam.NonlinearFactorGraph(), gtsam.Ordering(), _no_points, settled)
-    tried = [there.atVector(V(0)).tolist() for there in descent._along(values, step)]
-    assert tried == [[9, 0, 0], [9, 1, 0], [5, 1, 0], [3, 1, 0]]
-
-
-def test_points_are_held_more_and_more_firmly() -> None:
-    asked: list[float] = []
-
-    def held(firmness: float) -> gtsam.GaussianFactorGraph:
-        asked.append(firmness)
-        return _no_points(firmness)
-
-    assert len(list(adjustment._with_points_held(gtsam.GaussianFactorGraph(), held))) == 3
-    assert asked == sorted(asked)
-    assert asked[0] < 0.02
-    assert asked[-1] < 20
 
 
 def test_the_cost_that_is_reported_is_that_of_all_measurements() -> None:
@@ -613,26 +295,6 @@ def test_what_nothing_measures_leaves_the_shape_open() -> None:
     open_shape = Adjusted(state, np.zeros(0, np.bool_), 0.0, graph, values, ordering, _no_points)
     assert np.isnan(open_shape.covariances([0])).all()
     assert np.isnan(open_shape.camera_sigmas()).all()
-
-
-@pytest.mark.parametrize(("coarsely", "tolerance"), [(True, 1e-3), (False, 2e-4)])
-def test_how_little_a_step_may_gain(coarsely: bool, tolerance: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[int, float]] = []
-
-    def solve(
-        self: object, values: gtsam.Values, iterations: int, least: float, progress: object
-    ) -> tuple[gtsam.Values, float]:
-        asked.append((iterations, least))
-        return values, 1.0
-
-    monkeypatch.setattr(adjustment._Descent, "solve", solve)
-    T, points = arc(5), cloud(30)
-    problem = Problem(np.arange(5.0), _sightings(T, points, 0.5))
-    adjust(problem, State(T, points, CAMERA), 7, coarsely=coarsely)
-    assert asked == [(7, tolerance)]
-    assert problem.pixel_sigma_px == 0.7
-    assert problem.imu_noise == 1.0
-    assert problem.level_sigma_rad == np.radians(0.5)
 
 
 def test_a_step_that_leads_up_is_tried_with_the_points_settled_before_a_firmer_one() -> None:

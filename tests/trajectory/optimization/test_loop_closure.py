@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import Camera, FloatArray, Pose
-from rholoc.trajectory.optimization import loop_closure
 from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.optimization.loop_closure import PlacedFeatures, loop_pose, loops_in_reach, place_features
 from rholoc.trajectory.visual.matching import VerifiedPair
@@ -149,17 +148,3 @@ def test_of_two_ways_to_a_loops_pose_the_one_with_more_points_is_taken() -> None
         found = loop_pose(_pair(2, 9), replace(placed, known=known))
         assert found is not None
         assert found.first == 11 - poor
-    assert loop_closure._seen_by(replace(placed, known=np.zeros_like(placed.known)), 2, 9, _pair(2, 9).matches) == (
-        None,
-        0,
-    )
-
-
-def test_a_point_three_pixels_off_agrees() -> None:
-    state, pixels = _rooms(np.zeros(3))
-    placed = place_features(_neighbours(), pixels, state)
-    for off_px, agreeing in ((2.5, _POINTS), (4.5, _POINTS - 1)):
-        seen = [one / one[:, 2:] for one in placed.rays]
-        seen[9][3, 1] += off_px / _CAMERA.focal
-        _, count = loop_closure._seen_by(replace(placed, rays=seen), 2, 9, _pair(2, 9).matches)
-        assert count == agreeing

@@ -8,7 +8,6 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Camera, FloatArray, pose_matrix
-from rholoc.trajectory.optimization import pose_graph
 from rholoc.trajectory.optimization.adjustment import Fix, InertialState, State
 from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
 
@@ -97,18 +96,6 @@ def test_a_walk_that_closes_stays_and_velocities_turn_with_the_cameras() -> None
     assert drifted.inertial is not None
     seen = [np.einsum("kji,kj->ki", one.R_map_camera, one.inertial.velocities) for one in (drifted, found)]
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-9)
-
-
-@pytest.mark.parametrize("length_m", [0.0, 0.3, 4.0])
-def test_a_step_is_known_by_its_length_and_gravity_holds_its_tilt(length_m: float) -> None:
-    """A fiftieth of a degree of tilt, a tenth about the vertical; a fiftieth of its length and a millimetre."""
-    T = pose_matrix(Rotation.from_euler("xyz", [-70, 20, 40], degrees=True).as_matrix(), np.ones(3))
-    step = pose_matrix(np.eye(3), length_m * np.array([0.6, 0.0, 0.8]))
-    covariance = pose_graph._step_noise(T, step).covariance()
-    about_map = np.degrees(np.degrees(T[:3, :3] @ covariance[:3, :3] @ T[:3, :3].T))
-    np.testing.assert_allclose(about_map, np.diag([0.02**2, 0.02**2, 0.02**2 + 0.1**2]), atol=1e-12)
-    np.testing.assert_allclose(covariance[3:, 3:], (0.001 + 0.02 * length_m) ** 2 * np.eye(3), atol=1e-12)
-    assert not covariance[:3, 3:].any()
 
 
 def _straight(count: int) -> FloatArray:

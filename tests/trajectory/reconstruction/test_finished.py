@@ -111,30 +111,6 @@ def test_what_waypoints_have_not_put_into_the_maps_frame_is_put_there() -> None:
     np.testing.assert_array_equal(here.T_map_camera, arc(_COUNT))
 
 
-def test_waypoints_noise_follows_what_was_found_unless_the_operator_said_it() -> None:
-    assert in_waypoints._of_noise(Fix(3, (1.0, 2.0, 3.0), 0.02), 1.5) == Fix(3, (1.0, 2.0, 3.0), 0.03)
-    assert in_waypoints._of_noise(Fix(3, (1.0, 2.0, 3.0), 0.01), 1.5) == Fix(3, (1.0, 2.0, 3.0), 0.01)
-
-
-def test_a_waypoint_is_judged_without_itself_and_a_mistaken_one_as_it_is() -> None:
-    solved = _solved([30] * 6, sigmas_m=np.full(6, 0.01))
-    place = solved.adjusted.state.positions[2]
-    fixes = {"A": Fix(2, tuple(np.add(place, [0.1, 0.0, 0.0]).tolist()), 0.02)}
-
-    class Sure:
-        state = solved.adjusted.state
-
-        def covariances(self, keyframes: list[int]) -> FloatArray:
-            assert keyframes == [2]
-            return np.array([np.eye(6) * 1e-4])
-
-    taken = in_waypoints._each_left_out(fixes, ["A"], Sure())["A"]  # type: ignore[arg-type]
-    np.testing.assert_allclose(taken.off_m, [0.1, 0, 0])
-    assert taken.sigmas == pytest.approx(0.1 / np.hypot(0.01, 0.02))
-    left = in_waypoints._each_left_out(fixes, [], Sure())["A"]  # type: ignore[arg-type]
-    assert left.off_m[0] > 0.1
-
-
 @dataclass
 class _Walk:
     """An adjustment that answers from a list of who is mistaken, one after the other."""
@@ -177,35 +153,12 @@ def _held(
     return walk, solved
 
 
-def test_waypoints_are_taken_out_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    walk, solved = _held(monkeypatch, 9, ["W3", "W1"])
-    every = [2 * i for i in range(9)]
-    without = [k for k in every if k not in (2, 6)]
-    assert walk.fixes == [every, [k for k in every if k != 6], without, without]
-    assert solved.mistaken == ("W3", "W1")
-    assert solved.in_frame
-    assert walk.iterations == [12, 12, 12, 8]
-    factor = np.sqrt((2 + 7) / (2 + 21))
-    assert walk.sigmas_m == pytest.approx([0.02, 0.02, 0.02, factor * 0.02])
-
-
 @pytest.mark.parametrize(("count", "taken_out"), [(9, 3), (8, 2), (6, 2), (5, 1), (4, 1), (3, 0)])
 def test_a_third_of_the_waypoints_may_be_mistaken(count: int, taken_out: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """And three are always left."""
     walk, solved = _held(monkeypatch, count, [f"W{i}" for i in range(count)])
     assert len(solved.mistaken) == taken_out
     assert len(walk.fixes[-1]) == count - taken_out
-
-
-@pytest.mark.parametrize(("gap_s", "used"), [(0.4, False), (0.6, True)])
-def test_a_waypoint_far_from_any_keyframe_fixes_nothing(
-    gap_s: float, used: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """W1 stands halfway between two keyframes."""
-    monkeypatch.setattr(in_waypoints, "MAX_GAP_S", gap_s)
-    walk, solved = _held(monkeypatch, 5, [], late_s=0.5)
-    assert (2 in walk.fixes[0]) is used
-    assert ("W1" in solved.left_out) is used
 
 
 def test_without_waypoints_the_walk_stays_in_its_own_frame() -> None:
@@ -225,17 +178,6 @@ def _depths(solved: Solved) -> tuple[FloatArray, FloatArray]:
     return solved.adjusted.state.points[seen.tracks] - T[:, :3, 3], T[:, :3, 2]
 
 
-@pytest.mark.parametrize("upright", [True, False])
-def test_gravity_is_free_where_the_waypoints_are_not_upright(upright: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    solved = _solved([30] * 6)
-    frame = replace(solved.frame, upright=upright)
-    monkeypatch.setattr(in_waypoints, "frame_of_waypoints", lambda *_: frame)
-    monkeypatch.setattr(in_waypoints, "_held_by_waypoints", lambda problem, *_: problem)
-    named = [(Waypoint("A", 0.0, (0.0, 0.0, 0.0)),)]
-    problem = in_map_frame(solved.problem, solved.adjusted, named, up_by_gravity(), [_FELT], (), None)  # type: ignore[arg-type]
-    assert problem.level_sigma_rad == (solved.problem.level_sigma_rad if upright else None)  # type: ignore[attr-defined]
-
-
 def test_a_scale_that_was_not_adjusted_makes_far_poses_less_certain() -> None:
     solved = _solved([30] * 6, in_frame=False)
     known = finished(solved, 0, True, None, "")
@@ -253,11 +195,3 @@ def test_covariances_without_bound_cost_a_walk_nothing_but_them() -> None:
     found = finished(_solved([30] * 6, sigmas_m=np.full(_COUNT, np.nan)), 0, False, _IMU, "")
     assert found.placed.all()
     assert np.isnan(found.covariances[:, :3, :3]).any(axis=(1, 2)).all()
-
-
-def test_a_waypoint_is_not_held_against_a_walk_of_unknown_uncertainty() -> None:
-    solved = _solved([30] * 6, sigmas_m=np.full(_COUNT, np.nan))
-    fixes = {"desk": Fix(2, (1.0, 2.0, 3.0), 0.01)}
-    out = in_waypoints._each_left_out(fixes, [], solved.adjusted)["desk"]
-    assert not out.mistaken
-    assert in_waypoints._noise_factor([out.sigmas]) == in_waypoints._noise_factor([])

@@ -36,7 +36,7 @@ def _angle_deg(a: FloatArray, b: FloatArray) -> float:
     return float(np.degrees(angles_between(a, b)))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda way: np.linalg.norm(way) > 0.2))
 def test_the_direction_comes_back_with_its_sign(way: tuple[float, float, float]) -> None:
     to = 0.3 * np.array(way) / np.linalg.norm(way)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import cv2
 import numpy as np
 import pytest
 
-from rholoc.features import FeatureSet
 from rholoc.geometry import ByteArray, FloatArray
-from rholoc.trajectory.visual import keyframe_features
+from rholoc.recordings import MemoryFrames
 from rholoc.trajectory.visual.flow import track_corners
 from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
 from rholoc.trajectory.visual.keyframes import choose_keyframes
@@ -72,6 +72,15 @@ def test_a_short_walk_takes_smaller_steps_that_are_decoded_again() -> None:
     assert again == sorted(again)
 
 
+def test_features_of_large_pictures_are_in_pixels_of_the_whole() -> None:
+    (noise,) = Walk(1).images([0])
+    large = cv2.resize(noise, (1920, 1440), interpolation=cv2.INTER_CUBIC)
+    small = cv2.resize(large, (960, 720), interpolation=cv2.INTER_AREA)
+    found, reduced = (KeyframeFeatures(MemoryFrames([image])).of(np.zeros(1, np.int64))[0] for image in (large, small))
+    np.testing.assert_allclose(found.pixels, 2 * reduced.pixels + 0.5, atol=1e-3)
+    np.testing.assert_allclose(found.sizes, 2 * reduced.sizes)
+
+
 def test_few_images_wait_at_a_time() -> None:
     """All frames of a walk that jumps are keyframes: they are not all kept until there is time for them."""
     walk = Walk(40)
@@ -80,45 +89,3 @@ def test_few_images_wait_at_a_time() -> None:
             features.foresee(row, image, 0.1, 1.0)
             assert sum(not future.done() for future in features._found.values()) <= 4
         assert len(features.of(np.arange(40))) == 40
-
-
-@pytest.mark.parametrize(
-    ("size", "reduced"),
-    [((960, 720), (960, 720)), ((1920, 1080), (960, 540)), ((1080, 1920), (540, 960)), ((80, 60), (80, 60))],
-)
-def test_features_of_large_pictures_are_in_pixels_of_the_whole(
-    size: tuple[int, int], reduced: tuple[int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Corner:
-        """One feature of size 4 at the middle of the lower right pixel."""
-
-        def extract(self, image: ByteArray) -> FeatureSet:
-            assert image.shape[:2] == reduced[::-1]
-            return FeatureSet(
-                np.array([[reduced[0] - 1, reduced[1] - 1]], np.float32), np.zeros(1, np.uint8),
-                np.zeros((1, 128), np.uint8), np.full(1, 4, np.float32), np.zeros(1, np.float32),
-            )  # fmt: skip
-
-    monkeypatch.setattr(keyframe_features, "_EXTRACTOR", Corner())
-    found = keyframe_features._extract(np.zeros((*size[::-1], 3), np.uint8), Corner())
-    factor = size[0] / reduced[0]
-    np.testing.assert_allclose(found.pixels[0], np.array(size) - 0.5 - factor / 2)
-    np.testing.assert_allclose(found.sizes, 4 * factor)
-
-
-def test_what_is_foreseen_is_the_sharpest_picture_of_each_step() -> None:
-    """Its features are those of that frame, though others have been looked at since."""
-    walk = Walk(30, step_px=8)
-    sharpness = np.where(np.arange(30) % 5 == 2, 9.0, 1.0)
-    with KeyframeFeatures(walk) as features:
-        for row, image in enumerate(walk.images(range(30))):
-            features.foresee(row, image, 0.011, float(sharpness[row]))
-        foreseen = sorted(features._found)
-        assert len(foreseen) >= 4
-        assert np.mean(sharpness[foreseen] == 9.0) > 0.7
-        walk.decoded.clear()
-        found = features.of(np.array(foreseen))
-        assert walk.decoded == []
-    for row, one in zip(foreseen, found, strict=True):
-        (image,) = walk.images([row])
-        np.testing.assert_array_equal(one.pixels, keyframe_features._extract(image).pixels)

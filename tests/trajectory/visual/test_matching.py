@@ -8,12 +8,10 @@ from scene import CAMERA, arc, cloud, descriptors_of, in_pixels, sift_like
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import BoolArray, FloatArray, rotation_angles
+from rholoc.geometry import FloatArray, rotation_angles
 from rholoc.progress import Stage
-from rholoc.trajectory.visual import matching
 from rholoc.trajectory.visual.loop_candidates import loop_candidates, sequential_pairs
 from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, supported_loops
-from rholoc.trajectory.visual.two_view import TwoView
 
 
 def _seen(T_world_camera: FloatArray, points: FloatArray, descriptors: FloatArray) -> list[FeatureSet]:
@@ -95,60 +93,6 @@ def test_a_loop_stands_alone_only_if_it_is_strong() -> None:
     assert supported_loops([]) == []
 
 
-def _verified(
-    monkeypatch: pytest.MonkeyPatch,
-    inliers: BoolArray,
-    turned_deg: float | None = None,
-    agreeing: BoolArray | None = None,
-    times: tuple[float, float] = (5.0, 5.0),
-) -> VerifiedPair | None:
-    """A pair of whose matches these agree with the relative pose, and those with what a gyroscope felt."""
-    count = len(inliers)
-    numbers = np.column_stack([np.arange(count), np.arange(count)[::-1]])
-    monkeypatch.setattr(matching, "ratio_matches", lambda a, b: numbers)
-    monkeypatch.setattr(matching, "relative_pose", lambda a, b, tolerance: TwoView(inliers, np.eye(3)))
-
-    def explained(first: FloatArray, second: FloatArray, R: FloatArray, tolerance: float) -> BoolArray:
-        assert tolerance == 0.02  # twice as much
-        np.testing.assert_array_equal(first[:, 0], numbers[:, 0])
-        np.testing.assert_array_equal(second[:, 0], numbers[:, 1])
-        assert agreeing is not None
-        return agreeing
-
-    monkeypatch.setattr(matching, "inliers_of_rotation", explained)
-    felt = None if turned_deg is None else Rotation.from_euler("y", [[0.0], [turned_deg]], degrees=True)
-    planes = [np.column_stack([np.arange(count), np.arange(count)]).astype(np.float64)] * 2
-    return matching._verify((0, 1), lambda k: np.zeros((1, 2)), planes, 0.01, np.array(times), felt, 15)
-
-
-def _first(count: int, of: int = 40) -> BoolArray:
-    return np.arange(of) < count
-
-
-def test_a_pair_is_as_good_as_the_matches_that_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert _verified(monkeypatch, _first(14, of=14)) is None
-    assert _verified(monkeypatch, _first(14)) is None
-    found = _verified(monkeypatch, _first(15))
-    assert found is not None
-    assert found.matches.tolist() == [[k, 39 - k] for k in range(15)]
-    assert (found.first, found.second) == (0, 1)
-
-
-def test_a_gyroscope_that_contradicts_a_pair_must_explain_its_matches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then its rotation holds, for the matches that agree with both."""
-    assert _verified(monkeypatch, _first(30), 5.9, _first(0)) is not None  # within what it may be off
-    assert _verified(monkeypatch, _first(30), 6.1, _first(23)) is None
-    explained = _verified(monkeypatch, _first(30), 6.1, np.roll(_first(25), 3))
-    assert explained is not None
-    assert explained.matches[:, 0].tolist() == list(range(3, 28))
-    turned = Rotation.from_matrix(explained.R_second_first).as_euler("yxz", degrees=True)
-    np.testing.assert_allclose(turned, [-6.1, 0, 0], atol=1e-6)
-    assert _verified(monkeypatch, _first(30), 6.1, _first(0), (5.0, 8.0)) is not None  # it drifts by 0.1° a second
-    assert _verified(monkeypatch, _first(30), 6.4, _first(0), (5.0, 8.0)) is None
-    both = _verified(monkeypatch, np.roll(_first(16), 20), 6.1, _first(34))
-    assert both is None, "fourteen agree with both"
-
-
 def test_progress_counts_pairs_up_to_two_fifths() -> None:
     T = arc(6)
     features = _seen(T, cloud(40), descriptors_of(40))
@@ -160,34 +104,6 @@ def test_progress_counts_pairs_up_to_two_fifths() -> None:
     assert [stage for stage, *_ in heard] == [Stage.POSES] * len(heard)
     assert [share for _, share, _ in heard] == pytest.approx(0.4 * np.arange(1, total + 1) / total)
     assert heard[1][2] == f"2 of {total} pairs of keyframes matched"
-
-
-@pytest.mark.parametrize(("followed", "apart"), [(True, [1, 2, 4]), (False, [1, 2, 3, 4, 5, 6, 8, 12])])
-def test_pictures_far_apart_are_matched_with_more_neighbours(
-    followed: bool, apart: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tried: list[tuple[tuple[int, int], int]] = []
-    asked: list[tuple[int, int]] = []
-
-    def verify(pair: tuple[int, int], *others: object) -> None:
-        tried.append((pair, int(str(others[-1]))))
-
-    def again(features: object, least_apart: int, each: int) -> list[tuple[int, int]]:
-        asked.append((least_apart, each))
-        return [(0, 39)]
-
-    monkeypatch.setattr(matching, "_verify", verify)
-    monkeypatch.setattr(matching, "loop_candidates", again)
-    empty = [FeatureSet.empty(0)] * 40
-    match_keyframes(empty, [np.zeros((0, 2))] * 40, 500.0, np.arange(40.0), None, followed)
-    fewest = dict(tried)
-    assert sorted({j - i for i, j in fewest} - {39}) == apart
-    assert fewest[0, 1] == 15
-    assert fewest[0, 39] == 30
-    assert asked == [(2 * max(apart) + 1, 3)]
-    asked.clear()
-    match_keyframes(empty[:3], [np.zeros((0, 2))] * 3, 500.0, np.arange(3.0), None, followed)
-    assert not asked
 
 
 def test_a_loop_is_supported_by_one_at_most_two_keyframes_aside() -> None:

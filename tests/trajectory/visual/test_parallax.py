@@ -8,7 +8,6 @@ from scene import rays
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.visual import parallax
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.parallax import only_turned, shifts
 
@@ -59,18 +58,6 @@ def test_a_step_is_enough() -> None:
 
 def test_no_pairs_say_nothing() -> None:
     assert not only_turned([], [])
-
-
-@pytest.mark.parametrize(("shift", "standing"), [(0.0024, True), (0.0026, False)])
-def test_a_camera_goes_where_more_than_one_pair_in_twenty_shifts(
-    shift: float, standing: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pairs, seen = _walk(0.0)
-    for shifted in (np.full(100, shift), np.append(np.zeros(93), np.full(7, shift))):
-        monkeypatch.setattr(parallax, "shifts", lambda *_, shifted=shifted: shifted)
-        assert only_turned(pairs, seen) is standing
-    monkeypatch.setattr(parallax, "shifts", lambda *_: np.append(np.zeros(97), np.full(3, shift)))
-    assert only_turned(pairs, seen)
 
 
 def test_a_shift_is_the_angle_left_by_the_best_rotation() -> None:

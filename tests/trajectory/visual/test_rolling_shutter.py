@@ -12,7 +12,6 @@ from synthetic_walk import followed
 
 from rholoc.features import Channel, FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, IntArray
-from rholoc.trajectory.visual import rolling_shutter
 from rholoc.trajectory.visual.flow import track_corners
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
 
@@ -121,27 +120,6 @@ def _moves(count: int, wrong: int = 0) -> tuple[FloatArray, FloatArray]:
     moved = np.column_stack([middle, np.ones(count)]) @ _AFFINE.T
     moved[:wrong] += [40.0, -30.0]
     return middle - moved / 2, middle + moved / 2
-
-
-@pytest.mark.parametrize(("count", "wrong"), [(12, 0), (40, 0), (40, 8)])
-def test_the_motion_is_affine_in_where_corners_are_midway(count: int, wrong: int) -> None:
-    np.testing.assert_allclose(rolling_shutter._affine(*_moves(count, wrong)), _AFFINE, atol=1e-9)
-
-
-def test_fewer_than_twelve_corners_show_no_motion() -> None:
-    assert not rolling_shutter._affine(*_moves(11)).any()
-    assert not rolling_shutter._affine(*_moves(0)).any()
-
-
-def test_corners_that_tremble_are_all_kept() -> None:
-    """Residuals of up to three tenths of a pixel are no outliers, however small the usual one."""
-    start, end = _moves(40)
-    end = end.copy()
-    end[::2] += [0.0, 0.25]
-    moved = rolling_shutter._affine(start, end)
-    middle = (start + end) / 2
-    expected = np.linalg.lstsq(np.column_stack([middle, np.ones(40)]), end - start, rcond=None)[0].T
-    np.testing.assert_allclose(moved, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(("row", "seconds"), [(0, 0.1), (2, 0.3), (4, 0.2)])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scene import CAMERA, arc, cloud, in_pixels
 from scipy.spatial.transform import Rotation
 from synthetic_walk import followed
 
-from rholoc.geometry import BoolArray, FloatArray, rotation_angles
-from rholoc.trajectory.visual import tracks as module
+from rholoc.geometry import FloatArray, rotation_angles
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import (
     Observations,
@@ -20,7 +19,6 @@ from rholoc.trajectory.visual.tracks import (
     matched_features,
     pieces_of,
 )
-from rholoc.trajectory.visual.two_view import TwoView
 
 
 @st.composite
@@ -46,7 +44,6 @@ def _check(observations: Observations) -> None:
     np.testing.assert_array_equal(observations.keyframes, observations.pixels[:, 0])
 
 
-@settings(deadline=None)
 @given(observations=_observations(), seed=st.integers(0, 100))
 def test_some_of_the_sightings_are_still_whole_points(observations: Observations, seed: int) -> None:
     kept = np.random.default_rng(seed).random(len(observations)) < 0.7
@@ -56,7 +53,6 @@ def test_some_of_the_sightings_are_still_whole_points(observations: Observations
     assert _names(some) == [name for name in remaining if len(name) >= 3]
 
 
-@settings(deadline=None)
 @given(first=_observations(), second=_observations())
 def test_joined_points_stay_apart(first: Observations, second: Observations) -> None:
     both = first.joined(second)
@@ -65,7 +61,6 @@ def test_joined_points_stay_apart(first: Observations, second: Observations) -> 
     assert _names(both) == _names(first) + _names(second)
 
 
-@settings(deadline=None)
 @given(observations=_observations(), most=st.integers(1, 6))
 def test_thinned_points_are_the_longest_and_leave_no_keyframe_short(observations: Observations, most: int) -> None:
     thinned = observations.thinned(most)
@@ -151,56 +146,6 @@ def test_pieces_share_points() -> None:
     observations = Observations(np.array(keyframes), numbers, np.zeros((len(keyframes), 2)))
     piece = pieces_of(14, observations)
     assert piece.tolist() == [1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, -1, -1]
-
-
-def _neighbours(
-    monkeypatch: pytest.MonkeyPatch,
-    shared: int,
-    inliers: int,
-    turned_deg: float | None = None,
-    apart: int = 1,
-    seconds: float = 0.0,
-) -> tuple[BoolArray, float | None]:
-    """Which corners of so many agree, and the support of the rotation; those of the gyroscope's are the last five."""
-    monkeypatch.setattr(
-        module, "relative_pose", lambda a, b, tolerance: TwoView(np.arange(shared) < inliers, np.eye(3))
-    )
-    felt_ones = np.arange(shared) >= shared - 5
-    monkeypatch.setattr(module, "inliers_of_rotation", lambda a, b, R, tolerance: felt_ones)
-    rows = np.arange(6)
-    flow = followed(seconds * rows, (640, 480), np.full((6, shared, 2), 100.0), np.ones((6, shared), np.bool_))
-    felt = None if turned_deg is None else Rotation.from_euler("y", turned_deg * rows[:, None] / apart, degrees=True)
-    numbers, agree, turned = module._neighbours(flow, rows, 1, 1 + apart, CAMERA, 0.004, felt)
-    assert len(numbers) == len(agree) == shared
-    if turned is not None:
-        assert (turned.first, turned.second) == (1, 1 + apart)
-    return agree, None if turned is None else turned.support
-
-
-def test_a_dozen_corners_show_a_pose_and_thirty_a_rotation(monkeypatch: pytest.MonkeyPatch) -> None:
-    agree, support = _neighbours(monkeypatch, 11, 11)
-    assert (agree.sum(), support) == (0, None)
-    agree, support = _neighbours(monkeypatch, 12, 12)
-    assert (agree.sum(), support) == (12, None)
-    assert _neighbours(monkeypatch, 40, 29)[1] is None
-    assert _neighbours(monkeypatch, 40, 30)[1] == 30
-
-
-def test_between_neighbours_the_gyroscope_is_believed_from_a_degree_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Then corners are judged by its rotation; the pictures' own goes on counting until it is too far off."""
-    for turned_deg, apart, by_pictures, counts in (
-        (0.9, 1, True, True),
-        (1.1, 1, False, True),
-        (5.9, 1, False, True),
-        (6.1, 1, False, False),
-        (1.1, 4, True, True),
-        (6.1, 4, True, False),
-    ):
-        agree, support = _neighbours(monkeypatch, 40, 35, turned_deg, apart)
-        assert agree.tolist() == [(k < 35 if by_pictures else k >= 35) for k in range(40)], turned_deg
-        assert (support is not None) is counts, turned_deg
-    assert _neighbours(monkeypatch, 40, 35, 6.2, 4, seconds=1.0)[1] is not None  # it drifts in four seconds
-    assert _neighbours(monkeypatch, 40, 35, 6.5, 4, seconds=1.0)[1] is None
 
 
 def test_features_are_numbered_through_all_keyframes() -> None:

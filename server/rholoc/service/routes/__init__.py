@@ -9,18 +9,19 @@ from rholoc.service.routes import (
     keys,
     learning,
     live,
-    localize,
-    maps,
     recordings,
     sites,
-    track,
     uploads,
 )
+from rholoc.service.routes.frames import localize, track
+from rholoc.service.routes.maps import contents, editing, library
 
 _RESOURCES = (
     localize,
     track,
-    maps,
+    library,
+    contents,
+    editing,
     learning,
     sites,
     live,

@@ -3,48 +3,107 @@
 from __future__ import annotations
 
 import io
-import secrets
 import time
-from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
 import segno
 from fastapi import APIRouter, Request, Response
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
-from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
-from rholoc.service.errors import InvalidRequest, QuotaExceeded
-from rholoc.service.keys import HANDED_PREFIX, ApiKey, KeyLimits, KeyStore
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import (
-    HandedKeyOut,
-    KeyDetail,
-    KeyIn,
-    KeyLimitsIn,
-    KeyLimitsOut,
-    KeyList,
-    KeyOut,
-    KeyUsageOut,
-    QrIn,
-)
+from rholoc.service.access.keys import ApiKey, KeyLimits, Scope
+from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
+from rholoc.service.errors import QuotaExceeded
+from rholoc.service.http.models import AnswerModel, Number, RequestModel
+from rholoc.service.http.openapi import declared
 from rholoc.service.state import Service, State
+
+
+class KeyLimitsIn(RequestModel):
+    """How much a key allows, with all keys that it handed on; what is null or missing is not limited."""
+
+    requests_per_s: Number | None = Field(
+        default=None, ge=0.001, le=1e6, description="requests a second, to each server"
+    )
+    burst: int | None = Field(
+        default=None, ge=1, le=10**6, description="how many requests may come at once; default: those of a second"
+    )
+    maps: int | None = Field(default=None, ge=0, le=10**9, description="maps, with those that its jobs will publish")
+    stored_bytes: int | None = Field(default=None, ge=0, le=2**53, description="bytes of maps and recordings")
+    jobs: int | None = Field(default=None, ge=0, le=10**9, description="jobs that are queued or running")
+
+
+class KeyLimitsOut(KeyLimitsIn):
+    """How much a key allows; null: not limited."""
+
+
+class KeyUsageOut(AnswerModel):
+    """What a key holds, with all keys that it handed on."""
+
+    maps: int = Field(description="with those that its jobs will publish")
+    stored_bytes: int = Field(description="of maps and recordings; an unfinished upload counts whole")
+    jobs: int = Field(description="queued or running, or to come with an unfinished upload")
+
+
+class KeyIn(RequestModel):
+    """A key to hand on."""
+
+    scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the request's own key")
+    lifetime_s: Number = Field(
+        default=86400, ge=60, le=31 * 86400, description="how long it is valid, s: a minute to 31 days"
+    )
+    limits: KeyLimitsIn = Field(
+        default_factory=KeyLimitsIn, description="how much it allows; never more than the request's own key"
+    )
+
+
+class KeyOut(AnswerModel):
+    """A key's name, and what it allows."""
+
+    name: str
+    scope: Scope
+    created: float = Field(description="s since the epoch")
+    expires: float | None = Field(description="s since the epoch; null: never")
+    limits: KeyLimitsOut = Field(description="how much it allows")
+    handed_on_by: str | None = Field(default=None, description="the name of the key that handed it on; null: none did")
+
+
+class KeyDetail(KeyOut):
+    """A key, and what it holds."""
+
+    used: KeyUsageOut
+
+
+class KeyList(AnswerModel):
+    """All keys, the oldest first."""
+
+    keys: list[KeyOut]
+
+
+class HandedKeyOut(AnswerModel):
+    """A key that was handed on."""
+
+    key: str | None = Field(description="the key; null where the server requires none")
+    name: str | None = Field(description="the name to revoke it by")
+    scope: Scope
+    expires: float | None = Field(description="s since the epoch")
+
+
+class QrIn(RequestModel):
+    """A text for a QR code."""
+
+    text: str = Field(min_length=1, max_length=1000)
+
 
 router = APIRouter(prefix="/v1", tags=["keys"])
 
-_MAX_HANDED = 1000  # valid at the same time, of all keys together
-_MAX_HANDED_BY = 100  # by one key, with those below it
-_NAME_BYTES = 4
 _SVG = "image/svg+xml"
 
 
 @router.post(
-    "/keys",
-    dependencies=[NEEDS_MAP],
-    status_code=201,
-    summary="Hand on a key that expires",
-    responses=failures(InvalidRequest, QuotaExceeded, Busy, StorageFull),
+    "/keys", status_code=201, **declared(NEEDS_MAP, "Hand on a key that expires", QuotaExceeded, Busy, StorageFull)
 )
 async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> HandedKeyOut:
     """A new key, which allows no more than the key of the request and expires no later. It is shown only once. Where
@@ -55,106 +114,72 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
     if not needed:
         return HandedKeyOut(key=None, name=None, scope=wanted.scope, expires=None)
     lifetime_s = wanted.lifetime_s if expires is None else min(wanted.lifetime_s, expires - time.time())
-    return await service.threads.database(_hand_on, service.keys, wanted, lifetime_s, request_key(request.scope))
+    by = request_key(request.scope)
+    name, key = await service.keys.hand_on(wanted.scope, lifetime_s, _limits(wanted.limits), by)
+    return HandedKeyOut(key=key, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
 
 
-@router.get("/keys", dependencies=[NEEDS_ADMIN], summary="All keys")
+@router.get("/keys", **declared(NEEDS_ADMIN, "All keys"))
 async def list_keys(service: Service) -> KeyList:
     """Their names and scopes, the oldest first; not the keys themselves, of which the server only has hashes."""
-    keys = await service.threads.database(service.keys.keys)
-    return KeyList(keys=[_shown(key, service.keys) for key in keys])
+    return KeyList(keys=[KeyOut(**_fields(key, service)) for key in await service.keys.list()])
 
 
-@router.get("/keys/{name}", dependencies=[NEEDS_ADMIN], summary="One key", responses=failures(NotFound, InvalidRequest))
+@router.get("/keys/{name}", **declared(NEEDS_ADMIN, "One key", NotFound))
 async def get_key(name: str, service: Service) -> KeyDetail:
     """How much it allows, and what it holds."""
-    return await service.threads.database(_detail, service, name)
+    return await _detail(service, name)
 
 
-@router.put(
-    "/keys/{name}/limits",
-    dependencies=[NEEDS_ADMIN],
-    summary="Limit a key",
-    responses=failures(NotFound, InvalidRequest, StorageFull),
-)
+@router.put("/keys/{name}/limits", **declared(NEEDS_ADMIN, "Limit a key", NotFound, StorageFull))
 async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDetail:
     """Sets all its limits, from the next request on; those that are missing are lifted. What it holds stays, even where
     it is more than it may."""
-    await service.threads.database(service.keys.limit, name, _limits(wanted))
-    return await service.threads.database(_detail, service, name)
+    await service.keys.limit(name, _limits(wanted))
+    return await _detail(service, name)
 
 
-@router.delete(
-    "/keys/{name}",
-    dependencies=[NEEDS_ADMIN],
-    status_code=204,
-    summary="Revoke a key",
-    responses=failures(NotFound, InvalidRequest),
-)
+@router.delete("/keys/{name}", status_code=204, **declared(NEEDS_ADMIN, "Revoke a key", NotFound))
 async def revoke_key(name: str, service: Service) -> None:
     """With all keys that it handed on. They are refused from the next request on, their streams end within a second,
     and their unfinished uploads are abandoned."""
-    await service.threads.database(service.keys.revoke, name)
+    await service.keys.revoke(name)
     service.streams.end_invalid()
-    await service.threads.database(service.quotas.abandon_uploads)
+    await service.keys.abandon_uploads()
 
 
 @router.post(
     "/qr",
-    dependencies=[NEEDS_READ],
-    summary="A text as a QR code",
-    response_class=Response,
-    responses={
-        200: {
-            "description": "A picture.",
-            "content": {_SVG: {"schema": {"type": "string"}, "example": "<svg …></svg>"}},
+    **declared(
+        NEEDS_READ,
+        "A text as a QR code",
+        InvalidInput,
+        also={
+            200: {
+                "description": "A picture.",
+                "content": {_SVG: {"schema": {"type": "string"}, "example": "<svg …></svg>"}},
+            }
         },
-        **failures(InvalidRequest, InvalidInput),
-    },
+    ),
 )
 async def draw_qr(wanted: QrIn) -> Response:
     """For links that a phone is to open; in black on white, whatever the page's colours are."""
     return Response(await run_in_threadpool(_svg, wanted.text), media_type=_SVG)
 
 
-def _hand_on(store: KeyStore, wanted: KeyIn, lifetime_s: float, by: ApiKey | None) -> HandedKeyOut:
-    all_keys = store.keys()
-    handed = [key for key in all_keys if key.name.startswith(HANDED_PREFIX)]
-    for key in handed:
-        if key.expired:
-            with suppress(NotFound):  # another request has done so
-                store.revoke(key.name)
-    valid = [key for key in handed if not key.expired]
-    first = None if by is None else store.chain(by)[-1]
-    if first is not None and sum(store.chain(key)[-1].id == first.id for key in valid) >= _MAX_HANDED_BY:
-        raise QuotaExceeded(
-            f"The key {first.name} has handed on {_MAX_HANDED_BY} keys, the most allowed.",
-            "Revoke some, or wait until they expire.",
-        )
-    if len(valid) >= _MAX_HANDED:
-        raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
-    name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
-    secret = store.create(name, wanted.scope, lifetime_s, _limits(wanted.limits), by)
-    return HandedKeyOut(key=secret, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
+async def _detail(service: State, name: str) -> KeyDetail:
+    key, used = await service.keys.get(name)
+    return KeyDetail(**_fields(key, service), used=KeyUsageOut(**asdict(used)))
 
 
-def _shown(key: ApiKey, store: KeyStore) -> KeyOut:
-    return KeyOut(**_fields(key, store))
-
-
-def _detail(service: State, name: str) -> KeyDetail:
-    key = service.keys.named(name)
-    return KeyDetail(**_fields(key, service.keys), used=KeyUsageOut(**asdict(service.quotas.usage(name))))
-
-
-def _fields(key: ApiKey, store: KeyStore) -> dict[str, Any]:
+def _fields(key: ApiKey, service: State) -> dict[str, Any]:
     return {
         "name": key.name,
         "scope": key.scope,
         "created": key.created,
         "expires": key.expires,
         "limits": KeyLimitsOut(**asdict(key.limits)),
-        "handed_on_by": next((one.name for one in store.chain(key)[1:]), None),
+        "handed_on_by": next((one.name for one in service.keys.chain(key)[1:]), None),
     }
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
+from pydantic import Field
 
 from rholoc.errors import (
     Conflict,
@@ -16,16 +17,39 @@ from rholoc.errors import (
     StorageUnavailable,
     UnknownMap,
 )
-from rholoc.jobs import Job, JobKind, JobOptions
-from rholoc.mapping import FEWEST_QUERIES, too_few_queries
-from rholoc.maps import check_memory
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ
-from rholoc.service.errors import InvalidRequest
-from rholoc.service.intake import counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import DeletedQueries, JobOut, LearningOut
-from rholoc.service.state import Service, State
+from rholoc.mapping import FEWEST_QUERIES
+from rholoc.reports import LearningReport
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
+from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.openapi import declared
+from rholoc.service.maps.job_events import JobOut, begun, job_out
+from rholoc.service.state import Service
+
+
+class LearningOut(AnswerModel):
+    """What is kept for a map to learn from, and what it last learned."""
+
+    map: str
+    learns: bool = Field(description="whether this server keeps queries for its maps to learn from")
+    queries: int = Field(description="how many are kept for this map")
+    size_bytes: int
+    askers: int = Field(description="how many asked them")
+    oldest: float | None = Field(description="s since the epoch")
+    newest: float | None = Field(description="s since the epoch")
+    fewest: int = Field(description="how many a map learns from at least")
+    last: LearningReport | None = Field(description="what the map last learned from its users")
+    job: str | None = Field(description="the id of the job by which it is learning now, or will be")
+    latest: JobOut | None = Field(
+        description="the job by which it last learned from its users, or could not: its `error` says why; null where "
+        "there was none, or it was deleted"
+    )
+
+
+class DeletedQueries(AnswerModel):
+    """How many queries were deleted."""
+
+    deleted: int
+
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 _FAILURES = (UnknownMap, InvalidName, InvalidMap)
@@ -33,38 +57,39 @@ _FAILURES = (UnknownMap, InvalidName, InvalidMap)
 
 @router.post(
     "/{map_name}/learn",
-    dependencies=[NEEDS_MAP],
     status_code=202,
-    summary="Let a map learn from its users",
-    responses=failures(*_FAILURES, InvalidInput, Conflict, StorageFull),
+    **declared(NEEDS_MAP, "Let a map learn from its users", *_FAILURES, InvalidInput, Conflict, StorageFull),
 )
 async def learn_from_users(map_name: str, request: Request, service: Service, response: Response) -> JobOut:
     """A job learns from the queries that are kept for the map: views and landmarks of what was seen often, without what
     many should have seen and did not. `Location` names the job. The map's next version takes the place of the present
     one unless it would localize queries that were held back worse; then the job fails and says by how much. Where the
     setting `learn` says so, maps learn by themselves each night."""
-    job = await counted_job(service, request, map_name, partial(_submit, service, map_name))
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job_out(job)
+    key = request_key(request.scope)
+    job = await service.jobs.begin(key, map_name, lambda _: service.learning.submit(map_name))
+    return begun(job, response)
 
 
 @router.get(
     "/{map_name}/learning",
-    dependencies=[NEEDS_READ],
-    summary="What is kept for a map to learn from",
-    responses=failures(*_FAILURES, StorageUnavailable),
+    **declared(NEEDS_READ, "What is kept for a map to learn from", *_FAILURES, StorageUnavailable),
 )
 async def get_learning(map_name: str, service: Service) -> LearningOut:
     """How many queries are kept, of how many askers, what the map last learned from its users, and when."""
-    return await service.threads.database(_learning, service, map_name)
+    found = await service.learning.get(map_name)
+    from_users = [report for report in found.info.report.learned if report.queries is not None]
+    return LearningOut(
+        map=map_name,
+        learns=service.learning.listens,
+        **asdict(found.kept),
+        fewest=FEWEST_QUERIES,
+        last=from_users[-1] if from_users else None,
+        job=None if found.job is None else found.job.id,
+        latest=None if found.latest is None else job_out(found.latest),
+    )
 
 
-@router.delete(
-    "/{map_name}/learning",
-    dependencies=[NEEDS_MAP],
-    summary="Delete what is kept for a map to learn from",
-    responses=failures(*_FAILURES, InvalidRequest),
-)
+@router.delete("/{map_name}/learning", **declared(NEEDS_MAP, "Delete what is kept for a map to learn from", *_FAILURES))
 async def delete_learning(
     map_name: str,
     service: Service,
@@ -74,41 +99,4 @@ async def delete_learning(
     ] = None,
 ) -> DeletedQueries:
     """For good. What the map has learned already stays: restore a version before, or forget the source `queries`."""
-    return await service.threads.database(_delete, service, map_name, asker)
-
-
-def _submit(service: State, map_name: str) -> Job:
-    map_ = service.library.get(map_name)
-    check_memory(map_, f"The map {map_name}")
-    kept = service.queries.kept(map_.info.id).queries
-    if kept < FEWEST_QUERIES:
-        raise too_few_queries(kept)
-    if (running := service.jobs.learning(map_name)) is not None:
-        raise Conflict(f"The map {map_name} is learning already.", f"Wait for the job {running.id}.")
-    return service.jobs.submit("", map_name, JobOptions(kind=JobKind.LEARN))
-
-
-def _learning(service: State, map_name: str) -> LearningOut:
-    info = service.library.get(map_name).info
-    kept, job = service.queries.kept(info.id), service.jobs.learning(map_name)
-    latest = service.jobs.last_learning(map_name)
-    from_users = [report for report in info.report.learned if report.queries is not None]
-    return LearningOut(
-        map=map_name,
-        learns=service.learner.listens,
-        queries=kept.queries,
-        size_bytes=kept.size_bytes,
-        askers=kept.askers,
-        oldest=kept.oldest,
-        newest=kept.newest,
-        fewest=FEWEST_QUERIES,
-        last=from_users[-1] if from_users else None,
-        job=None if job is None else job.id,
-        latest=None if latest is None else job_out(latest),
-    )
-
-
-def _delete(service: State, map_name: str, asker: str | None) -> DeletedQueries:
-    map_id = service.library.get(map_name).info.id
-    who = None if asker is None else service.learner.pseudonym(asker)
-    return DeletedQueries(deleted=service.queries.delete(map_id, who))
+    return DeletedQueries(deleted=await service.learning.delete(map_name, asker))

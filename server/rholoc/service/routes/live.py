@@ -9,15 +9,32 @@ from dataclasses import asdict
 from functools import lru_cache
 
 from fastapi import APIRouter, Request, Response
+from pydantic import Field
 
 from rholoc.errors import Conflict, InvalidName, UnknownMap
-from rholoc.service.access import NEEDS_READ
-from rholoc.service.live import Sighting
-from rholoc.service.open_streams import EventStream
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import FailureOut, FailuresOut
+from rholoc.service.access.open_streams import EventStream, StreamKind
+from rholoc.service.access.scopes import NEEDS_READ
+from rholoc.service.frames.live import Sighting
+from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.openapi import declared, event_stream
 from rholoc.service.state import Service, State
-from rholoc.service.stream_kind import StreamKind
+
+
+class FailureOut(AnswerModel):
+    """Where a request found no pose, or an unsure one."""
+
+    time: float = Field(description="s since the epoch")
+    position: list[float] = Field(description="m")
+    heading: list[float] | None = Field(description="where the camera looked; null where that is not known")
+    confidence: float
+    reason: str | None = Field(description="why there is no pose; null where there is an unsure one")
+
+
+class FailuresOut(AnswerModel):
+    """The failures of the last day, the oldest first."""
+
+    failures: list[FailureOut]
+
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
@@ -32,29 +49,27 @@ _EVENT = (
 
 @router.get(
     "/{map_name}/live",
-    dependencies=[NEEDS_READ],
-    summary="Who asks for poses now",
-    response_class=Response,
-    responses={
-        200: {
-            "description": "Server-sent events.",
-            "content": {"text/event-stream": {"schema": {"type": "string"}, "example": _EVENT}},
-        },
-        **failures(UnknownMap, InvalidName, Conflict),
-    },
+    **declared(
+        NEEDS_READ,
+        "Who asks for poses now",
+        UnknownMap,
+        InvalidName,
+        Conflict,
+        also=event_stream(_EVENT),
+    ),
 )
 async def watch_poses(map_name: str, request: Request, service: Service) -> Response:
     """Server-sent events `poses`, at most ten a second, each with the last answer to every client that was answered in
     this map since the event before: by the name of its key, or its address where no key is required. An answer without
     a pose has the client's last one, and `localized` false. Only if the setting `live` is on; nothing is stored."""
-    await service.threads.files(service.library.stat, map_name)
-    first = service.live.after(map_name, 0)
+    await service.maps.stat(map_name)
+    first = service.frames.live.after(map_name, 0)
     stream = service.streams.admit(StreamKind.EVENTS, request.scope)
     return EventStream(_events(map_name, first, service), service.streams, stream)
 
 
 async def _events(map_name: str, first: list[Sighting], service: State) -> AsyncIterator[str]:
-    live, found = service.live, first
+    live, found = service.frames.live, first
     while True:
         seen, changed = live.number, live.changed
         # A proxy would take a connection on which nothing comes for dead.
@@ -82,24 +97,11 @@ def _shown(sighting: Sighting) -> dict[str, object]:
 
 @router.get(
     "/{map_name}/failures",
-    dependencies=[NEEDS_READ],
-    summary="Where requests of the last day failed",
-    responses=failures(UnknownMap, InvalidName, Conflict),
+    **declared(NEEDS_READ, "Where requests of the last day failed", UnknownMap, InvalidName, Conflict),
 )
 async def list_failures(map_name: str, service: Service) -> FailuresOut:
     """The requests that found no pose, or one of a confidence below 0.8: where that was, and nothing else. Without a
     pose, that is the position of the request's prior, or the client's last pose. Only if the setting `keep_failures` is
     on, and only since this server started."""
-    await service.threads.files(service.library.stat, map_name)
-    return FailuresOut(
-        failures=[
-            FailureOut(
-                time=one.time,
-                position=one.position,
-                heading=one.heading,
-                confidence=one.confidence,
-                reason=one.reason,
-            )
-            for one in service.live.failures(map_name)
-        ]
-    )
+    await service.maps.stat(map_name)
+    return FailuresOut.model_validate({"failures": service.frames.live.failures(map_name)})

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import JSONResponse
+from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import (
@@ -21,20 +21,13 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.jobs import (
-    WAYPOINTS_FILE,
-    JobKind,
     JobOptions,
-    JobPriority,
     PendingRecording,
     RecordedWaypoint,
-    RecordingEntry,
-    RecordingStore,
     corrected_waypoints,
     read_notes,
     read_thumbnail,
-    waypoints_file,
 )
-from rholoc.maps import DensityKind
 from rholoc.recordings import (
     START_BYTES,
     ZIP_SUFFIX,
@@ -42,27 +35,79 @@ from rholoc.recordings import (
     check_file_name,
     check_file_start,
 )
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ, granted_key, request_key
-from rholoc.service.bodies import declared_length, media_type, read_multipart
+from rholoc.service.access.keys import Scope
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, granted_key, request_key
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType, UnsupportedVersion
-from rholoc.service.intake import UPLOAD_FAILURES, RecordingFields, checked_options, counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.keys import Scope
-from rholoc.service.openapi import BINARY, failures, request_body
+from rholoc.service.http.bodies import declared_length, media_type, read_multipart
+from rholoc.service.http.models import AnswerModel, Number, RequestModel, Vector3
+from rholoc.service.http.openapi import BINARY, content, declared, request_body
+from rholoc.service.http.tus import RESUMABLE
+from rholoc.service.libraries import NotedRecording
+from rholoc.service.maps.job_events import JobOut, begun, job_out
+from rholoc.service.routes.intake import UPLOAD_FAILURES, RecordingFields, checked_options
 from rholoc.service.routes.uploads import begin_upload
-from rholoc.service.schemas import (
-    JobOut,
-    RecordingAccepted,
-    RecordingDetail,
-    RecordingList,
-    RecordingOut,
-    WaypointIn,
-    WaypointsIn,
-)
 from rholoc.service.state import Service, State
-from rholoc.service.tus import RESUMABLE
 from rholoc.storage.holdings import Kind
-from rholoc.trajectory import PoseMethod
+
+
+class RecordingContent(AnswerModel):
+    """What a job read from a recording."""
+
+    length_s: float | None
+    frames: int
+    width: int = Field(description="of a frame, px")
+    height: int
+    format: str = Field(description="how it is laid out")
+    imu: bool = Field(description="whether it has an IMU's table")
+
+
+class RecordingOut(AnswerModel):
+    """A stored recording."""
+
+    id: str
+    files: list[str]
+    size_bytes: int
+    created: float = Field(description="s since the epoch")
+    content: RecordingContent | None = Field(description="null until a job has read it")
+    thumbnail: bool = Field(description="whether there is a small picture of it that this client may see")
+
+
+class WaypointIn(RequestModel):
+    """A measured point of a recording."""
+
+    name: str
+    position: Vector3 = Field(description="m")
+    time_s: Number | None = Field(
+        default=None, description="when the camera was there, s on the recording's clock; default: found by the order"
+    )
+    sigma_m: Number = Field(default=0.02, description="how well the camera was held to it, m: 0.001 to 1")
+
+
+class WaypointsIn(RequestModel):
+    """Waypoints that replace a recording's own, in the order of the walk."""
+
+    waypoints: list[WaypointIn] = Field(max_length=1000, description="three or more")
+
+
+class RecordingDetail(RecordingOut):
+    """A stored recording with its waypoints."""
+
+    waypoints: tuple[RecordedWaypoint, ...] = Field(description="as corrected, else as a job read them from it")
+    corrected: bool = Field(description="whether they replace the recording's own")
+
+
+class RecordingList(AnswerModel):
+    """All stored recordings, the newest first."""
+
+    recordings: list[RecordingOut]
+
+
+class RecordingAccepted(AnswerModel):
+    """A completed upload, and the mapping job that it started."""
+
+    recording: str = Field(description="the recording's id")
+    job: JobOut
+
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
 
@@ -71,28 +116,13 @@ _FORM_BYTES = 2**20  # what the multipart form may take beside its files
 
 
 def _form_schema() -> dict[str, Any]:
-    fields = RecordingFields.model_json_schema()
-    inlined = {
-        **fields["properties"],
-        "density": {
-            "type": "string",
-            "enum": [kind.value for kind in DensityKind],
-            "default": JobOptions.density.value,
-        },
-        "priority": {
-            "type": "string",
-            "enum": [priority.value for priority in JobPriority],
-            "default": JobOptions.priority.value,
-            "description": fields["properties"]["priority"]["description"],
-        },
-        "kind": {"type": "string", "enum": [JobKind.BUILD, JobKind.UPDATE], "default": JobKind.BUILD},
-        "poses": {
-            "type": "string",
-            "enum": [method.value for method in PoseMethod],
-            "description": fields["properties"]["poses"]["description"],
-        },
-        "camera": {"type": "string", "description": fields["properties"]["camera"]["description"]},
-    }
+    """OpenAPI of the form: its fields without references and without null, which no form can send."""
+    schema = RecordingFields.model_json_schema()
+    inlined = {}
+    for name, field in schema["properties"].items():
+        kinds = [one for one in field.pop("anyOf", [field]) if one.get("type") != "null"]
+        named = schema["$defs"].get(kinds[0].pop("$ref", "").rpartition("/")[2], {})
+        inlined[name] = {"type": "string"} | {key: named[key] for key in ("enum",) if key in named} | kinds[0] | field
     files = {
         "file": {
             "type": "array",
@@ -104,36 +134,32 @@ def _form_schema() -> dict[str, Any]:
     return {"type": "object", "required": ["file", "map"], "properties": {**files, **inlined}}
 
 
-@router.get("", dependencies=[NEEDS_READ], summary="All recordings")
+@router.get("", **declared(NEEDS_READ, "All recordings"))
 async def list_recordings(request: Request, service: Service) -> RecordingList:
     """Those that are completely uploaded, the newest first."""
-    return await service.threads.database(_list, service.recordings, _may_see(request))
+    return await run_in_threadpool(_list, await service.recordings.list(), _may_see(request))
 
 
-@router.get(
-    "/{recording}",
-    dependencies=[NEEDS_READ],
-    summary="One recording",
-    responses=failures(UnknownRecording, InvalidRequest),
-)
+@router.get("/{recording}", **declared(NEEDS_READ, "One recording", UnknownRecording))
 async def get_recording(recording: str, request: Request, service: Service) -> RecordingDetail:
     """What it holds, and its waypoints: as corrected, else as a job read them from it."""
-    return await service.threads.database(_detail, service.recordings, recording, _may_see(request))
+    return _detail(await service.recordings.get(recording), _may_see(request))
 
 
 @router.get(
     "/{recording}/thumbnail.jpg",
-    dependencies=[NEEDS_MAP],
-    summary="A small picture of a recording",
-    response_class=Response,
-    responses={
-        200: {"description": "A picture.", "content": {"image/jpeg": {"schema": BINARY}}},
-        **failures(UnknownRecording, UnknownPicture, InvalidRequest),
-    },
+    **declared(
+        NEEDS_MAP,
+        "A small picture of a recording",
+        UnknownRecording,
+        UnknownPicture,
+        also=content("A picture.", "image/jpeg"),
+    ),
 )
 async def get_thumbnail(recording: str, service: Service) -> Response:
     """A frame from its beginning, once a job has read it."""
-    picture = read_thumbnail(await service.threads.database(service.recordings.notes, recording))
+    _, notes = await service.recordings.get(recording)
+    picture = read_thumbnail(notes)
     if picture is None:
         raise UnknownPicture("There is no picture of the recording yet.", "Wait until a job has read it.")
     return Response(picture, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=86400"})
@@ -141,58 +167,50 @@ async def get_thumbnail(recording: str, service: Service) -> Response:
 
 @router.put(
     "/{recording}/waypoints",
-    dependencies=[NEEDS_MAP],
-    summary="Correct a recording's waypoints",
-    responses=failures(UnknownRecording, InvalidWaypoints, InvalidRequest, StorageFull),
+    **declared(NEEDS_MAP, "Correct a recording's waypoints", UnknownRecording, InvalidWaypoints, StorageFull),
 )
 async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, service: Service) -> RecordingDetail:
     """They replace the recording's own whenever it is mapped from then on. The recording's files and existing maps stay
     as they are."""
     given = tuple(_recorded(one) for one in wanted.waypoints)
-    return await service.threads.database(_corrected, service.recordings, recording, given, _may_see(request))
+    return _detail(await service.recordings.correct(recording, given), _may_see(request))
 
 
-@router.delete(
-    "/{recording}/waypoints",
-    dependencies=[NEEDS_MAP],
-    summary="Take back corrected waypoints",
-    responses=failures(UnknownRecording, InvalidRequest),
-)
+@router.delete("/{recording}/waypoints", **declared(NEEDS_MAP, "Take back corrected waypoints", UnknownRecording))
 async def delete_waypoints(recording: str, request: Request, service: Service) -> RecordingDetail:
     """The recording is mapped with its own again."""
-    return await service.threads.database(_corrected, service.recordings, recording, None, _may_see(request))
+    return _detail(await service.recordings.correct(recording, None), _may_see(request))
 
 
 @router.post(
     "/{recording}/jobs",
-    dependencies=[NEEDS_MAP],
     status_code=202,
-    summary="Map a stored recording again",
-    responses=failures(UnknownRecording, *UPLOAD_FAILURES),
+    **declared(NEEDS_MAP, "Map a stored recording again", UnknownRecording, *UPLOAD_FAILURES),
 )
 async def map_again(
     recording: str, wanted: RecordingFields, request: Request, service: Service, response: Response
 ) -> JobOut:
     """With other options, corrected waypoints, fewer frames, or as another map. `Location` is the job's address."""
     options = await checked_options(wanted, service)
-    submit = partial(service.jobs.submit, recording, wanted.map, options)
-    job = await counted_job(service, request, wanted.map, submit)
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job_out(job)
+    key = request_key(request.scope)
+    job = await service.jobs.begin(key, wanted.map, lambda jobs: jobs.submit(recording, wanted.map, options))
+    return begun(job, response)
 
 
 @router.post(
     "",
-    dependencies=[NEEDS_MAP],
     status_code=202,
     response_model=RecordingAccepted,
-    summary="Upload a recording and map it",
-    responses={
-        **failures(*UPLOAD_FAILURES, UnsupportedMediaType, UnsupportedVersion),
-        201: {"description": "A resumable upload has begun; PATCH its bytes to the address in `Location`."},
-    },
     openapi_extra=request_body(
         {"multipart/form-data": {"schema": _form_schema(), "example": {"map": "testsite", "features": "gray"}}}
+    ),
+    **declared(
+        NEEDS_MAP,
+        "Upload a recording and map it",
+        *UPLOAD_FAILURES,
+        UnsupportedMediaType,
+        UnsupportedVersion,
+        also={201: {"description": "A resumable upload has begun; PATCH its bytes to the address in `Location`."}},
     ),
 )
 async def upload_recording(request: Request, service: Service) -> Response:
@@ -208,21 +226,16 @@ async def upload_recording(request: Request, service: Service) -> Response:
             "A recording must be sent as multipart/form-data.", "curl -F file=@walk.mp4 -F map=hall"
         )
     key, quotas = request_key(request.scope), service.quotas
-    await service.threads.database(quotas.check, key, size_bytes=declared_length(request))
-    pending = await service.threads.files(service.recordings.begin, service.settings.max_upload_bytes)
+    await quotas.check(key, size_bytes=declared_length(request))
+    pending = await service.recordings.begin(service.settings.max_upload_bytes)
     async with AsyncExitStack() as in_the_end:
         in_the_end.push_async_callback(run_in_threadpool, pending.abort)
         fields, options = await _receive(request, pending, service)
         await in_the_end.enter_async_context(quotas.counting(key))
-        await service.threads.database(quotas.check, key, None, pending.size_bytes, fields.map)
-        entry = await service.threads.transfers(pending.commit)
-        try:
-            job = await service.threads.database(service.jobs.submit, entry.id, fields.map, options)
-        except Exception:
-            await service.threads.database(service.recordings.delete, entry.id)  # no job would ever read it
-            raise
-        await service.threads.database(quotas.hold, key, Kind.RECORDING, entry.id, entry.size_bytes)
-        await service.threads.database(quotas.hold_job, key, job.id, fields.map)
+        await quotas.check(key, None, pending.size_bytes, fields.map)
+        entry, job = await service.recordings.commit(pending, fields.map, options)
+        await quotas.hold(key, Kind.RECORDING, entry.id, entry.size_bytes)
+        await quotas.hold_job(key, job.id, fields.map)
     accepted = RecordingAccepted(recording=entry.id, job=job_out(job))
     return JSONResponse(accepted.model_dump(mode="json"), 202, {"Location": f"/v1/jobs/{job.id}"})
 
@@ -232,16 +245,12 @@ def _may_see(request: Request) -> bool:
     return granted_key(request)[0].allows(Scope.MAP)
 
 
-def _list(recordings: RecordingStore, may_see: bool) -> RecordingList:
-    shown = []
-    for one in recordings.list():
-        with suppress(UnknownRecording):  # deleted meanwhile
-            shown.append(RecordingOut.model_validate(_shown(recordings, one, may_see)))
-    return RecordingList(recordings=shown)
+def _list(found: list[NotedRecording], may_see: bool) -> RecordingList:
+    return RecordingList(recordings=[RecordingOut.model_validate(_shown(one, may_see)) for one in found])
 
 
-def _shown(recordings: RecordingStore, entry: RecordingEntry, may_see: bool) -> dict[str, object]:
-    files = recordings.notes(entry.id)
+def _shown(found: NotedRecording, may_see: bool) -> dict[str, object]:
+    entry, files = found
     notes = read_notes(files)
     return {
         "id": entry.id,
@@ -253,22 +262,13 @@ def _shown(recordings: RecordingStore, entry: RecordingEntry, may_see: bool) -> 
     }
 
 
-def _detail(recordings: RecordingStore, recording: str, may_see: bool) -> RecordingDetail:
-    entry = recordings.get(recording)
-    files = recordings.notes(recording)
+def _detail(found: NotedRecording, may_see: bool) -> RecordingDetail:
+    _, files = found
     notes = read_notes(files)
     given = corrected_waypoints(files, notes)
     own = () if notes is None else notes.waypoints
     fields = {"waypoints": own if given is None else given, "corrected": given is not None}
-    return RecordingDetail.model_validate({**_shown(recordings, entry, may_see), **fields})
-
-
-def _corrected(
-    recordings: RecordingStore, recording: str, given: tuple[RecordedWaypoint, ...] | None, may_see: bool
-) -> RecordingDetail:
-    notes = read_notes(recordings.notes(recording))
-    recordings.note(recording, {WAYPOINTS_FILE: None if given is None else waypoints_file(given, notes)})
-    return _detail(recordings, recording, may_see)
+    return RecordingDetail.model_validate({**_shown(found, may_see), **fields})
 
 
 def _recorded(waypoint: WaypointIn) -> RecordedWaypoint:

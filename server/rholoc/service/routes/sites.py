@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from fastapi import APIRouter, Request, Response
+from pydantic import Field
 
 from rholoc.errors import (
     Busy,
@@ -18,136 +17,118 @@ from rholoc.errors import (
     UnknownMap,
     UnknownSite,
 )
-from rholoc.jobs import Job
 from rholoc.mapping import find_link, solve_site, with_link
-from rholoc.service.access import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ
-from rholoc.service.compute import Effort
-from rholoc.service.errors import InvalidRequest
-from rholoc.service.intake import counted_job
-from rholoc.service.job_events import job_out
-from rholoc.service.openapi import failures
-from rholoc.service.schemas import JobOut, SiteIn, SiteLinkWanted, SiteList, SiteOut
-from rholoc.service.site_documents import site_of, site_out
-from rholoc.service.state import Service, State
+from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
+from rholoc.service.http.models import AnswerModel, RequestModel
+from rholoc.service.http.openapi import declared
+from rholoc.service.maps.job_events import JobOut, begun
+from rholoc.service.maps.site_documents import SiteIn, SiteOut, site_of, site_out
+from rholoc.service.state import Service
+from rholoc.service.threads.compute import Effort
+
+
+class SiteLinkWanted(RequestModel):
+    """Two maps of a site, the pose between which is looked for."""
+
+    first: str
+    second: str
+
+
+class SiteList(AnswerModel):
+    """All sites."""
+
+    sites: list[SiteOut]
+    unreadable: dict[str, str] = Field(description="names of site files that cannot be read, and why")
+
 
 router = APIRouter(prefix="/v1/sites", tags=["sites"])
 
 
-@router.get("", dependencies=[NEEDS_READ], summary="All sites")
+@router.get("", **declared(NEEDS_READ, "All sites"))
 async def list_sites(service: Service) -> SiteList:
     """The sites by name; files that are no sites are named apart."""
-    return await service.threads.database(_list, service)
-
-
-@router.get(
-    "/{site}",
-    dependencies=[NEEDS_READ],
-    summary="One site",
-    responses=failures(UnknownSite, InvalidName, InvalidInput),
-)
-async def get_site(site: str, service: Service) -> SiteOut:
-    """Its maps with their poses, and the links that these follow from."""
-    return await service.threads.database(lambda: site_out(site, service.sites.get(site), service.library.names()))
-
-
-@router.put(
-    "/{site}",
-    dependencies=[NEEDS_MAP],
-    summary="Store a site",
-    responses={
-        **failures(UnknownMap, InvalidName, InvalidInput, InvalidRequest, Conflict, StorageFull),
-        201: {"model": SiteOut, "description": "The site is new."},
-    },
-)
-async def put_site(site: str, wanted: SiteIn, service: Service, response: Response) -> SiteOut:
-    """Poses that are not given are found from links; without any given pose the first map's frame is the site's. Links
-    that contradict each other are refused, with what is left over around them. Maps that nothing joins to the others
-    are the site's without a pose: frames are looked for in them, and answered in the map's frame alone."""
-    present = await service.threads.files(_members, service, wanted)
-    solved = await service.compute.run(lambda: solve_site(site_of(wanted)), Effort.LARGE)
-    stored = site_out(site, await service.threads.database(service.sites.put, site, solved, wanted.version), present)
-    response.status_code = 201 if stored.version == 1 else 200
-    return stored
-
-
-@router.delete(
-    "/{site}",
-    dependencies=[NEEDS_ADMIN],
-    status_code=204,
-    summary="Delete a site",
-    responses=failures(UnknownSite, InvalidName),
-)
-async def delete_site(site: str, service: Service) -> None:
-    """Its maps stay."""
-    await service.threads.database(service.sites.delete, site)
-
-
-@router.post(
-    "/{site}/links",
-    dependencies=[NEEDS_MAP],
-    summary="Find the pose between two maps of a site",
-    responses=failures(
-        UnknownSite, UnknownMap, InvalidName, InvalidMap, InvalidInput, InvalidRequest, MappingFailed, Conflict, Busy,
-        StorageFull,
-    ),
-)  # fmt: skip
-async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) -> SiteOut:
-    """By three measured or named points that both maps have, else by views of the second localized in the first. The
-    link takes the place of one that was found before, and poses that nobody gave follow anew."""
-    before = await service.threads.database(service.sites.get, site)
-    for name in (wanted.first, wanted.second):
-        if before.member(name) is None:
-            raise InvalidInput(f"The map {name[:64]} is not one of the site {site}.", "Put the site with it first.")
-    a = await service.map(wanted.first)
-    b = await service.map(wanted.second)
-    link = await service.compute.run(lambda: find_link(wanted.first, a, wanted.second, b), Effort.LARGE)
-
-    def store() -> SiteOut:
-        stored = service.sites.put(site, with_link(before, link), before.version)
-        return site_out(site, stored, service.library.names())
-
-    return await service.threads.database(store)
-
-
-@router.post(
-    "/{site}/place",
-    dependencies=[NEEDS_MAP],
-    status_code=202,
-    summary="Place the maps of a site",
-    responses=failures(UnknownSite, InvalidName, InvalidInput, Conflict, StorageFull),
-)
-async def place_site(site: str, request: Request, service: Service, response: Response) -> JobOut:
-    """A job holds pairs of maps against each other, as `links` does with one pair, until all are placed or no further
-    two overlap; `Location` names the job. What it finds is added to the site as it is then, and the job's `warnings`
-    say what is still not placed."""
-    job = await counted_job(service, request, "", partial(_submit_placing, service, site))
-    response.headers["Location"] = f"/v1/jobs/{job.id}"
-    return job_out(job)
-
-
-def _submit_placing(service: State, name: str) -> Job:
-    service.sites.get(name)
-    return service.jobs.submit_placing(name)
-
-
-def _members(service: State, wanted: SiteIn) -> set[str]:
-    """The names of all maps. Raises UnknownMap if one that a site is to have is not among them."""
-    present = set(service.library.names())
-    for one in wanted.maps:
-        if one.map not in present:
-            service.library.stat(one.map)  # which says what there is
-    return present
-
-
-def _list(service: State) -> SiteList:
     found: list[SiteOut] = []
     unreadable: dict[str, str] = {}
-    present = set(service.library.names())
-    for name in service.sites.names():
+    present = set(await service.maps.names())
+    for name in await service.sites.names():
         try:
-            found.append(site_out(name, service.sites.get(name), present))
+            found.append(site_out(name, await service.sites.get(name), present))
         except UnknownSite:
             continue  # deleted meanwhile
         except RholocError as error:
             unreadable[name] = error.message
     return SiteList(sites=found, unreadable=unreadable)
+
+
+@router.get("/{site}", **declared(NEEDS_READ, "One site", UnknownSite, InvalidName, InvalidInput))
+async def get_site(site: str, service: Service) -> SiteOut:
+    """Its maps with their poses, and the links that these follow from."""
+    return site_out(site, await service.sites.get(site), await service.maps.names())
+
+
+@router.put(
+    "/{site}",
+    **declared(
+        NEEDS_MAP,
+        "Store a site",
+        UnknownMap,
+        InvalidName,
+        InvalidInput,
+        Conflict,
+        StorageFull,
+        also={201: {"model": SiteOut, "description": "The site is new."}},
+    ),
+)
+async def put_site(site: str, wanted: SiteIn, service: Service, response: Response) -> SiteOut:
+    """Poses that are not given are found from links; without any given pose the first map's frame is the site's. Links
+    that contradict each other are refused, with what is left over around them. Maps that nothing joins to the others
+    are the site's without a pose: frames are looked for in them, and answered in the map's frame alone."""
+    present = set(await service.maps.names())
+    for one in wanted.maps:
+        if one.map not in present:
+            await service.maps.stat(one.map)  # which says what there is
+    solved = await service.frames.compute.run(lambda: solve_site(site_of(wanted)), Effort.LARGE)
+    stored = site_out(site, await service.sites.put(site, solved, wanted.version), present)
+    response.status_code = 201 if stored.version == 1 else 200
+    return stored
+
+
+@router.delete("/{site}", status_code=204, **declared(NEEDS_ADMIN, "Delete a site", UnknownSite, InvalidName))
+async def delete_site(site: str, service: Service) -> None:
+    """Its maps stay."""
+    await service.sites.delete(site)
+
+
+@router.post(
+    "/{site}/links",
+    **declared(
+        NEEDS_MAP, "Find the pose between two maps of a site", UnknownSite, UnknownMap, InvalidName, InvalidMap,
+        InvalidInput, MappingFailed, Conflict, Busy, StorageFull,
+    ),
+)  # fmt: skip
+async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) -> SiteOut:
+    """By three measured or named points that both maps have, else by views of the second localized in the first. The
+    link takes the place of one that was found before, and poses that nobody gave follow anew."""
+    before = await service.sites.get(site)
+    for name in (wanted.first, wanted.second):
+        if before.member(name) is None:
+            raise InvalidInput(f"The map {name[:64]} is not one of the site {site}.", "Put the site with it first.")
+    a = await service.maps.get(wanted.first)
+    b = await service.maps.get(wanted.second)
+    link = await service.frames.compute.run(lambda: find_link(wanted.first, a, wanted.second, b), Effort.LARGE)
+    stored = await service.sites.put(site, with_link(before, link), before.version)
+    return site_out(site, stored, await service.maps.names())
+
+
+@router.post(
+    "/{site}/place",
+    status_code=202,
+    **declared(NEEDS_MAP, "Place the maps of a site", UnknownSite, InvalidName, InvalidInput, Conflict, StorageFull),
+)
+async def place_site(site: str, request: Request, service: Service, response: Response) -> JobOut:
+    """A job holds pairs of maps against each other, as `links` does with one pair, until all are placed or no further
+    two overlap; `Location` names the job. What it finds is added to the site as it is then, and the job's `warnings`
+    say what is still not placed."""
+    await service.sites.get(site)
+    job = await service.jobs.begin(request_key(request.scope), "", lambda jobs: jobs.submit_placing(site))
+    return begun(job, response)

@@ -10,12 +10,12 @@ from fastapi import APIRouter, Header, Request, Response
 from starlette.requests import ClientDisconnect
 
 from rholoc.errors import Conflict, InvalidRecording, StorageFull, TooLarge, UnknownRecording
-from rholoc.service import tus
-from rholoc.service.access import NEEDS_MAP, NEEDS_READ, request_key
-from rholoc.service.bodies import limited_stream, media_type, read_body
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.errors import ChecksumMismatch, InvalidRequest, UnsupportedMediaType, UnsupportedVersion
-from rholoc.service.intake import RecordingFields, checked_options
-from rholoc.service.openapi import BINARY, failures, request_body
+from rholoc.service.http import tus
+from rholoc.service.http.bodies import limited_stream, media_type, read_body
+from rholoc.service.http.openapi import BINARY, declared, request_body
+from rholoc.service.routes.intake import RecordingFields, checked_options
 from rholoc.service.state import Service, State
 from rholoc.storage.holdings import Kind
 
@@ -25,7 +25,7 @@ _PIECE_BYTES = 2**20  # written at once
 _FILE_NAME = "filename"
 
 
-@router.options("", dependencies=[NEEDS_READ], status_code=204, summary="What resumable uploads can do here")
+@router.options("", status_code=204, **declared(NEEDS_READ, "What resumable uploads can do here"))
 @router.options("/{recording}", dependencies=[NEEDS_READ], status_code=204, include_in_schema=False)
 async def upload_abilities(service: Service) -> Response:
     """tus 1.0: version, extensions, checksums, and the largest upload, in headers."""
@@ -35,7 +35,7 @@ async def upload_abilities(service: Service) -> Response:
 async def begin_upload(request: Request, service: State) -> Response:
     """The creation of a resumable upload.
 
-    Raises: as :func:`rholoc.service.intake.checked_options` and :meth:`rholoc.jobs.UploadStore.create` do.
+    Raises: as :func:`rholoc.service.routes.intake.checked_options` and :meth:`rholoc.jobs.UploadStore.create` do.
     """
     length = tus.number("Upload-Length", request.headers.get("upload-length"))
     limit = service.settings.max_upload_bytes
@@ -49,37 +49,42 @@ async def begin_upload(request: Request, service: State) -> Response:
     options = await checked_options(fields, service)
     key, quotas = request_key(request.scope), service.quotas
     async with quotas.counting(key):
-        await service.threads.database(quotas.check_upload, key, math.ceil(service.settings.max_unfinished_uploads / 4))
-        await service.threads.database(quotas.check, key, None, length, fields.map)
-        create = service.uploads.create
-        upload = await service.threads.database(create, metadata[_FILE_NAME], length, fields.map, options)
-        await service.threads.database(quotas.hold, key, Kind.RECORDING, upload.id, length)
-        await service.threads.database(quotas.hold_job, key, upload.id, fields.map)
+        await quotas.check_upload(key, math.ceil(service.settings.max_unfinished_uploads / 4))
+        await quotas.check(key, None, length, fields.map)
+        upload = await service.recordings.begin_upload(metadata[_FILE_NAME], length, fields.map, options)
+        await quotas.hold(key, Kind.RECORDING, upload.id, length)
+        await quotas.hold_job(key, upload.id, fields.map)
     headers = {"Location": f"{router.prefix}/{upload.id}", **tus.standing(upload)}
     return Response(status_code=201, headers=headers)
 
 
 @router.head(
     "/{recording}",
-    dependencies=[NEEDS_READ],
-    summary="Where an upload stands",
     response_class=Response,
-    responses=failures(InvalidRequest, InvalidRecording, UnknownRecording, TooLarge, StorageFull, UnsupportedVersion),
+    **declared(
+        NEEDS_READ,
+        "Where an upload stands",
+        InvalidRecording,
+        UnknownRecording,
+        TooLarge,
+        StorageFull,
+        UnsupportedVersion,
+    ),
 )
 async def upload_standing(recording: str, service: Service) -> Response:
     """In headers: `Upload-Offset`, `Upload-Length`, `Upload-Expires`; once it is whole, its mapping job's id in
     `Rholoc-Job`."""
-    upload = await service.threads.database(service.uploads.get, recording)
+    upload = await service.recordings.upload(recording)
     return Response(headers=tus.standing(upload))
 
 
 @router.patch(
     "/{recording}",
-    dependencies=[NEEDS_MAP],
     status_code=204,
-    summary="Go on with an upload",
-    responses=failures(
-        InvalidRequest,
+    openapi_extra=request_body({tus.PATCH_TYPE: {"schema": BINARY}}),
+    **declared(
+        NEEDS_MAP,
+        "Go on with an upload",
         InvalidRecording,
         UnknownRecording,
         Conflict,
@@ -89,7 +94,6 @@ async def upload_standing(recording: str, service: Service) -> Response:
         UnsupportedVersion,
         ChecksumMismatch,
     ),
-    openapi_extra=request_body({tus.PATCH_TYPE: {"schema": BINARY}}),
 )
 async def continue_upload(
     recording: str,
@@ -107,38 +111,28 @@ async def continue_upload(
             "The bytes of an upload must be sent as " + tus.PATCH_TYPE + ".", "Use a tus client."
         )
     offset = tus.number("Upload-Offset", upload_offset)
-    append = service.uploads.append
     # Errors are raised before the bytes arrive.
-    upload = await service.threads.transfers(append, recording, offset, b"")
+    upload = await service.recordings.append(recording, offset, b"")
     left = upload.length - offset
     if upload_checksum is None:
         pieces = _pieces(request, left)
     else:
         pieces = _checked(request, min(left, service.settings.max_request_bytes), upload_checksum)
     async for piece in pieces:
-        upload = await service.threads.transfers(append, recording, offset, piece)
+        upload = await service.recordings.append(recording, offset, piece)
         offset += len(piece)
     return Response(status_code=204, headers=tus.standing(upload))
 
 
 @router.delete(
     "/{recording}",
-    dependencies=[NEEDS_MAP],
     status_code=204,
-    summary="Delete a recording, or give up its upload",
-    responses=failures(InvalidRequest, UnknownRecording, Conflict, UnsupportedVersion),
+    **declared(NEEDS_MAP, "Delete a recording, or give up its upload", UnknownRecording, Conflict, UnsupportedVersion),
 )
 async def delete_recording(recording: str, service: Service) -> Response:
     """For good, unless a job is waiting for it or working on it. Maps made from it stay."""
-    await service.threads.database(_delete, service, recording)
+    await service.recordings.delete(recording)
     return Response(status_code=204)
-
-
-def _delete(service: State, recording: str) -> None:
-    try:
-        service.uploads.delete(recording)
-    except UnknownRecording:
-        service.jobs.delete_recording(recording)
 
 
 async def _pieces(request: Request, max_bytes: int) -> AsyncIterator[bytes]:

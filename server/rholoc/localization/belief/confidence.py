@@ -1,0 +1,161 @@
+"""How surely a pose is right: that it is the right place, and that it is exact there.
+
+``recognized`` is the probability that a pose is of the right place (within 50 cm and 20°), ``exact`` the probability
+that it is within 10 cm and 5° if so; ``confidence`` is their product. Both are logistics, with the same weights for
+every extractor. ``recognized`` goes by the evidence for the pose (:mod:`rholoc.localization.pose.pose_evidence`): how
+surely the matches are not where they are by chance, what they say for the pose, the share of the expected landmarks
+that is found, and, where both sides know them, how well matches agree in orientation and size, and in their colours. A
+light unknown to the map may change what is bright and what is dark: colours that disagree halve the odds at most.
+``exact`` goes by the position's standard deviation.
+
+Landmarks that are missing do not speak against a place beyond that share: seen from one or two metres away, four of
+five are not found again, and a model with further terms for them predicts rooms that it was not fitted to no better.
+Among several places they still decide which is likelier (:mod:`rholoc.localization.pose.rivals`). The focal length is
+counted apart (:mod:`rholoc.localization.pose.focal`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from rholoc.geometry import FloatArray
+from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, probability_right, worst_sigma
+from rholoc.localization.pose.ascent import SYSTEMATIC
+from rholoc.localization.pose.pose_evidence import Support
+from rholoc.localization.pose.rematching import Verified
+from rholoc.localization.types import Belief
+
+_LEAST_SIGMA_M = 1e-6
+_REFERENCE_SIGMA_M = 0.1
+_MAX_AGAINST = math.log(2)  # of the log odds: what colours that disagree cost
+_SIGMA_OCTAVES = (-2.0, 1.0)  # over the reference: a sigma beyond says no more
+_PATCH_NATS = (-0.5, 1.2)
+
+MIN_RECOGNIZED = 0.5
+"""Poses that are less probably of the right place are withheld."""
+
+
+@dataclass(frozen=True)
+class ConfidenceFeatures:
+    """Inputs of the confidence model: the evidence for a pose.
+
+    Attributes:
+        place: (3,) log₂ of the nats per match by which the matches exceed chance, at most zero; log₂ of one plus the
+            nats
+            in favour of the pose; log₂ of the share of the expected landmarks that was found.
+        colours: agreement of colours, from 0 (chance) to 1; NaN if unknown.
+        patches: agreement of orientation and size [nats per match], from -½ to 1.2; NaN if unknown.
+        sigma: log₂ of the largest standard deviation of the position over 10 cm, from -2 to 1.
+    """
+
+    place: tuple[float, float, float]
+    colours: float
+    patches: float
+    sigma: float
+
+    @property
+    def has_colours(self) -> bool:
+        """Whether the agreement of colours is known."""
+        return not math.isnan(self.colours)
+
+    @property
+    def has_patches(self) -> bool:
+        """Whether the agreement of orientations and sizes is known."""
+        return not math.isnan(self.patches)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the confidence model; each tuple begins with the intercept.
+
+    Attributes:
+        place: (4,) of ``place`` alone, if neither colours nor patches are known.
+        colours: (5,) of ``place`` and the colours.
+        patches: (5,) of ``place`` and the patches.
+        both: (6,) of ``place``, the patches and the colours.
+        exact: (2,) of ``sigma``.
+    """
+
+    place: tuple[float, ...]
+    colours: tuple[float, ...]
+    patches: tuple[float, ...]
+    both: tuple[float, ...]
+    exact: tuple[float, ...]
+
+
+# Fitted as benchmarks/calibrate_confidence.py does: the place to answers of sift48 and lab3 in the kitchen, the bedroom
+# and the living room, exactness to those of all extractors but xfeat.
+WEIGHTS = Weights(
+    place=(-6.18, 1.39, 2.57, 1.62),
+    colours=(-4.95, 0.98, 1.99, 1.63, 5.1),
+    patches=(-2.35, 0.44, 0.87, 0.94, 4.42),
+    both=(-2.15, 0.31, 0.7, 0.95, 4.16, 2.47),
+    exact=(2.82, -1.6),
+)
+
+
+def confidence_features(verified: Sequence[Verified], covariance: FloatArray) -> ConfidenceFeatures:
+    """Confidence features of jointly verified frames. ``covariance`` (6, 6) is of the frame to answer."""
+    supports = [one.support for one in verified]
+    found, expected = sum(one.found for one in supports), sum(one.expected for one in supports)
+    inliers = sum(one.inliers for one in verified)
+    sigma_m = max(worst_sigma(covariance[:3, :3]), _LEAST_SIGMA_M)
+    place = (
+        min(math.log2((1 + sum(one.beyond_chance for one in supports)) / (1 + inliers)), 0.0),
+        math.log2(1 + sum(one.seen for one in supports)),
+        math.log2((1 + found) / (1 + expected)),
+    )
+    octaves = math.log2(sigma_m / _REFERENCE_SIGMA_M)
+    colours = _mean_known(supports, [one.colours for one in supports])
+    patches = float(np.clip(_mean_known(supports, [one.patches for one in supports]), *_PATCH_NATS))
+    return ConfidenceFeatures(place, colours, patches, float(np.clip(octaves, *_SIGMA_OCTAVES)))
+
+
+def belief_of(verified: Verified) -> Belief:
+    """Belief in one verified pose, before rivals and doubts about the focal length lower it."""
+    return joint_belief((verified,), verified.covariance)
+
+
+def joint_belief(verified: Sequence[Verified], covariance: FloatArray) -> Belief:
+    """Belief in a pose from jointly verified frames. ``covariance`` (6, 6) is of the frame to answer.
+
+    A position with a standard deviation of half a metre or more lowers ``recognized``.
+    """
+    belief = belief_by(confidence_features(verified, covariance))
+    known = probability_right(covariance / SYSTEMATIC**2, PLACE_M, PLACE_RAD)
+    return Belief(belief.recognized * known, belief.exact)
+
+
+def belief_by(features: ConfidenceFeatures, weights: Weights = WEIGHTS) -> Belief:
+    """Evaluate the confidence model."""
+    exact = float(expit(_weighed((features.sigma,), weights.exact)))
+    return Belief(float(expit(_place_logit(features, weights))), exact)
+
+
+def _place_logit(features: ConfidenceFeatures, weights: Weights) -> float:
+    """Log odds that the place is right."""
+    known: tuple[float, ...] = features.place
+    alone, by_colours = weights.place, weights.colours
+    if features.has_patches:
+        known, alone, by_colours = (*features.place, features.patches), weights.patches, weights.both
+    without = _weighed(known, alone)
+    if not features.has_colours:
+        return without
+    return max(_weighed((*known, features.colours), by_colours), without - _MAX_AGAINST)
+
+
+def _weighed(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
+    intercept, *slopes = weights
+    return float(intercept + np.dot(slopes, inputs))
+
+
+def _mean_known(supports: Sequence[Support], values: Sequence[float]) -> float:
+    """Mean of the known values, weighted by the number of landmarks found in each frame; NaN if none is known."""
+    known = [(one.found, value) for one, value in zip(supports, values, strict=True) if not math.isnan(value)]
+    found = sum(weight for weight, _ in known)
+    return sum(weight * value for weight, value in known) / found if found else math.nan

@@ -1,0 +1,1 @@
+"""The map as localization searches it: landmarks, views, which map and which place; matches."""

@@ -1,0 +1,1 @@
+"""Matches → pose: seeds, ascent, re-matching, and the evidence for the pose."""

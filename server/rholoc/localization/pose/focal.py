@@ -1,0 +1,253 @@
+"""Check a given focal length against the matches, or estimate an unknown one.
+
+A wrong focal length moves the pose along the optical axis, by the depth times the relative error, until most matches
+agree again, so the residuals hardly show it. But near and far landmarks then disagree on the distance. If the focal
+length is freed, it moves to where they agree. With few informative matches it can also drift; therefore only a camera
+that explains the picture better counts as evidence against the given one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from math import erf, sqrt
+
+import numpy as np
+
+from rholoc.geometry import Camera, FloatArray, Lens
+from rholoc.localization.index.map_error import PLACE_M, RIGHT_M, worst_sigma
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import ascend_with_focal, focal_sigma, freed_focal, information_at
+from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.rematching import ENOUGH_MATCHES, Verified, evidence_of, verify
+from rholoc.localization.types import Query
+
+_WIDE_RADIUS_PX = 14.0
+_TOLERANCES_PX = (14.0, 7.0, 4.0)
+_LAST_TOLERANCES_PX = (5.0, 4.0)
+_FIRST_TOLERANCES_PX = (40.0, 15.0, 5.0)
+_ROUNDS = 3
+_SETTLED = 0.02  # of the focal length's logarithm: rounds that change less end
+_ALIKE = 0.003  # of the focal length's logarithm: nothing is gained by another round
+_SHARED_ERRORS = 0.05  # of the nats that a pose explains: what another may gain by errors that landmarks share
+_SIGMAS = 3.0  # measured on real recordings: the estimate's error against its curvature's
+_OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the focal length
+_HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
+# Doubt by how many estimated sigmas a focal length is off. Past 1.2 are 3 of 352 right poses by a right camera, and 172
+# of 213 wrong ones by one that is a tenth off; of cameras, few are.
+_OFF_SIGMAS, _DOUBT = (0.8, 1.2, 4.0), (0.0, 0.8, 1.0)
+_FITTING_M, _FITTING_NATS = 0.015, 0.5  # what a free focal length changes at most where the one in use is right
+_GUESSES = tuple(0.5 * 1.17**step for step in range(10))  # focal lengths to try, as shares of the longer side
+_GUESS_TOLERANCE_SHARE = 0.02  # of the longer side: a guess may be off by half a step
+_MIN_MATCHES = 8
+
+
+@dataclass(frozen=True)
+class FocalEstimate:
+    """What the matches say about the focal length.
+
+    Attributes:
+        focal_px: best-fitting focal length.
+        sigma_px: its standard deviation.
+        moved_m: displacement of the pose when the focal length is freed.
+        belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
+            probability
+            that the pose is within 50 cm.
+        exact: if it was estimated, probability 0 to 1 that the pose is within 10 cm, given that it is within 50 cm.
+    """
+
+    focal_px: float
+    sigma_px: float
+    moved_m: float
+    belief: float
+    exact: float = 1.0
+
+    @classmethod
+    def unchecked(cls, camera: Camera) -> FocalEstimate:
+        """The camera's own focal length without any doubt, for a pose that is not worth a check."""
+        return cls(camera.focal, camera.focal, 0.0, 1.0)
+
+
+def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
+    """Check the camera's focal length against the matches of a verified pose, if the lens is a pinhole.
+
+    Args:
+        index: index of the map.
+        query: the frame.
+        verified: its verified pose.
+        matches: matches with one place, made without a pose; or the matches around the pose.
+    """
+    camera, T = query.camera, verified.optimum.T_map_camera
+    if query.camera.lens is not Lens.PINHOLE or _fits(index, query, verified, matches):
+        return FocalEstimate.unchecked(camera)
+    total, sigma = 1.0, np.inf
+    tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
+    for _ in range(_ROUNDS):
+        if len(matches) < _MIN_MATCHES:
+            break
+        evidence = evidence_of(index, matches, camera.rays(query.features.pixels), camera)
+        optimum, scale, sigma = ascend_with_focal(evidence, T, tolerances_px, query.dof)
+        tolerances_px = _TOLERANCES_PX
+        total, T = total * scale, optimum.T_map_camera
+        if abs(np.log(scale)) < _SETTLED or not _sensible(query.camera, total):
+            break
+        camera = query.camera.zoomed(total)
+        matches, _ = index.match_near(query.features, camera, T, _WIDE_RADIUS_PX)
+    moved_m = float(np.linalg.norm(T[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
+    focal_px = query.camera.focal * total
+    belief = _belief(moved_m, total, _SIGMAS * sigma)
+    if belief < 1:
+        belief = _compared(verified, _refocused(index, query, total, T))
+    return FocalEstimate(focal_px, _spread(sigma) * focal_px, moved_m, belief)
+
+
+def _refocused(
+    index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray
+) -> Iterator[tuple[float, Verified]]:
+    """Iterate over (factor, verified pose) for cameras with about ``scale`` × the focal length, converging to the
+    best fit.
+    """
+    for _ in range(_ROUNDS):
+        if not _sensible(query.camera, scale):
+            return
+        camera = query.camera.zoomed(scale)
+        asked = replace(query, camera=camera)
+        found = verify(index, asked, camera.rays(query.features.pixels), T_map_camera, focal_free=True)
+        if found is None:
+            return
+        yield scale, found
+        optimum, change, _ = ascend_with_focal(
+            found.evidence, found.optimum.T_map_camera, _LAST_TOLERANCES_PX, query.dof
+        )
+        if abs(np.log(change)) < _ALIKE:
+            return
+        scale, T_map_camera = scale * change, optimum.T_map_camera
+
+
+def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> float:
+    """Probability 0 to 1 that a verified pose's focal length is harmless, given poses with other focal lengths.
+
+    A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
+    length
+    fits from some distance. The focal length is therefore considered known no better than by either pose's matches,
+    unless
+    the other one explains much more. Part of any gain comes from errors that the map's landmarks share.
+    """
+    scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
+    gain = best.optimum.value - verified.optimum.value
+    if gain <= 0:
+        return 1.0
+    sigma = _known_to(best)
+    if gain < _SHARED_ERRORS * verified.optimum.value:
+        sigma = max(sigma, _known_to(verified))
+    moved_m = float(np.linalg.norm(best.optimum.T_map_camera[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
+    return _belief(moved_m, scale, sigma)
+
+
+def _known_to(verified: Verified) -> float:
+    """Standard deviation of ln(focal length), from all matches of a verified pose and the map's own errors."""
+    return focal_sigma(information_at(verified.evidence, verified.optimum, focal_free=True))
+
+
+def _belief(moved_m: float, scale: float, sigma: float) -> float:
+    """Probability 0 to 1 that a focal length is harmless.
+
+    Args:
+        moved_m: displacement of the pose when the focal length is freed.
+        scale: best-fitting focal length as a multiple of the one in use.
+        sigma: standard deviation of the logarithm of ``scale``.
+    """
+    off = abs(float(np.log(scale))) / float(np.hypot(sigma, _OWN_SIGMA))
+    harm = min(max(moved_m / _HARMLESS_M - 1, 0.0), 1.0)
+    return 1 - harm * float(np.interp(off, _OFF_SIGMAS, _DOUBT))
+
+
+def _spread(sigma: float) -> float:
+    """Relative standard deviation of a focal length, from that of its logarithm by the curvature alone."""
+    return min(_SIGMAS * sigma, 1.0)
+
+
+def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> bool:
+    """Whether matches around the pose and matches with its place both agree with the given focal length.
+
+    True for most frames. Matches around the pose alone would not suffice: a wrong focal length excludes the matches
+    that
+    contradict it.
+    """
+    camera, T = query.camera, verified.optimum.T_map_camera
+    for some in (verified.wide, matches):
+        if len(some) < ENOUGH_MATCHES:
+            return False
+        evidence = evidence_of(index, some, camera.rays(query.features.pixels), camera)
+        moved_m, gain = freed_focal(evidence, T, _WIDE_RADIUS_PX, query.dof)
+        if moved_m >= _FITTING_M or gain >= _FITTING_NATS:
+            return False
+    return True
+
+
+def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) -> tuple[FloatArray, Camera] | None:
+    """Seed pose (4, 4) and camera with unknown focal length: LO-RANSAC for each of several focal lengths.
+
+    Args:
+        index: index of the map.
+        matches: matches of the query's features.
+        query: the frame; its camera has the right principal point and any focal length.
+        samples: maximum number of samples per focal length.
+
+    Returns:
+        None if too few matches agree with any focal length.
+    """
+    if len(matches) < _MIN_MATCHES:
+        return None
+    matches, camera = matches.likeliest_first(), query.camera
+    pixels = query.features.pixels[matches.detections]
+    longer = max(camera.width, camera.height)
+    tolerance_px = _GUESS_TOLERANCE_SHARE * longer
+    best: tuple[int, FloatArray, Camera] | None = None
+    for share in _GUESSES:
+        guess = camera.zoomed(share * longer / camera.focal)
+        found = lo_ransac(
+            guess.rays(pixels), index.landmarks[matches.landmarks], guess.focal, tolerance_px, samples, 50
+        )
+        if found is not None and (best is None or found[1] > best[0]):
+            best = found[1], found[0], guess
+    return None if best is None or best[0] < _MIN_MATCHES else best[1:]
+
+
+def verify_with_focal(
+    index: MapIndex, query: Query, T_map_camera: FloatArray, matches: Matches
+) -> tuple[Verified, FocalEstimate, Query] | None:
+    """Ascend over pose and focal length, match again and verify, as :func:`verify` does for a known one.
+
+    Returns:
+        The verified pose, with a covariance that includes the uncertain focal length; the estimate; the query with the
+        estimated camera. None if too little is found.
+    """
+    evidence = evidence_of(index, matches, query.camera.rays(query.features.pixels), query.camera)
+    optimum, scale, _ = ascend_with_focal(evidence, T_map_camera, (24.0, 12.0, 6.0), query.dof)
+    for _ in range(_ROUNDS):
+        if not _sensible(query.camera, scale):
+            return None
+        query = replace(query, camera=query.camera.zoomed(scale))
+        near, _ = index.match_near(query.features, query.camera, optimum.T_map_camera, _WIDE_RADIUS_PX)
+        if len(near) < _MIN_MATCHES:
+            return None
+        evidence = evidence_of(index, near, query.camera.rays(query.features.pixels), query.camera)
+        optimum, scale, sigma = ascend_with_focal(evidence, optimum.T_map_camera, _TOLERANCES_PX, query.dof)
+        if abs(np.log(scale)) < _SETTLED:
+            break
+    query = replace(query, camera=query.camera.zoomed(scale))
+    rays = query.camera.rays(query.features.pixels)
+    verified = verify(index, query, rays, optimum.T_map_camera, focal_free=True)
+    if verified is None:
+        return None
+    focal_px = query.camera.focal
+    sigma_m = worst_sigma(verified.covariance[:3, :3])
+    here, exact = (erf(limit_m / (sqrt(2) * sigma_m)) for limit_m in (PLACE_M, RIGHT_M))
+    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, here, exact / here), query
+
+
+def _sensible(camera: Camera, scale: float) -> bool:
+    """Whether a camera with ``scale`` × the focal length has a plausible field of view."""
+    return 0.3 < camera.focal * scale / max(camera.width, camera.height) < 3.5

@@ -1,0 +1,48 @@
+"""LO-RANSAC: absolute pose from matches with many outliers, by poselib (Larsson and contributors)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rholoc.geometry import FloatArray
+from rholoc.geometry.resection import resected
+
+_MIN_MATCHES = 4
+
+
+def lo_ransac(
+    rays: FloatArray,
+    points: FloatArray,
+    focal_px: float,
+    tolerance_px: float,
+    most_samples: int,
+    fewest_samples: int = 1000,
+    success: float = 0.9999,
+) -> tuple[FloatArray, int] | None:
+    """Absolute pose (4, 4) with the most inliers, and their number. None if there are too few matches or no inliers.
+
+    Likelier matches are sampled first (PROSAC, Chum and Matas 2005), improved samples are refined locally, and sampling
+    ends once a better sample is improbable.
+
+    Args:
+        rays: (M, 3) unit rays of the detections in the camera frame, the likeliest match first.
+        points: (M, 3) their landmarks [m], map frame.
+        focal_px: converts the tolerance to an angle.
+        tolerance_px: maximum reprojection error of an inlier.
+        most_samples: maximum number of samples.
+        fewest_samples: minimum number of samples.
+        success: required probability that no better sample was missed.
+    """
+    if len(rays) < _MIN_MATCHES:
+        return None
+    settings = {
+        "max_iterations": most_samples,
+        "min_iterations": min(fewest_samples, most_samples),
+        "max_reproj_error": tolerance_px,
+        "success_prob": success,
+        "progressive_sampling": True,
+    }
+    T_map_camera, agreeing = resected(
+        [rays], [np.asarray(points, dtype=np.float64)], np.eye(4)[None], focal_px, settings
+    )
+    return (T_map_camera, agreeing) if agreeing >= _MIN_MATCHES and np.isfinite(T_map_camera).all() else None

@@ -1,0 +1,140 @@
+"""Re-matching: project the landmarks at a pose, match again nearby, ascend again, and collect the evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rholoc.density import Evidence
+from rholoc.geometry import Camera, FloatArray
+from rholoc.lazy import lazy
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import Optimum, ascend, covariance_at, end_of_climb, sharpen
+from rholoc.localization.pose.pose_evidence import Support, support_of
+from rholoc.localization.types import Dof, Query
+
+SEARCH_RADII_PX = (14.0, 5.0)
+FINAL_TOLERANCE_PX = 4.0
+_MIN_MATCHES = 6
+ENOUGH_MATCHES = 60  # of some features, within the first radius, for the rest not to be looked at there
+_VIEWS_ALIKE = 10
+_WIDE_ITERATIONS = 2  # at each tolerance of the ascent within the wider radius
+
+
+@dataclass(frozen=True, eq=False)
+class Verified:
+    """A pose after re-matching.
+
+    Attributes:
+        optimum: end of the last ascent.
+        matches: matches around the pose.
+        evidence: their evidence.
+        pixels: (M, 2) pixels of the matched detections.
+        wide: matches of the first, widest search.
+        support: evidence for and against the pose.
+        focal_free: whether the focal length was estimated too; the covariance then includes its uncertainty.
+    """
+
+    optimum: Optimum
+    matches: Matches
+    evidence: Evidence
+    pixels: FloatArray
+    wide: Matches
+    support: Support
+    focal_free: bool = False
+
+    @lazy
+    def covariance(self) -> FloatArray:
+        """(6, 6) of position [m] and rotation [rad, map frame, from the left]."""
+        return covariance_at(self.evidence, self.optimum, self.focal_free)
+
+    @property
+    def inliers(self) -> int:
+        """Number of matches that agree with the pose."""
+        return int((self.optimum.density > 0).sum())
+
+
+def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Camera) -> Evidence:
+    """Evidence of matches, given the rays (N, 3) of all detections in the camera frame."""
+    return Evidence.of(
+        matches.landmarks,
+        rays[matches.detections],
+        index.landmarks[matches.landmarks],
+        index.covariances[matches.landmarks],
+        matches.chances,
+        camera.focal,
+    )
+
+
+def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optimum, dof: Dof) -> Optimum:
+    """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, sharpened if the densities have exact peaks.
+
+    Landmarks that were only seen from elsewhere look different from here and are detected less exactly. They help to
+    find
+    and to believe a pose, but the last steps only use landmarks that nearby views saw too.
+    """
+    densities = index.map.densities
+    if not densities.has_exact_peaks:
+        return optimum
+    agreeing = optimum.density > 0
+    alike = index.seen_alike(matches.landmarks[agreeing], _VIEWS_ALIKE)[matches.landmarks]
+    if (agreeing & alike).sum() < _MIN_MATCHES:
+        return optimum
+    return sharpen(densities, evidence, optimum, np.flatnonzero(alike), FINAL_TOLERANCE_PX, dof)
+
+
+def matches_about(index: MapIndex, query: Query, T_map_camera: FloatArray, radius_px: float) -> Matches:
+    """Matches within ``radius_px`` of the landmarks projected at (4, 4); from some features if these suffice, else
+    from all.
+    """
+    some = query.features.sample
+    if len(some) < len(query.features):
+        matches, _ = index.match_near(query.features, query.camera, T_map_camera, radius_px, some)
+        if len(matches) >= ENOUGH_MATCHES:
+            return matches
+    return index.match_near(query.features, query.camera, T_map_camera, radius_px)[0]
+
+
+def verify(
+    index: MapIndex,
+    query: Query,
+    rays: FloatArray,
+    T_map_camera: FloatArray,
+    radii_px: tuple[float, float] = SEARCH_RADII_PX,
+    focal_free: bool = False,
+    wide: Matches | None = None,
+) -> Verified | None:
+    """Match again around a pose (4, 4) and ascend, within a wide and then a narrow radius.
+
+    Args:
+        index: index of the map.
+        query: the frame.
+        rays: (N, 3) rays of all features in the camera frame.
+        T_map_camera: (4, 4) start.
+        radii_px: the two search radii.
+        focal_free: whether the focal length is an estimate.
+        wide: matches within the first radius, if they are already known.
+
+    Returns:
+        None if too few matches are found.
+    """
+    densities, dof = index.map.densities, query.dof
+    wide_px, narrow_px = radii_px
+    wide = wide or matches_about(index, query, T_map_camera, wide_px)
+    if len(wide) < _MIN_MATCHES:
+        return None
+    evidence = evidence_of(index, wide, rays, query.camera)
+    T = end_of_climb(
+        densities, evidence, T_map_camera, (wide_px, wide_px / 2, FINAL_TOLERANCE_PX), dof, _WIDE_ITERATIONS
+    )
+    matches, by_chance = index.match_near(query.features, query.camera, T, narrow_px)
+    if len(matches) < _MIN_MATCHES:
+        return None
+    evidence = evidence_of(index, matches, rays, query.camera)
+    optimum = ascend(densities, evidence, T, (narrow_px, FINAL_TOLERANCE_PX), dof)
+    optimum = settle(index, matches, evidence, optimum, dof)
+    support = support_of(index, query, matches, evidence, optimum, by_chance, wide)
+    pixels = query.features.pixels[matches.detections]
+    return Verified(optimum, matches, evidence, pixels, wide, support, focal_free)

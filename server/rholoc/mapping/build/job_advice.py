@@ -1,0 +1,34 @@
+"""Advice of a mapping job on its recordings: problems, figures of the walk, and what to do better next time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rholoc.errors import InvalidRecording, MappingFailed
+from rholoc.geometry import FloatArray
+from rholoc.recordings import Look, Recording, advise, look_through, measure_walk
+from rholoc.reports import CoachingReport
+
+
+def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray) -> CoachingReport:
+    """Report section on one recording, from its frames' appearance and their poses (N, 4, 4) at times (N,)."""
+    figures = measure_walk(recording, looks, times, T_map_camera)
+    return CoachingReport(recording.name, figures, recording.warnings, advise(figures))
+
+
+def advice_line(coaching: Sequence[CoachingReport]) -> str:
+    """All advice of the sections in one line; empty for good walks."""
+    texts = [advice.text for section in coaching for advice in section.advice]
+    return f"next time: {' '.join(texts)}" if texts else ""
+
+
+def with_advice(failure: MappingFailed, recording: Recording) -> MappingFailed:
+    """Extend a failure's hint by the recording's problems and the advice drawn from its frames and IMU."""
+    try:
+        section = coach(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
+    except InvalidRecording:
+        return failure
+    texts = [warning.text for warning in section.warnings] + [advice.text for advice in section.advice]
+    return MappingFailed(failure.message, " ".join([failure.hint, *texts]).strip())

@@ -1,0 +1,330 @@
+"""Tracks → landmarks: robust information sums, guided search for more observations, merging, selection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from rholoc.density.presence import Presence, group_sums
+from rholoc.density.ray import landmarks_from_information, observation_information
+from rholoc.features import Metric
+from rholoc.features.matching import LIMITS, descriptor_distances
+from rholoc.geometry import BoolArray, FloatArray, IntArray
+from rholoc.mapping.build.tracks import Views
+
+PIXEL_NOISE_PX = 1.5  # of a detection against the landmark's true projection, one sigma
+_ROBUST_SCALES_PX = (16.0, 8.0, 4.0, 3.0, 3.0)
+_OUTLIER_PX = 5.0
+_SEARCH_RADIUS_PX = 5.0
+_MIN_DEPTH = 1e-3  # in the map's unit; nearer than this a ray's distance says nothing
+_MIN_VIEWS = 3
+_MAX_RELATIVE_SIGMA = 0.1  # of the largest standard deviation against the distance it is seen from
+_MERGE_PX = 3.0
+_MERGE_CHI2 = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """F landmarks and their observations.
+
+    Attributes:
+        information: (F, 3, 3) Λ [1/m²].
+        eta: (F, 3) η [1/m].
+        labels: (N,) landmark 0 to F-1 of each detection in the views, or -1.
+        positions: (F, 3) Λ⁻¹ η [m].
+        covariances: (F, 3, 3) Λ⁻¹ [m²].
+    """
+
+    information: FloatArray
+    eta: FloatArray
+    labels: IntArray
+    positions: FloatArray
+    covariances: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def observed_rows(self) -> IntArray:
+        """Rows (O,) of the detections with a landmark."""
+        return np.flatnonzero(self.labels >= 0)
+
+    @property
+    def view_counts(self) -> IntArray:
+        """(F,) number of views that see each landmark."""
+        return np.bincount(self.labels[self.labels >= 0], minlength=len(self))
+
+    def presence(self, views: Views) -> Presence:
+        """Presence of each landmark: the directions and distances it was seen from."""
+        rows = self.observed_rows
+        return Presence.of(self.positions, views.positions[views.view_of[rows]], self.labels[rows])
+
+    def keep(self, kept: BoolArray) -> Landmarks:
+        """The landmarks where ``kept`` (F,) is true, renumbered."""
+        number = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # of no landmark, -1, too
+        labels = number[self.labels]
+        return Landmarks(self.information[kept], self.eta[kept], labels, self.positions[kept], self.covariances[kept])
+
+
+def triangulate(views: Views, labels: IntArray) -> Landmarks:
+    """Triangulate tracks with labels (N,), by robust information sums.
+
+    Observations beyond the outlier limit lose their label. Landmarks with fewer than two observations or an
+    undetermined
+    position are dropped.
+    """
+    rows = np.flatnonzero(labels >= 0)
+    tracks, count = labels[rows], int(labels.max(initial=-1)) + 1
+    view = views.view_of[rows]
+    bearings, positions, focal_px = views.bearings[rows], views.positions[view], views.focal_px[view]
+    information, eta, kept = estimate_information(tracks, count, bearings, positions, focal_px)
+    final = np.full(len(labels), -1, dtype=np.int64)
+    final[rows] = np.where(kept, tracks, -1)
+    landmarks, covariances = landmarks_from_information(information, eta)
+    enough = np.bincount(final[final >= 0], minlength=count) >= 2
+    every = Landmarks(information, eta, final, landmarks, covariances)
+    return every.keep(enough & np.isfinite(landmarks).all(axis=1))
+
+
+def estimate_information(
+    tracks: IntArray, count: int, bearings: FloatArray, positions: FloatArray, focal_px: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Λ (count, 3, 3) and η (count, 3) of each track, and the inlier mask (O,) of the observations.
+
+    Weights decrease with the residual, over narrowing tolerances. The result does not depend on the observations'
+    order.
+
+    Args:
+        tracks: (O,) track 0 to count-1 of each observation.
+        count: number of tracks.
+        bearings: (O, 3) unit vectors in the map frame.
+        positions: (O, 3) of the cameras [m].
+        focal_px: (O,) their focal lengths.
+    """
+    information, eta = _information_sums(tracks, count, bearings, positions, np.ones(len(tracks)))
+    for scale_px in _ROBUST_SCALES_PX:
+        residual_px, weights = _residuals(information, eta, tracks, bearings, positions, focal_px)
+        fading = 1 / (1 + np.minimum(residual_px / scale_px, 1e3) ** 2) ** 2
+        information, eta = _information_sums(tracks, count, bearings, positions, weights * fading)
+    residual_px, weights = _residuals(information, eta, tracks, bearings, positions, focal_px)
+    kept = residual_px < _OUTLIER_PX
+    information, eta = _information_sums(tracks, count, bearings, positions, np.where(kept, weights, 0))
+    return information, eta, kept
+
+
+def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Landmarks:
+    """Search further observations near each landmark's projections, merge duplicate landmarks, and triangulate
+    again.
+    """
+    if len(landmarks) == 0:
+        return landmarks
+    labels = landmarks.labels.copy()
+    medoids = np.array(
+        [rows[0] for rows in representative_rows(views, landmarks.labels, len(landmarks), metric, most=1)],
+        dtype=np.int64,
+    )
+    presence = landmarks.presence(views)
+    same: list[IntArray] = []
+    for k in range(len(views)):
+        here = slice(int(views.offsets[k]), int(views.offsets[k + 1]))
+        seen, rows = _guided_matches(views, landmarks, medoids, presence, k, metric)
+        new = ~np.isin(seen, labels[here][labels[here] >= 0])
+        seen, rows = seen[new], rows[new]
+        free = labels[rows] < 0
+        owner, other = labels[rows[~free]], seen[~free]
+        same.append(np.column_stack([owner, other])[_coincide(views, landmarks, owner, other, k)])
+        labels[rows[free]] = seen[free]
+    return triangulate(views, _merged(labels, np.concatenate(same), len(landmarks), views.view_of))
+
+
+def select_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> Landmarks:
+    """Keep the landmarks that :func:`are_stable`."""
+    return landmarks.keep(are_stable(views, landmarks, per_view, walks))
+
+
+def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> BoolArray:
+    """Mask (F,) of well-determined landmarks that are among the best of some view.
+
+    A landmark stays if it is among the ``per_view`` best of any view, so the map grows with the space it covers, not
+    with
+    the duration of the walk. The best are those that a further walk sees with the highest probability (with several
+    walks),
+    then those seen most often.
+
+    Args:
+        views: K views.
+        landmarks: their landmarks.
+        per_view: maximum number of landmarks that each view contributes.
+        walks: (K,) number of the walk that each view belongs to; None for a single walk.
+    """
+    rows, counts = landmarks.observed_rows, landmarks.view_counts
+    labels, view = landmarks.labels[rows], views.view_of[rows]
+    stable = (counts >= _MIN_VIEWS) & (relative_sigmas(views, landmarks) < _MAX_RELATIVE_SIGMA)
+    labels, view = labels[stable[labels]], view[stable[labels]]
+    persistence: FloatArray = np.zeros(len(landmarks))
+    if walks is not None and walks.max(initial=0) > 0:
+        persistence = expected_sightings(views, landmarks, walks)
+    order = np.lexsort((labels, -counts[labels], -persistence[labels], view))
+    rank = np.arange(len(order)) - np.searchsorted(view[order], view[order])
+    kept = np.zeros(len(landmarks), dtype=bool)
+    kept[labels[order][rank < per_view]] = True
+    return kept
+
+
+def relative_sigmas(views: Views, landmarks: Landmarks) -> FloatArray:
+    """(F,) largest standard deviation of each landmark, divided by its mean viewing distance."""
+    rows = landmarks.observed_rows
+    labels = landmarks.labels[rows]
+    depth = np.linalg.norm(landmarks.positions[labels] - views.positions[views.view_of[rows]], axis=1)
+    mean_depth = np.bincount(labels, weights=depth, minlength=len(landmarks)) / np.maximum(landmarks.view_counts, 1)
+    sigma = np.sqrt(np.linalg.eigvalsh(landmarks.covariances)[:, -1])
+    return np.asarray(sigma / np.maximum(mean_depth, _MIN_DEPTH))
+
+
+def expected_sightings(views: Views, landmarks: Landmarks, walks: IntArray) -> FloatArray:
+    """Probability (F,) that a further walk past each landmark sees it again, despite other light, time or furniture.
+
+    Rule of succession over the walks that passed it, i.e. had it in the picture of at least three views within its
+    presence.
+
+    Args:
+        views: K views.
+        landmarks: their landmarks.
+        walks: (K,) number 0 to W-1 of the walk that each view belongs to.
+    """
+    shape = (len(landmarks), int(walks.max(initial=0)) + 1)
+    saw, chances = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.int64)
+    presence = landmarks.presence(views)
+    for k, walk in enumerate(walks.tolist()):
+        T, camera = views.T_map_camera[k], views.cameras[k]
+        shown = camera.contains(camera.project((landmarks.positions - T[:3, 3]) @ T[:3, :3]))
+        chances[shown & presence.allows(landmarks.positions, T[:3, 3]), walk] += 1
+        here = landmarks.labels[views.offsets[k] : views.offsets[k + 1]]
+        saw[here[here >= 0], walk] = True
+    passed = saw | (chances >= _MIN_VIEWS)
+    return np.asarray((saw.sum(axis=1) + 1) / (passed.sum(axis=1) + 2))
+
+
+def representative_rows(views: Views, labels: IntArray, count: int, metric: Metric, most: int) -> list[IntArray]:
+    """For each of ``count`` landmarks the detections with the most representative descriptors, at most ``most``.
+
+    The first is the medoid. Further ones reduce the distances to the other descriptors most, as long as some descriptor
+    is
+    poorly represented. Empty for a landmark without detections labelled (N,) with it.
+    """
+    order = np.argsort(labels, kind="stable")
+    bounds = np.searchsorted(labels[order], np.arange(count + 1))
+    return [_representatives(order[bounds[f] : bounds[f + 1]], views, metric, most) for f in range(count)]
+
+
+def _representatives(rows: IntArray, views: Views, metric: Metric, most: int) -> IntArray:
+    descriptors = views.features.descriptors[rows]
+    n = len(rows)
+    if n == 0:
+        return rows
+    distances = descriptor_distances(np.repeat(descriptors, n, axis=0), np.tile(descriptors, (n, 1)), metric).reshape(
+        n, n
+    )
+    chosen = [int(np.argmin(distances.sum(axis=1)))]
+    while len(chosen) < min(most, n):
+        unlike = distances[:, chosen].min(axis=1)
+        if unlike.max() < LIMITS[metric].strict / 2:
+            break
+        gain = np.maximum(unlike[None] - distances, 0).sum(axis=1)
+        chosen.append(int(np.argmax(gain)))
+    return rows[chosen]
+
+
+def _information_sums(
+    tracks: IntArray, count: int, bearings: FloatArray, positions: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    information, eta = observation_information(bearings, positions, weights)
+    columns = np.concatenate([information.reshape(-1, 9), eta], axis=1)
+    summed = group_sums(tracks, columns, count)
+    return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:]
+
+
+def _residuals(
+    information: FloatArray,
+    eta: FloatArray,
+    tracks: IntArray,
+    bearings: FloatArray,
+    positions: FloatArray,
+    focal_px: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Reprojection error (O,) [px] of each observation, and its weight (O,) [1/m²]."""
+    landmarks, _ = landmarks_from_information(information, eta)
+    to_landmark = landmarks[tracks] - positions
+    along = np.einsum("ni,ni->n", to_landmark, bearings)
+    aside = np.linalg.norm(to_landmark - along[:, None] * bearings, axis=1)
+    depth = np.maximum(np.nan_to_num(along), _MIN_DEPTH)
+    residual_px = np.where(along > _MIN_DEPTH, focal_px * aside / depth, np.inf)
+    return np.nan_to_num(residual_px, nan=np.inf), (focal_px / (PIXEL_NOISE_PX * depth)) ** 2
+
+
+def _guided_matches(
+    views: Views, landmarks: Landmarks, medoids: IntArray, presence: Presence, k: int, metric: Metric
+) -> tuple[IntArray, IntArray]:
+    """Landmarks (C,) and detections (C,) of view ``k`` near their projections that are mutual best matches."""
+    T, camera = views.T_map_camera[k], views.cameras[k]
+    pixels = camera.project((landmarks.positions - T[:3, 3]) @ T[:3, :3])
+    visible = np.flatnonzero(camera.contains(pixels) & presence.allows(landmarks.positions, T[:3, 3]))
+    detections = views.features.pixels[views.offsets[k] : views.offsets[k + 1]]
+    if len(visible) == 0 or len(detections) == 0:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    near = cKDTree(pixels[visible]).sparse_distance_matrix(
+        cKDTree(detections), _SEARCH_RADIUS_PX, output_type="ndarray"
+    )
+    seen, rows = visible[near["i"]], views.offsets[k] + near["j"].astype(np.int64)
+    templates = medoids[seen]
+    distance = descriptor_distances(views.features.descriptors[rows], views.features.descriptors[templates], metric)
+    alike = (distance <= LIMITS[metric].strict) & (views.features.channels[rows] == views.features.channels[templates])
+    seen, rows, distance = seen[alike], rows[alike], distance[alike]
+    order = np.lexsort((rows, seen, distance))
+    seen, rows = seen[order], rows[order]
+    is_best = np.zeros(len(seen), dtype=bool)
+    first_of_landmark = np.unique(seen, return_index=True)[1]
+    is_best[first_of_landmark] = True
+    first_of_detection = np.zeros(len(seen), dtype=bool)
+    first_of_detection[np.unique(rows, return_index=True)[1]] = True
+    mutual = is_best & first_of_detection
+    return seen[mutual], rows[mutual]
+
+
+def _coincide(views: Views, landmarks: Landmarks, a: IntArray, b: IntArray, k: int) -> BoolArray:
+    """Mask (M,) of landmark pairs a (M,), b (M,) at the same place, given their uncertainty and view ``k``."""
+    apart = landmarks.positions[a] - landmarks.positions[b]
+    depth = np.linalg.norm(landmarks.positions[a] - views.positions[k], axis=1)
+    floor = (_MERGE_PX * depth / views.cameras[k].focal) ** 2
+    variance = landmarks.covariances[a] + landmarks.covariances[b] + floor[:, None, None] * np.eye(3)
+    chi2 = np.einsum("mi,mi->m", apart, np.linalg.solve(variance, apart[..., None])[..., 0])
+    return np.asarray(chi2 < _MERGE_CHI2)
+
+
+def _merged(labels: IntArray, same: IntArray, count: int, view_of: IntArray) -> IntArray:
+    """Labels after merging pairs (M, 2) of landmarks that never appear in the same view."""
+    rows = np.flatnonzero(labels >= 0)
+    shown = coo_array(
+        (np.ones(len(rows), dtype=np.int32), (labels[rows], view_of[rows])), shape=(count, int(view_of.max()) + 1)
+    ).tocsr()
+    same = np.unique(np.sort(same, axis=1), axis=0)
+    apart = np.asarray(shown[same[:, 0]].multiply(shown[same[:, 1]]).sum(axis=1)).ravel() == 0
+    same = same[apart]
+    graph = coo_array((np.ones(len(same), dtype=bool), (same[:, 0], same[:, 1])), shape=(count, count))
+    _, group = connected_components(graph, directed=False)
+    merged = np.where(labels >= 0, group[labels], -1)
+    return _without_doubles(merged, view_of)
+
+
+def _without_doubles(labels: IntArray, view_of: IntArray) -> IntArray:
+    """Renumbered labels without those that occur twice in a view, which confuse two landmarks."""
+    keys = labels * (int(view_of.max()) + 1) + view_of
+    _, key, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    single = np.where(counts[key] == 1, labels, -1)
+    kept = single >= 0
+    single[kept] = np.unique(single[kept], return_inverse=True)[1]
+    return single

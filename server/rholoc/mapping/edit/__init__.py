@@ -1,0 +1,1 @@
+"""Map → map: corrected, cut, moved, joined, a recording forgotten."""

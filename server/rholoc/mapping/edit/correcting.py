@@ -1,0 +1,207 @@
+"""Corrections of a map by people who know the place: frame, scale, removal of parts, names.
+
+Each function returns the map's next version, with the correction recorded in ``info.corrections``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+from rholoc.errors import Conflict, InvalidInput
+from rholoc.geometry import FloatArray, Similarity
+from rholoc.mapping.edit import frame_from_people as frames
+from rholoc.mapping.edit.cutting import in_region, without_landmarks, without_views
+from rholoc.mapping.edit.moving import move_map
+from rholoc.mapping.edit.versions import as_corrected, noted
+from rholoc.maps import (
+    Correction,
+    CorrectionKind,
+    FloorPlan,
+    Map,
+    MapInfo,
+    MapLabels,
+    MapNames,
+    check_labels,
+    check_names,
+    check_plan,
+)
+
+_Y_DEG = 90.0
+_MIN_PLAN_POINTS, _MAX_PLAN_POINTS = 2, 100
+
+
+def set_origin(map_: Map, point: FloatArray) -> Map:
+    """Move the origin to ``point`` (3,) of the present frame.
+
+    Raises:
+        InvalidInput: the map would be too far from its origin.
+    """
+    return _moved(map_, frames.origin_at(point), CorrectionKind.ORIGIN)
+
+
+def set_north(map_: Map, direction: FloatArray) -> Map:
+    """Rotate the map about its origin so that ``direction`` (3,), seen from above, becomes y.
+
+    Raises:
+        InvalidInput: the direction is not level.
+        Conflict: the map is not upright.
+    """
+    return _moved(_upright(map_), frames.level_direction(direction, _Y_DEG), CorrectionKind.NORTH)
+
+
+def set_wall(map_: Map, direction: FloatArray) -> Map:
+    """Rotate the map about its origin so that ``direction`` (3,) along a wall, seen from above, becomes x.
+
+    Raises:
+        InvalidInput: the direction is not level.
+        Conflict: the map is not upright.
+    """
+    return _moved(_upright(map_), frames.level_direction(direction, 0.0), CorrectionKind.WALL)
+
+
+def set_up(map_: Map, direction: FloatArray | None = None) -> Map:
+    """Rotate the map so that ``direction`` (3,) becomes z; default: the up direction estimated from its views.
+
+    Raises:
+        InvalidInput: the direction is invalid, or the views do not agree on one.
+    """
+    up = frames.estimated_up(map_) if direction is None else direction
+    return _moved(map_, frames.upward(up), CorrectionKind.UP, upright=True)
+
+
+def set_distance(map_: Map, start: FloatArray, end: FloatArray, length_m: float) -> Map:
+    """Scale the map so that points ``start`` (3,) and ``end`` (3,) are ``length_m`` apart; it is metric from then on.
+
+    Raises:
+        InvalidInput: the points coincide, or the length is implausible.
+    """
+    return _moved(map_, frames.measured(start, end, length_m), CorrectionKind.SCALE, metric=True)
+
+
+def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool) -> Map:
+    """Align points (N, 3) of the map with points (N, 2) [m] of a floor plan.
+
+    Args:
+        map_: the map.
+        points: two or more points of the present frame.
+        plan: the corresponding points of the plan.
+        scaled: whether the map takes the plan's scale and becomes metric.
+
+    Raises:
+        InvalidInput: there are too few points, or they lie above each other.
+        Conflict: the map is not upright.
+    """
+    if len(points) != len(plan) or not _MIN_PLAN_POINTS <= len(points) <= _MAX_PLAN_POINTS:
+        raise InvalidInput(
+            f"{len(points)} points of the map and {len(plan)} of the plan were given.",
+            f"Give {_MIN_PLAN_POINTS} to {_MAX_PLAN_POINTS} pairs.",
+        )
+    similarity, missed_m = frames.laid_over(points, plan, scaled)
+    return _moved(_upright(map_), similarity, CorrectionKind.PLAN, metric=scaled, residual_m=missed_m)
+
+
+def remove_region(
+    map_: Map, outline: FloatArray, bottom_m: float | None, top_m: float | None, keep_inside: bool
+) -> Map:
+    """Remove the landmarks inside a region, or all others.
+
+    Args:
+        map_: the map.
+        outline: (N, 2) corners of the region, seen from above.
+        bottom_m: lowest z of the region; None for no bound.
+        top_m: highest z of the region; None for no bound.
+        keep_inside: whether to remove what is outside instead.
+
+    Raises:
+        InvalidInput: the outline is not a valid polygon.
+        Conflict: there is nothing to remove, or too little would be left.
+    """
+    landmarks, points = (
+        in_region(positions, outline, bottom_m, top_m) for positions in (map_.landmarks.positions, map_.cloud.positions)
+    )
+    left = without_landmarks(map_, landmarks != keep_inside, points != keep_inside)
+    return _cut(map_, left, CorrectionKind.REGION)
+
+
+def remove_views(map_: Map, first: int, last: int) -> Map:
+    """Remove the views ``first`` to ``last``, and the landmarks that only they saw.
+
+    Raises:
+        InvalidInput: there are no such views.
+        Conflict: too little would be left.
+    """
+    return _cut(map_, without_views(map_, first, last), CorrectionKind.WALK)
+
+
+def set_names(map_: Map, names: MapNames) -> Map:
+    """Replace the map's names of points and areas.
+
+    Raises:
+        InvalidInput: a name or an area is invalid.
+    """
+    named = replace(map_, info=replace(map_.info, names=check_names(names)))
+    return replace(named, info=noted(named.info, _correction(map_.info, CorrectionKind.NAMES)))
+
+
+def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
+    """Attach a floor plan: the file's ``content`` and its placement; None removes it.
+
+    Raises:
+        TooLarge, InvalidInput: it cannot be kept.
+    """
+    kept = None if plan is None else check_plan(content, plan)
+    planned = replace(map_, info=replace(map_.info, plan=kept), plan=content if kept else b"")
+    return replace(planned, info=noted(planned.info, _correction(map_.info, CorrectionKind.FLOOR_PLAN)))
+
+
+def set_labels(map_: Map, labels: MapLabels) -> Map:
+    """Replace the map's site, floor and tags.
+
+    Raises:
+        InvalidInput: one is invalid.
+    """
+    info = replace(map_.info, labels=check_labels(labels))
+    return replace(map_, info=noted(info, _correction(map_.info, CorrectionKind.LABELS)))
+
+
+def _moved(
+    map_: Map,
+    similarity: Similarity,
+    kind: CorrectionKind,
+    upright: bool = False,
+    metric: bool = False,
+    residual_m: float | None = None,
+) -> Map:
+    moved = move_map(map_, similarity)
+    info = replace(moved.info, upright=moved.info.upright or upright, metric=moved.info.metric or metric)
+    moved = replace(moved, info=info)
+    rows = similarity.rotation.tolist()
+    x, y, z = similarity.translation.tolist()
+    correction = replace(
+        _correction(map_.info, kind),
+        scale=similarity.scale,
+        rotation=tuple(tuple(row) for row in rows),
+        translation=(x, y, z),
+        residual_m=residual_m,
+    )
+    return as_corrected(map_, moved, correction)
+
+
+def _cut(before: Map, after: Map, kind: CorrectionKind) -> Map:
+    removed = replace(
+        _correction(before.info, kind),
+        landmarks_removed=len(before) - len(after),
+        views_removed=len(before.views) - len(after.views),
+    )
+    return as_corrected(before, after, removed)
+
+
+def _correction(info: MapInfo, kind: CorrectionKind) -> Correction:
+    return Correction(info.version + 1, kind, datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+def _upright(map_: Map) -> Map:
+    if not map_.info.upright:
+        raise Conflict("The map is not upright: z does not point up.", "Correct which direction is up first.")
+    return map_

@@ -1,0 +1,150 @@
+"""Maps as sums: join another map in the same frame, or take a recording out again.
+
+The result does not depend on the order of learning: A joined with B has the same landmarks as B joined with A and as a
+map built from both, and a map without a recording has the landmarks of a map that never had it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from rholoc.geometry import BoolArray, IntArray
+from rholoc.mapping.build.assembly import DESCRIPTORS_PER_FEATURE
+from rholoc.mapping.build.remembered import (
+    keep_features,
+    keep_view_rows,
+    observed_rays,
+    solve_landmarks,
+    with_landmarks,
+)
+from rholoc.maps import Cloud, Map, MapDescriptors, MapLandmarks, MapObservations, MapViews, check_memory
+
+_Sourced = TypeVar("_Sourced", MapDescriptors, MapViews)
+
+
+def join(a: Map, b: Map, same: IntArray) -> Map:
+    """``a`` with everything that ``b`` remembers; both in ``ray`` form and in the frame of ``a``.
+
+    Args:
+        a: a map.
+        b: a map of other recordings.
+        same: (F_b,) row of the feature of ``a`` that each feature of ``b`` is, or -1 for a new one. Observations that
+            would
+            leave a landmark of ``a`` undetermined are dropped.
+    """
+    joined = _joined(a, b, same)
+    counted = np.zeros(len(joined), dtype=bool)
+    counted[_numbers(a, same)] = True
+    _, _, determined = solve_landmarks(observed_rays(joined), len(joined), counted)
+    spoiled = np.flatnonzero(counted & ~determined)
+    disbelieved = np.isin(same, spoiled[spoiled < len(a)])
+    if disbelieved.any():
+        joined = _joined(a, keep_features(b, ~disbelieved), same[~disbelieved])
+        counted = np.zeros(len(joined), dtype=bool)
+        counted[_numbers(a, same[~disbelieved])] = True
+    return with_landmarks(joined, counted)
+
+
+def without_source(map_: Map, source: int) -> Map:
+    """The map in ``ray`` form without the recording in row ``source``, and without features only it saw or
+    described.
+    """
+    memory = check_memory(map_, "The map")
+    seen = memory.view_sources[map_.observations.views] != source
+    touched = np.zeros(len(map_), dtype=bool)
+    touched[map_.observations.features[~seen]] = True
+    left = keep_view_rows(map_, memory.view_sources != source)
+    left = replace(
+        left,
+        info=replace(map_.info, sources=tuple(one for row, one in enumerate(map_.info.sources) if row != source)),
+        descriptors=_without_source(map_.descriptors.take(memory.descriptor_sources != source), source),
+        views=_without_source(left.views, source),
+        cloud=map_.cloud.without_source(source),
+    )
+    described_still = np.bincount(left.descriptors.features, minlength=len(left)) > 0
+    return with_landmarks(keep_features(left, described_still), touched[described_still])
+
+
+def _without_source(table: _Sourced, source: int) -> _Sourced:
+    """A table without the rows of ``source``; later sources are renumbered."""
+    assert table.sources is not None
+    return replace(table, sources=(table.sources - (table.sources > source)).astype(np.int32))
+
+
+def with_sources_once(map_: Map) -> Map:
+    """The map with sources of the same id merged. Of the descriptors they contribute to a feature, the last are
+    kept.
+    """
+    memory, sources = check_memory(map_, "The map"), map_.info.sources
+    ids = [source.id for source in sources]
+    first = np.array([ids.index(one) for one in ids])
+    stays = np.unique(first)
+    number = np.searchsorted(stays, first).astype(np.int32)
+    descriptors = replace(map_.descriptors, sources=number[memory.descriptor_sources])
+    views = replace(map_.views, sources=number[memory.view_sources])
+    counts = np.bincount(number[memory.view_sources], minlength=len(stays)).tolist()
+    return replace(
+        map_,
+        info=replace(
+            map_.info, sources=tuple(replace(sources[row], views=n) for row, n in zip(stays, counts, strict=True))
+        ),
+        descriptors=descriptors.take(_latest(descriptors.features, number[memory.descriptor_sources])),
+        views=views,
+        cloud=replace(map_.cloud, sources=number[map_.cloud.sources]),
+    )
+
+
+def _latest(features: IntArray, sources: IntArray) -> BoolArray:
+    """Mask (D,) of the last descriptors that a source contributed to a feature."""
+    order = np.lexsort((np.arange(len(features)), sources, features))[::-1]
+    starts = np.append(True, (np.diff(features[order]) != 0) | (np.diff(sources[order]) != 0))
+    rank = np.arange(len(order)) - np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
+    latest = np.zeros(len(features), dtype=bool)
+    latest[order[rank < DESCRIPTORS_PER_FEATURE]] = True
+    return latest
+
+
+def _numbers(a: Map, same: IntArray) -> IntArray:
+    """Rows (F_b,) of the second map's features in the joined map."""
+    new = same < 0
+    return np.asarray(np.where(new, len(a) + np.cumsum(new) - 1, same))
+
+
+def _joined(a: Map, b: Map, same: IntArray) -> Map:
+    """Rows of both maps, with the landmarks unchanged."""
+    numbers, views = _numbers(a, same).astype(np.int32), np.int32(len(a.views))
+    of_b, first_source = check_memory(b, "The map"), np.int32(len(a.info.sources))
+    descriptors = MapDescriptors.concat(
+        [
+            a.descriptors,
+            replace(
+                b.descriptors,
+                features=numbers[b.descriptors.features],
+                sources=of_b.descriptor_sources + first_source,
+            ),
+        ]
+    )
+    seen_by_b = replace(b.observations, views=views + b.observations.views, features=numbers[b.observations.features])
+    return replace(
+        a,
+        info=replace(a.info, sources=a.info.sources + b.info.sources, waypoints=a.info.waypoints + b.info.waypoints),
+        landmarks=MapLandmarks.concat([_with_patches(a, b, same), b.landmarks.take(same < 0)]),
+        descriptors=descriptors.take(np.argsort(descriptors.features, kind="stable")),
+        views=MapViews.concat([a.views, replace(b.views, sources=of_b.view_sources + first_source)]),
+        observations=MapObservations.concat([a.observations, seen_by_b]),
+        cloud=Cloud.joined(a.cloud, b.cloud.with_sources_after(len(a.info.sources))),
+    )
+
+
+def _with_patches(a: Map, b: Map, same: IntArray) -> MapLandmarks:
+    """Landmarks of ``a``, with missing patches taken from ``b``."""
+    if b.landmarks.patches is None:
+        return a.landmarks
+    patches = a.landmarks.known_patches.copy()
+    further = same >= 0
+    further[further] = np.isnan(patches[same[further], 0])
+    patches[same[further]] = b.landmarks.patches[further]
+    return replace(a.landmarks, patches=patches)

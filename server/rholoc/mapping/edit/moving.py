@@ -1,0 +1,142 @@
+"""Move a map to another frame: every answer moves by exactly the transform."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rholoc.density import FORMS
+from rholoc.errors import InvalidInput
+from rholoc.geometry import FloatArray, Similarity, poses_from_rows, rows_from_poses
+from rholoc.mapping.build.view_covariance import moved_covariances
+from rholoc.maps import Map, MapInfo, MapNames, moved_patches, validate_map
+from rholoc.reports import HeldOutReport, InertialComparison, LearningReport, MapReport, TrajectoryReport
+
+_FARTHEST_M = 10_000.0  # from the origin: single precision still tells a millimetre there
+
+
+def move_map(map_: Map, similarity: Similarity) -> Map:
+    """Apply a similarity to a map: landmarks, views, densities and reported lengths.
+
+    Nothing is estimated again. The caller updates the report's coverage.
+
+    Raises:
+        InvalidInput: a part of the map would be more than 10 km from the origin.
+    """
+    positions = similarity.points(map_.landmarks.positions.astype(np.float64)).astype(np.float32)
+    T_map_camera = similarity.poses(map_.views.T_map_camera)
+    cloud = map_.cloud.moved(similarity)
+    _check_near(positions, T_map_camera[:, :3, 3], cloud.positions)
+    covariances, R = map_.landmarks.covariances.astype(np.float64), similarity.rotation
+    turned = similarity.scale**2 * R @ covariances @ R.T
+    densities = FORMS[map_.info.density].from_arrays(map_.densities.moved(similarity).arrays(), positions)
+    info, of_views = _moved_info(map_.info, similarity), map_.views.covariances
+    moved = replace(
+        map_,
+        info=info,
+        plan=b"" if info.plan is None else map_.plan,
+        landmarks=replace(
+            map_.landmarks,
+            positions=positions,
+            covariances=((turned + turned.transpose(0, 2, 1)) / 2).astype(np.float32),
+            patches=moved_patches(map_.landmarks.patches, similarity),
+        ),
+        views=replace(
+            map_.views,
+            T_map_camera=poses_from_rows(rows_from_poses(T_map_camera).astype(np.float32)),  # as files keep them
+            covariances=None if of_views is None else moved_covariances(of_views, similarity),
+        ),
+        cloud=cloud,
+        densities=densities,
+    )
+    validate_map(moved)
+    return moved
+
+
+def moved_names(names: MapNames, similarity: Similarity) -> MapNames:
+    """Names after a similarity."""
+    return MapNames(
+        tuple(replace(point, position=_moved(point.position, similarity)) for point in names.points),
+        tuple(
+            replace(area, outline=tuple(_moved((*corner, 0.0), similarity)[:2] for corner in area.outline))
+            for area in names.areas
+        ),
+    )
+
+
+def _check_near(*positions: FloatArray) -> None:
+    if any(len(one) and np.abs(one).max() > _FARTHEST_M for one in positions):
+        raise InvalidInput(
+            f"Some of the map would lie more than {_FARTHEST_M / 1000:g} km from the origin.",
+            "Choose an origin nearby: far from it, positions are not exact to a millimetre.",
+        )
+
+
+def _moved(position: tuple[float, float, float], similarity: Similarity) -> tuple[float, float, float]:
+    x, y, z = similarity.points(np.array([position], dtype=np.float64))[0].tolist()
+    return x, y, z
+
+
+def _moved_info(info: MapInfo, similarity: Similarity) -> MapInfo:
+    scale = similarity.scale
+    waypoints = tuple(
+        replace(waypoint, position=_moved(waypoint.position, similarity), residual_m=_times(waypoint.residual_m, scale))
+        for waypoint in info.waypoints
+    )
+    names = moved_names(info.names, similarity)
+    plan = None if info.plan is None else info.plan.moved(similarity)
+    return replace(info, waypoints=waypoints, names=names, plan=plan, report=_scaled_report(info.report, scale))
+
+
+def _scaled_report(report: MapReport, scale: float) -> MapReport:
+    """A report with its lengths multiplied by ``scale``."""
+    if scale == 1.0:
+        return report
+    return replace(
+        report,
+        held_out=None if report.held_out is None else _scaled_held_out(report.held_out, scale),
+        trajectories=tuple(_scaled_trajectory(one, scale) for one in report.trajectories),
+        learned=tuple(_scaled_learned(one, scale) for one in report.learned),
+    )
+
+
+def _scaled_held_out(report: HeldOutReport, scale: float) -> HeldOutReport:
+    errors_m = None if report.errors_m is None else tuple(_times(error, scale) for error in report.errors_m)
+    return replace(
+        report,
+        median_m=_times(report.median_m, scale),
+        p90_m=_times(report.p90_m, scale),
+        errors_m=errors_m,
+        recall_5cm_5deg=_recall(report, errors_m, 0.05),
+        recall_10cm_5deg=_recall(report, errors_m, 0.10),
+    )
+
+
+def _recall(report: HeldOutReport, errors_m: tuple[float | None, ...] | None, within_m: float) -> float | None:
+    if errors_m is None or report.errors_deg is None or not report.frames:
+        return None
+    pairs = zip(errors_m, report.errors_deg, strict=False)
+    return sum(m is not None and deg is not None and m < within_m and deg < 5 for m, deg in pairs) / report.frames
+
+
+def _scaled_trajectory(report: TrajectoryReport, scale: float) -> TrajectoryReport:
+    residuals, inertial = report.waypoint_residuals_m, report.inertial
+    return replace(
+        report,
+        waypoint_residuals_m=residuals and {name: _times(value, scale) for name, value in residuals.items()},
+        expected_error_m=_times(report.expected_error_m, scale),
+        inertial=None if inertial is None else _scaled_inertial(inertial, scale),
+    )
+
+
+def _scaled_inertial(report: InertialComparison, scale: float) -> InertialComparison:
+    return replace(report, rms_m=_times(report.rms_m, scale), worst_m=_times(report.worst_m, scale))
+
+
+def _scaled_learned(report: LearningReport, scale: float) -> LearningReport:
+    return replace(report, residual_median_m=_times(report.residual_median_m, scale))
+
+
+def _times(value: float | None, scale: float) -> float | None:
+    return None if value is None else value * scale

@@ -1,0 +1,68 @@
+"""Next version of a map that has learned, forgotten, or been corrected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rholoc.mapping.build.density_fitting import fit_densities
+from rholoc.mapping.build.recursive_densities import with_learned_densities
+from rholoc.mapping.build.self_report import map_statistics
+from rholoc.maps import Correction, Map, MapInfo
+from rholoc.progress import ProgressListener, silent
+from rholoc.reports import LearningReport, MapReport
+
+_MAX_CORRECTIONS = 1000  # that a map keeps
+_MAX_LESSONS = 10
+
+
+def as_learned(
+    before: Map,
+    after: Map,
+    learned: LearningReport,
+    progress: ProgressListener = silent,
+    forgetting: float | None = None,
+) -> Map:
+    """Next version of a map that has learned: ``after`` (``ray`` form) in the form of ``before``, with an updated
+    report.
+
+    ``learned`` is added to the report. With ``forgetting``, ``observed`` densities are updated recursively; without,
+    all
+    densities are fitted again.
+    """
+    report = _brought_up(after, before.info.report)
+    report = replace(report, learned=_without_old_lessons((*report.learned, learned)))
+    after = replace(after, info=replace(after.info, version=learned.version, report=report))
+    if forgetting is not None:
+        return with_learned_densities(before, after, forgetting)
+    return fit_densities(after, before.info.density, before.densities.degree, progress)
+
+
+def _without_old_lessons(learned: tuple[LearningReport, ...]) -> tuple[LearningReport, ...]:
+    """Learning reports without all but the last ones from queries, of which there is one per night."""
+    from_queries = [report for report in learned if report.queries is not None]
+    old = from_queries[:-_MAX_LESSONS]
+    return tuple(report for report in learned if report not in old)
+
+
+def as_corrected(before: Map, after: Map, correction: Correction) -> Map:
+    """Next version of a map that was corrected: ``after`` in the form of ``before``, with ``correction`` recorded."""
+    if after.info.density is not before.info.density:
+        after = fit_densities(after, before.info.density, before.densities.degree)
+    return replace(after, info=replace(noted(after.info, correction), report=_brought_up(after, after.info.report)))
+
+
+def noted(info: MapInfo, correction: Correction) -> MapInfo:
+    """Description of a map with one more correction."""
+    kept = (*info.corrections, correction)[-_MAX_CORRECTIONS:]
+    return replace(info, version=correction.version, corrections=kept)
+
+
+def _brought_up(map_: Map, report: MapReport) -> MapReport:
+    """Report on a map with its statistics updated and the rest taken from ``report``."""
+    return replace(
+        map_statistics(map_),
+        held_out=report.held_out,
+        trajectories=report.trajectories,
+        coaching=report.coaching,
+        learned=report.learned,
+    )

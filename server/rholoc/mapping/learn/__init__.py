@@ -1,0 +1,1 @@
+"""A map learns: from further recordings, from answered queries, from another map."""

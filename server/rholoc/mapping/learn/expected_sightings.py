@@ -1,0 +1,164 @@
+"""Expected sightings: which landmarks cameras at given poses should have seen, and which of them they saw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rholoc.features import FeatureSet
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.localization.index.map_index import MapIndex
+
+_RADIUS_PX = 6.0  # of a landmark's projection, within which it counts as seen
+_EDGE_PX = 12.0  # of the picture, where nothing is missed
+_VIEWS_ALIKE = 10
+_FEWEST_ALIKE = 3  # of these that saw a landmark, for a camera to be expected to see it
+_BY_CHANCE = 0.05  # how often a landmark that is gone is found all the same
+_LEAST_RATE, _HIGHEST_RATE = 0.1, 0.95
+_HIDING_PX, _HIDING_SHARE = 40.0, 0.8  # what is seen so close in the picture, and so much nearer, hides
+_FEWEST_SEEN = 12  # landmarks, by a camera that is to say what is missing
+GONE_NATS = 4.0  # of evidence that a landmark is gone
+_ROUNDS = 2  # how well a camera sees shows in what is there; what is there, in what cameras see
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """A camera at a known pose and its features.
+
+    Attributes:
+        camera: its intrinsics.
+        T_map_camera: (4, 4).
+        features: all its features.
+        occasion: number of the occasion, equal for cameras that looked at the same time.
+    """
+
+    camera: Camera
+    T_map_camera: FloatArray
+    features: FeatureSet
+    occasion: int
+
+
+@dataclass(frozen=True, eq=False)
+class Sights:
+    """Expected sightings of F landmarks by C cameras, in S rows of one camera and one landmark.
+
+    A camera with too few features to tell what is missing has no rows.
+
+    Attributes:
+        cameras: (S,) 0 to C-1, ascending.
+        landmarks: (S,) 0 to F-1.
+        chances: (S,) probability that the camera sees the landmark, according to the map's own views.
+        seen: (S,) whether it did.
+        occasions: (C,) occasion of each camera.
+        landmark_count: F.
+    """
+
+    cameras: IntArray
+    landmarks: IntArray
+    chances: FloatArray
+    seen: BoolArray
+    occasions: IntArray
+    landmark_count: int
+
+    @property
+    def camera_count(self) -> int:
+        """C."""
+        return len(self.occasions)
+
+    @classmethod
+    def of(cls, index: MapIndex, cameras: Sequence[Looked], recorded: BoolArray) -> Sights:
+        """Expected sightings of some cameras.
+
+        Each camera is expected to see what nearby views of the map saw, with the probability that they did. Landmarks
+        hidden
+        behind one that the camera saw are not expected.
+
+        Args:
+            index: index of the map.
+            cameras: the cameras.
+            recorded: (K,) mask of the views from recordings. For landmarks seen by recordings only these views count,
+                because
+                the others may have come after the landmark was gone.
+        """
+        by_recording = np.zeros(len(index.map), dtype=bool)
+        by_recording[index.map.observations.features[recorded[index.map.observations.views]]] = True
+        found = [_sight(index, one, recorded, by_recording) for one in cameras]
+        counts = [len(landmarks) for landmarks, _, _ in found]
+        landmarks, chances, seen = (np.concatenate(column) for column in zip(_NOTHING, *found, strict=True))
+        occasions = np.array([one.occasion for one in cameras], dtype=np.int64)
+        return cls(np.repeat(np.arange(len(cameras)), counts), landmarks, chances, seen, occasions, len(index.map))
+
+    def evidence(self, believed: BoolArray, misplaced: float = 0.0) -> FloatArray:
+        """Log-likelihood ratio (S,) [nats] of each row for its landmark being present, from the ``believed`` (C,)
+        cameras.
+
+        A present landmark is seen as often as by the map's views, reduced by the camera's overall rate of sightings, so
+        a dark
+        or blurred picture says little. An absent one is seen by chance, and by the share ``misplaced`` of cameras that
+        were
+        localized by that landmark itself.
+        """
+        nats: FloatArray = np.zeros(len(self.cameras))
+        for _ in range(_ROUNDS):
+            there = self.sums(nats, believed)[self.landmarks] > -GONE_NATS
+            saw = np.bincount(self.cameras, self.seen & there, self.camera_count)
+            should = np.bincount(self.cameras, self.chances * there, self.camera_count)
+            rate = np.clip(self.chances * (saw / np.maximum(should, 1.0))[self.cameras], _LEAST_RATE, _HIGHEST_RATE)
+            if_gone = np.maximum(_BY_CHANCE, misplaced * rate)
+            nats = np.where(self.seen, np.log(rate / if_gone), np.log((1 - rate) / (1 - if_gone)))
+        return nats
+
+    def sums(self, values: FloatArray | BoolArray, believed: BoolArray) -> FloatArray:
+        """(F,) sum of ``values`` (S,) over the ``believed`` (C,) cameras, per landmark."""
+        counted = values * believed[self.cameras]
+        return np.bincount(self.landmarks, counted, self.landmark_count).astype(np.float64)
+
+
+_Sight = tuple[IntArray, FloatArray, BoolArray]  # landmarks, chances, whether seen
+_NOTHING: _Sight = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=bool))
+
+
+def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
+    """Expected and unobstructed sightings of one camera; empty if it has too few features."""
+    landmarks, chances, seen = _expected(index, one, recorded, by_recording)
+    if seen.sum() < _FEWEST_SEEN:
+        return _NOTHING
+    counts = np.flatnonzero(seen | ~_hidden(index, one, landmarks, seen))
+    return landmarks[counts], chances[counts], seen[counts]
+
+
+def _expected(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
+    """Landmarks (E,) that a camera should see, their probabilities (E,), and whether it saw them (E,)."""
+    found, _ = index.match_near(one.features, one.camera, one.T_map_camera, _RADIUS_PX)
+    saw = np.zeros(len(index.map), dtype=bool)
+    saw[found.landmarks] = True
+    votes = index.seen_by_views(found.landmarks)
+    rates = np.zeros(len(index.map))
+    for among, of in ((recorded, by_recording), (~recorded, ~by_recording)):
+        alike = np.argsort(np.where(among, -votes, 1), kind="stable")[:_VIEWS_ALIKE]
+        alike = alike[among[alike] & (votes[alike] > 0)]
+        if len(alike) >= _FEWEST_ALIKE:
+            counts: FloatArray = np.asarray(index.visibility[alike].sum(axis=0)).ravel()
+            rates[of] = np.where(counts >= _FEWEST_ALIKE, counts / len(alike), 0.0)[of]
+    landmarks = np.flatnonzero(rates > 0)
+    T = one.T_map_camera
+    pixels = one.camera.project((index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3])
+    size = np.array([one.camera.width, one.camera.height])
+    with np.errstate(invalid="ignore"):
+        inside = ((pixels >= _EDGE_PX) & (pixels < size - _EDGE_PX)).all(axis=1)
+    landmarks = landmarks[inside & index.present(T[:3, 3], landmarks)]
+    return landmarks, rates[landmarks], saw[landmarks]
+
+
+def _hidden(index: MapIndex, one: Looked, landmarks: IntArray, seen: BoolArray) -> BoolArray:
+    """Mask (E,) of landmarks behind one that was seen next to them in the picture."""
+    T = one.T_map_camera
+    in_camera = (index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3]
+    pixels, depth = one.camera.project(in_camera), one.camera.depths(in_camera)
+    near = cKDTree(pixels).sparse_distance_matrix(cKDTree(pixels[seen]), _HIDING_PX, output_type="ndarray")
+    nearest = np.full(len(landmarks), np.inf)
+    np.minimum.at(nearest, near["i"], depth[seen][near["j"]])
+    return np.asarray(nearest < _HIDING_SHARE * depth)

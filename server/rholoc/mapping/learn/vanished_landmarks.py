@@ -1,0 +1,24 @@
+"""Vanished landmarks: many cameras should have seen them and did not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rholoc.geometry import BoolArray
+from rholoc.mapping.learn.expected_sightings import GONE_NATS, Sights
+
+_FEWEST_MISSES = 6
+_FEWEST_OCCASIONS = 2
+
+
+def vanished(sights: Sights) -> BoolArray:
+    """Mask (F,) of landmarks that are gone.
+
+    A landmark is gone if its absence explains the sightings better by a large factor, on several occasions.
+    """
+    everyone = np.ones(sights.camera_count, dtype=bool)
+    nats = sights.sums(sights.evidence(everyone), everyone)
+    pairs = np.column_stack([sights.landmarks, sights.occasions[sights.cameras]])[~sights.seen]
+    misses = np.bincount(pairs[:, 0], minlength=sights.landmark_count)
+    occasions = np.bincount(np.unique(pairs, axis=0)[:, 0], minlength=sights.landmark_count)
+    return (nats <= -GONE_NATS) & (misses >= _FEWEST_MISSES) & (occasions >= _FEWEST_OCCASIONS)

@@ -1,0 +1,157 @@
+"""Links between the maps of a site, looked for pair by pair until all of them are placed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from rholoc.errors import InvalidInput, InvalidMap, MappingFailed, UnknownMap
+from rholoc.mapping.sites.poses import find_link, solve_site, with_link
+from rholoc.maps import Map, Site, SiteLink
+from rholoc.progress import ProgressListener, Stage, silent
+
+
+@dataclass(frozen=True)
+class SearchedPair:
+    """Two maps of a site between which a link was looked for.
+
+    Attributes:
+        first, second: their names.
+        states: the :func:`map_state` of each when it was looked at; empty where it could not be read.
+        link: what was found; None where there is none.
+        reason: why there is none, in a line.
+    """
+
+    first: str
+    second: str
+    states: tuple[str, str]
+    link: SiteLink | None = None
+    reason: str = ""
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Of both maps."""
+        return self.first, self.second
+
+
+def map_state(map_id: str, version: int) -> str:
+    """What stays the same for as long as a map's frame, landmarks and views do."""
+    return f"{map_id} {version}"
+
+
+def search_links(
+    site: Site,
+    load: Callable[[str], Map],
+    present: Collection[str],
+    searched: Sequence[SearchedPair] = (),
+    progress: ProgressListener = silent,
+) -> Iterator[SearchedPair]:
+    """Look for links until all maps are placed, or there is no pair of maps left that could help.
+
+    Args:
+        site: whose maps are to be placed.
+        load: gives a map by its name. Raises UnknownMap, InvalidMap: no link to it is looked for.
+        present: the names of maps that there are.
+        searched: what an earlier search came to, which is not done again.
+        progress: called with :attr:`Stage.LINKS`, of all pairs.
+
+    Yields:
+        Each pair that was looked at, whether or not a link was found.
+
+    Raises:
+        InvalidInput: the site's own links contradict each other.
+        Cancelled: ``progress`` asked to stop.
+    """
+    site = solve_site(site)
+    known = {pair.names: pair for pair in searched}
+    pairs = list(combinations([one.map for one in site.maps if one.map in set(present)], 2))
+    for number, (first, second) in enumerate(pairs):
+        note = _of_pair(progress, number, len(pairs))
+        if _in_one_frame(site, first, second):
+            continue
+        note(Stage.LINKS, 0.0, f"{first} and {second}")
+        pair = known.get((first, second))
+        if pair is None:
+            pair = _search(first, second, load, note)
+        site, pair = _with_pair(site, pair)
+        yield pair
+
+
+def add_links(
+    site: Site, searched: Sequence[SearchedPair], state_of: Callable[[str], str | None]
+) -> tuple[Site, list[str]]:
+    """A site with the links that were found, and why some maps still have no pose.
+
+    Links that the site already has change nothing; links of maps that have left the site or changed since are left out.
+
+    Args:
+        site: as it is now.
+        searched: what a search came to.
+        state_of: the :func:`map_state` of a map as it is now; None where there is none.
+
+    Returns:
+        The site, and a line for each thing that prevents a map from being placed.
+    """
+    problems = []
+    for pair in searched:
+        if pair.link is None or pair.link in site.links or any(site.member(name) is None for name in pair.names):
+            continue
+        if tuple(map(state_of, pair.names)) != pair.states:
+            problems.append(f"{pair.first} or {pair.second} changed while it was held against the other.")
+            continue
+        site, added = _with_pair(site, pair)
+        if added.link is None:
+            problems.append(f"{pair.first} and {pair.second}: {added.reason}")
+    unplaced = [one.map for one in site.maps if one.pose is None]
+    if unplaced:
+        tried = [pair for pair in searched if pair.reason and not set(unplaced).isdisjoint(pair.names)]
+        problems.append(f"Nothing joins {', '.join(unplaced)} to the others.")
+        problems += [f"{pair.first} and {pair.second}: {pair.reason}" for pair in tried]
+    return site, problems
+
+
+def _of_pair(progress: ProgressListener, number: int, pairs: int) -> ProgressListener:
+    """What hears the progress with one pair, and tells that with all of them."""
+
+    def note(stage: Stage, fraction: float, message: str = "") -> None:
+        progress(Stage.LINKS, (number + fraction) / pairs, message)
+
+    return note
+
+
+def _search(first: str, second: str, load: Callable[[str], Map], progress: ProgressListener) -> SearchedPair:
+    maps = []
+    for name in (first, second):
+        try:
+            maps.append(load(name))
+        except (UnknownMap, InvalidMap) as error:
+            return SearchedPair(first, second, ("", ""), reason=error.message)
+    a, b = maps
+    states = (map_state(a.info.id, a.info.version), map_state(b.info.id, b.info.version))
+    try:
+        return SearchedPair(first, second, states, find_link(first, a, second, b, progress))
+    except (MappingFailed, InvalidInput) as error:
+        return SearchedPair(first, second, states, reason=error.message)
+
+
+def _with_pair(site: Site, pair: SearchedPair) -> tuple[Site, SearchedPair]:
+    """The site with what was found; the pair without it where it contradicts what the site says."""
+    if pair.link is None:
+        return site, pair
+    try:
+        return with_link(site, pair.link), pair
+    except InvalidInput as error:
+        return site, SearchedPair(pair.first, pair.second, pair.states, reason=error.message)
+
+
+def _in_one_frame(site: Site, first: str, second: str) -> bool:
+    """Whether it is known how two maps lie to each other: both have a pose, or links lead from one to the other."""
+    poses = [one.pose for one in site.maps if one.map in (first, second)]
+    if all(pose is not None for pose in poses):
+        return True
+    reached, before = {first}, 0
+    while len(reached) > before:
+        before = len(reached)
+        reached |= {end for one in site.links for end in (one.first, one.second) if {one.first, one.second} & reached}
+    return second in reached

@@ -1,0 +1,295 @@
+"""Where the maps of a site lie: poses from links between pairs of them, and those links from the maps themselves."""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+
+from rholoc.errors import InvalidInput, MappingFailed
+from rholoc.geometry import FloatArray, Pose, kabsch, pose_distances, pose_matrix
+from rholoc.localization import Localizer
+from rholoc.mapping.build.density_fitting import ray_form
+from rholoc.mapping.learn.merging import check_alike, remembered_frames
+from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_found, find_frames
+from rholoc.maps import FramePose, LinkOrigin, Map, Site, SiteLink, SiteMap
+from rholoc.progress import ProgressListener, silent
+
+_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 1e-3, np.deg2rad(0.01)  # of a pose that somebody gave without a covariance
+_CONTRADICTION_SIGMAS = 5.0
+_LEAST_SIGMA_M, _LEAST_SIGMA_DEG = 0.02, 0.3  # of a link that was found: the maps themselves are no better
+_LEAST_SHARED = 3
+_LEAST_SPREAD_M = 0.3  # of shared points across their main direction, below which they leave a rotation open
+_MOST_OFF_M = 0.3  # of a shared point
+_MOST_LOCALIZED = 60
+
+
+# -- poses from links ------------------------------------------------------------------------------------------------
+
+
+def solve_site(site: Site) -> Site:
+    """The site with the poses of all maps that can be placed.
+
+    A pose that somebody gave stays; others follow from links by least squares. Where nobody gave any, the first map's
+    frame is the site's. Maps that nothing joins to a map with a pose have none.
+
+    Raises:
+        InvalidInput: links and given poses contradict each other; says around which maps, and by how much.
+    """
+    maps = site.maps
+    if maps and not any(one.given for one in maps):
+        frames: dict[str, FramePose] = {maps[0].map: FramePose()}
+    else:
+        frames = {one.map: one.given for one in maps if one.given is not None}
+    graph = _Graph.of(site.links)
+    placed = graph.spread({name: pose.matrix for name, pose in frames.items()})
+    graph.check(placed)
+    poses, covariances = _adjusted(site, frames, placed)
+    return replace(site, maps=tuple(_with_pose(one, poses, covariances) for one in maps))
+
+
+def _with_pose(one: SiteMap, poses: Mapping[str, FloatArray], covariances: Mapping[str, FloatArray]) -> SiteMap:
+    if one.map not in poses:
+        return replace(one, pose=None, covariance=None)
+    covariance = covariances[one.map]
+    if one.given is not None:
+        return replace(one, pose=one.given, covariance=one.covariance or _as_rows(covariance))
+    return replace(one, pose=FramePose.of(poses[one.map]), covariance=_as_rows(covariance))
+
+
+def _as_rows(covariance: FloatArray) -> tuple[tuple[float, ...], ...]:
+    symmetric = (covariance + covariance.T) / 2
+    return tuple(tuple(row) for row in symmetric.tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A map that links lead to from one whose pose is known.
+
+    Attributes:
+        T: T_site_map (4, 4).
+        way: the maps on the way there, the first one's pose known, the last one this map.
+        variance_m2, variance_deg2: of what the links on the way allow.
+    """
+
+    T: FloatArray
+    way: tuple[str, ...]
+    variance_m2: float
+    variance_deg2: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Graph:
+    """Links by the maps that they join.
+
+    Attributes:
+        links: all of them.
+        of_map: those of each map, the surest first.
+    """
+
+    links: Sequence[SiteLink]
+    of_map: Mapping[str, Sequence[SiteLink]]
+
+    @classmethod
+    def of(cls, links: Sequence[SiteLink]) -> _Graph:
+        """Of some links."""
+        of_map: dict[str, list[SiteLink]] = defaultdict(list)
+        for link in sorted(links, key=lambda link: link.sigma_m):
+            of_map[link.first].append(link)
+            of_map[link.second].append(link)
+        return cls(links, of_map)
+
+    def spread(self, known: Mapping[str, FloatArray]) -> dict[str, _Placed]:
+        """All maps that can be reached from those whose poses (4, 4) are known, by the fewest links."""
+        placed = {name: _Placed(T, (name,), 0.0, 0.0) for name, T in known.items()}
+        waiting = deque(known)
+        while waiting:
+            here = waiting.popleft()
+            for link in self.of_map.get(here, ()):
+                there = link.second if link.first == here else link.first
+                if there not in placed:
+                    placed[there] = _beyond(placed[here], link, there)
+                    waiting.append(there)
+        return placed
+
+    def check(self, placed: Mapping[str, _Placed]) -> None:
+        """Hold every link against the poses that others led to.
+
+        Raises:
+            InvalidInput: one is further off than it and those allow; it is the one that is furthest.
+        """
+        worst, worst_share = "", 1.0
+        for link in self.links:
+            if link.first not in placed:
+                continue
+            one, other = placed[link.first], placed[link.second]
+            apart_m, apart_rad = pose_distances((one.T @ link.pose.matrix)[None], other.T[None])
+            off_m, off_deg = float(apart_m[0]), float(np.degrees(apart_rad[0]))
+            around = tuple(dict.fromkeys((*one.way, *reversed(other.way))))
+            lever_m = max(np.linalg.norm(placed[name].T[:3, 3] - other.T[:3, 3]) for name in around)
+            variance_deg2 = one.variance_deg2 + other.variance_deg2 + link.sigma_deg**2
+            turned_m2 = variance_deg2 * (np.deg2rad(1) * lever_m) ** 2
+            allowed_deg = _CONTRADICTION_SIGMAS * np.sqrt(variance_deg2)
+            variance_m2 = one.variance_m2 + other.variance_m2 + link.sigma_m**2 + turned_m2
+            allowed_m = _CONTRADICTION_SIGMAS * np.sqrt(variance_m2)
+            share = max(off_m / allowed_m, off_deg / allowed_deg)
+            if share > worst_share:
+                worst_share = share
+                worst = (
+                    f"The links contradict each other: around {' → '.join((*around, around[0]))}, {off_m:.2f} m and "
+                    f"{off_deg:.1f}° are left over, where they allow {allowed_m:.2f} m and {allowed_deg:.1f}°."
+                )
+        if worst:
+            raise InvalidInput(worst, "Leave the wrong link out, or give it a greater sigma.")
+
+
+def _beyond(here: _Placed, link: SiteLink, there: str) -> _Placed:
+    step = link.pose.matrix if link.second == there else Pose(link.pose.matrix).inverse()
+    return _Placed(
+        here.T @ step,
+        (*here.way, there),
+        here.variance_m2 + link.sigma_m**2,
+        here.variance_deg2 + link.sigma_deg**2,
+    )
+
+
+def _adjusted(
+    site: Site, frames: Mapping[str, FramePose], placed: Mapping[str, _Placed]
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Least squares over all links: T_site_map (4, 4) and its covariance (6, 6), in the site's axes, by map."""
+    if not placed:
+        return {}, {}
+    number = {name: row for row, name in enumerate(placed)}
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for name, one in placed.items():
+        values.insert(X(number[name]), gtsam.Pose3(one.T))
+    for name, pose in frames.items():
+        held = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_GIVEN_SIGMA_RAD, _GIVEN_SIGMA_M], 3))
+        graph.add(gtsam.PriorFactorPose3(X(number[name]), gtsam.Pose3(pose.matrix), held))
+    for link in site.links:
+        if link.first in placed:
+            noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([np.deg2rad(link.sigma_deg), link.sigma_m], 3))
+            between = gtsam.Pose3(link.pose.matrix)
+            graph.add(gtsam.BetweenFactorPose3(X(number[link.first]), X(number[link.second]), between, noise))
+    solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    marginals = gtsam.Marginals(graph, solved)
+    poses: dict[str, FloatArray] = {name: solved.atPose3(X(row)).matrix() for name, row in number.items()}
+    return poses, {name: _in_site(marginals.marginalCovariance(X(row)), poses[name]) for name, row in number.items()}
+
+
+def _in_site(covariance: FloatArray, T: FloatArray) -> FloatArray:
+    """GTSAM's covariance (rotation, position; in the map's own axes) as position, rotation; in the site's."""
+    turn = np.zeros((6, 6))
+    turn[:3, 3:] = turn[3:, :3] = T[:3, :3]
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+# -- links from maps -------------------------------------------------------------------------------------------------
+
+
+def find_link(first: str, a: Map, second: str, b: Map, progress: ProgressListener = silent) -> SiteLink:
+    """The pose between two maps: by measured points of the same names, else by views of one localized in the other.
+
+    Raises:
+        InvalidInput: a map has no metric scale; or they neither share three points nor can be held against each other.
+        MappingFailed: they do not overlap, or disagree; says by how much.
+        Cancelled: ``progress`` asked to stop.
+    """
+    for name, map_ in ((first, a), (second, b)):
+        if not map_.info.metric:
+            raise InvalidInput(
+                f"The map {name} has no metric scale.", "Map it with an IMU or waypoints, or correct its scale."
+            )
+    by_points = _link_by_points(first, a, second, b)
+    return by_points or _link_by_overlap(first, a, second, b, progress)
+
+
+def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
+    """By waypoints and named points of the same names; None where they are too few, or on a line.
+
+    Raises:
+        MappingFailed: they disagree.
+    """
+    of_a, of_b = _points(a), _points(b)
+    shared = sorted(of_a.keys() & of_b.keys())
+    if len(shared) < _LEAST_SHARED:
+        return None
+    there, here = np.array([of_a[name] for name in shared]), np.array([of_b[name] for name in shared])
+    if np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < _LEAST_SPREAD_M:
+        return None
+    similarity = kabsch(here, there)
+    off_m = np.linalg.norm(similarity.points(here) - there, axis=1)
+    if off_m.max() > _MOST_OFF_M:
+        name = shared[int(off_m.argmax())]
+        raise MappingFailed(
+            f"The points that {first} and {second} share disagree: {name} by {off_m.max():.2f} m.",
+            "Correct the point's name or position in one of the maps.",
+        )
+    rms_m = float(np.sqrt(np.mean(off_m**2)))
+    reach_m = float(np.sqrt(np.mean(np.sum((here - here.mean(axis=0)) ** 2, axis=1))))
+    sigma_m = max(rms_m, _LEAST_SIGMA_M)
+    sigma_deg = max(float(np.degrees(sigma_m / reach_m)), _LEAST_SIGMA_DEG)
+    T = pose_matrix(similarity.rotation, similarity.translation)
+    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.WAYPOINTS)
+
+
+def _points(map_: Map) -> dict[str, tuple[float, float, float]]:
+    """Measured and named points by name."""
+    named = {point.name: point.position for point in map_.info.names.points}
+    return named | {waypoint.name: waypoint.position for waypoint in map_.info.waypoints}
+
+
+def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: ProgressListener) -> SiteLink:
+    check_alike(a, b)
+    localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
+    frames = remembered_frames(b)
+    tried = np.unique(np.linspace(0, len(frames) - 1, _MOST_LOCALIZED).round().astype(np.int64))
+    found = find_frames(localizer, frames, tried, f"The map {second}", progress)
+    alignment = align_to_found(b.views.T_map_camera, found, True, f"The map {second}")
+    similarity = alignment.similarity
+    T = pose_matrix(similarity.rotation, similarity.translation)
+    sigma_m = max(alignment.residual_m, _LEAST_SIGMA_M)
+    sigma_deg = max(float(np.degrees(alignment.residual_rad)), _LEAST_SIGMA_DEG)
+    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.OVERLAP)
+
+
+def with_link(site: Site, link: SiteLink) -> Site:
+    """The site with a link in place of others between the same two maps that were found as well; poses anew.
+
+    Raises:
+        InvalidInput: it contradicts others.
+    """
+    pair = {link.first, link.second}
+    kept = [other for other in site.links if {other.first, other.second} != pair or other.origin is LinkOrigin.GIVEN]
+    return solve_site(replace(site, links=(*kept, link)))
+
+
+# -- answers ---------------------------------------------------------------------------------------------------------
+
+
+def pose_in_site(
+    member: SiteMap, T_map_camera: FloatArray, covariance: FloatArray | None
+) -> tuple[FloatArray, FloatArray | None]:
+    """A camera's pose in the frame of a site, T_site_camera (4, 4), and its covariance (6, 6), m and rad, or None.
+
+    The covariance is of the position, then of a small rotation from the left, each in the axes of the frame; that of
+    the map's own pose is part of it.
+    """
+    assert member.pose is not None
+    T_site_map = member.pose.matrix
+    T = T_site_map @ T_map_camera
+    if covariance is None:
+        return T, None
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = T_site_map[:3, :3]
+    total = turn @ covariance @ turn.T
+    if member.covariance is not None:
+        x, y, z = T[:3, 3] - T_site_map[:3, 3]
+        lever = np.eye(6)
+        lever[:3, 3:] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        total = total + lever @ np.array(member.covariance) @ lever.T
+    return T, total

@@ -1,0 +1,1 @@
+"""The files that a map is read from and written to."""

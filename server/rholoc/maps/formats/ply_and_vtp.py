@@ -1,0 +1,101 @@
+"""A map's landmarks and views as PLY and VTP, for ParaView."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+
+from rholoc.geometry import FloatArray, IntArray
+from rholoc.maps.formats.vtp import Cells, Owner, data_array, piece, polydata
+from rholoc.maps.map import Map
+
+
+def landmark_sigmas(map_: Map) -> FloatArray:
+    """(F,) metres: the root mean variance of each landmark over the three axes, √(tr Σ / 3)."""
+    return np.asarray(np.sqrt(np.trace(map_.landmarks.covariances.astype(np.float64), axis1=1, axis2=2) / 3))
+
+
+def view_sigmas(map_: Map) -> FloatArray:
+    """(K,) metres: the same for each view's position; 0 where it is not known."""
+    return np.asarray(np.nan_to_num(map_.views.expected_errors_m) / np.sqrt(3))
+
+
+def map_to_ply(map_: Map) -> bytes:
+    """The map as an ASCII PLY file: landmarks, then views, as vertices; the view path as edges.
+
+    Vertex properties: ``x y z`` in metres, ``sigma_m`` (0 for views that do not know theirs), ``channel`` (255 for
+    views), the heading ``nx ny nz`` (0 for landmarks), and where the map knows its colours, ``red green blue`` (black
+    for views).
+    """
+    features, views = len(map_), len(map_.views)
+    edges = max(views - 1, 0)
+    header = [
+        "ply",
+        "format ascii 1.0",
+        f"comment rholoc map {map_.info.id} version {map_.info.version}",
+        f"comment {features} landmarks, then {views} views; metres, z up",
+        f"element vertex {features + views}",
+        *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "sigma_m")),
+        "property uchar channel",
+        *(f"property uchar {name}" for name in ("red", "green", "blue") if map_.landmarks.colours is not None),
+        f"element edge {edges}",
+        "property int vertex1",
+        "property int vertex2",
+        "end_header",
+    ]
+    text = io.StringIO()
+    text.write("\n".join(header) + "\n")
+    landmarks = np.column_stack(
+        [map_.landmarks.positions, np.zeros((features, 3)), landmark_sigmas(map_), map_.landmarks.channels]
+    )
+    path = np.column_stack([map_.views.positions, map_.views.headings, view_sigmas(map_), np.full(views, 255)])
+    if map_.landmarks.colours is not None:
+        landmarks, path = (
+            np.column_stack([landmarks, map_.landmarks.colours]),
+            np.column_stack([path, np.zeros((views, 3))]),
+        )
+    np.savetxt(text, np.vstack([landmarks, path]), fmt=["%.5f"] * 7 + ["%d"] * (landmarks.shape[1] - 7))
+    np.savetxt(text, features + np.column_stack([np.arange(edges), np.arange(1, edges + 1)]), fmt="%d")
+    return text.getvalue().encode("ascii")
+
+
+def map_to_vtp(map_: Map) -> bytes:
+    """The map as a VTK XML PolyData file with two pieces: landmarks (vertices) and the view path (one polyline).
+
+    Point data of both: ``sigma_m``, ``channel`` and ``heading``, as in :func:`map_to_ply`.
+    """
+    features, views = len(map_), len(map_.views)
+    landmarks = _piece(
+        map_.landmarks.positions,
+        landmark_sigmas(map_),
+        map_.landmarks.channels,
+        np.zeros((features, 3)),
+        np.arange(features)[:, None],
+        Cells.POINTS,
+    )
+    path = _piece(
+        map_.views.positions,
+        view_sigmas(map_),
+        np.full(views, 255),
+        map_.views.headings,
+        np.arange(views)[None] if views > 1 else np.zeros((0, 0), int),
+        Cells.LINES,
+    )
+    return polydata(landmarks, path)
+
+
+def _piece(
+    points: FloatArray,
+    sigmas: FloatArray,
+    channels: IntArray,
+    headings: FloatArray,
+    cells: IntArray,
+    kind: Cells,
+) -> str:
+    data = [
+        data_array("sigma_m", "Float32", sigmas, "%.5f"),
+        data_array("channel", "UInt8", channels, "%d"),
+        data_array("heading", "Float32", headings, "%.5f", components=3),
+    ]
+    return piece(points, cells, kind, Owner.POINTS, 'Scalars="sigma_m" Vectors="heading"', data)

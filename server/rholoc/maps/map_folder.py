@@ -1,0 +1,174 @@
+"""A folder as a catalogue of maps: a map's name is its file's."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rholoc.disk import link_file, locked_folder, make_folder, reporting_full_disk, sync_folder, temporary_folder
+from rholoc.maps.catalogue import KEPT_VERSIONS, MapCatalogue, MapChange, MapFile, is_map_name
+from rholoc.maps.formats.rho_file import SUFFIX, MapOutline, load_outline
+from rholoc.maps.map import Map
+
+_PREVIOUS = ".previous"  # the folder of the files that were replaced
+_BEGUN, _DECIDED = ".change-begun", ".change-decided"  # folders of a change: of links that will take their places
+
+
+def place_of(name: str, number: int = 0) -> str:
+    """Path below the folder of a map's file; of a file that it replaced where ``number``, from 1, is not 0."""
+    if number == 0:
+        return name + SUFFIX
+    return f"{_PREVIOUS}/{name}{SUFFIX}" + (f".{number}" if number > 1 else "")
+
+
+class MapFolder(MapCatalogue):
+    """Maps as ``NAME.rho`` in a folder; those that they replaced are in ``.previous``.
+
+    A file that somebody puts there, replaces or removes is a map that was published, replaced or deleted. A change of
+    several files is decided by one renaming: whoever changes the folder next completes it if its process was killed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._changing = threading.Lock()  # for file systems without locks
+
+    @property
+    def folder(self) -> Path:
+        return self._folder
+
+    def names(self) -> list[str]:
+        files = (file for file in self.folder.glob(f"*{SUFFIX}") if file.is_file())
+        return sorted(file.stem for file in files if is_map_name(file.stem))
+
+    def find(self, name: str) -> MapFile | None:
+        return self.at(place_of(name))
+
+    def versions(self, name: str) -> list[MapFile]:
+        found = (self.at(place_of(name, number)) for number in range(1, KEPT_VERSIONS + 1))
+        return [file for file in found if file is not None]
+
+    def at(self, place: str) -> MapFile | None:
+        """The file at a place below the folder; None if there is none."""
+        try:
+            status = (self.folder / place).stat()
+        except FileNotFoundError:
+            return None
+        if not stat.S_ISREG(status.st_mode):
+            return None
+        return _file(place, status)
+
+    def stamp(self) -> int | None:
+        try:
+            return self.folder.stat().st_mtime_ns
+        except OSError:
+            return None
+
+    def local(self, file: MapFile) -> Path:
+        return self.folder / file.key
+
+    def outline(self, file: MapFile, name: str) -> MapOutline:
+        return load_outline(self.local(file))
+
+    def make_room(self) -> None:
+        make_folder(self.folder)
+
+    def store(self, arrived: Path, map_: Map) -> MapFile:
+        return _file(arrived.name, arrived.stat())
+
+    @contextmanager
+    def changing(self, published: Map | None = None) -> Iterator[MapChange]:
+        with self._changing, locked_folder(self.folder):
+            self._complete()
+            change = _Change(self)
+            yield change
+            with reporting_full_disk():
+                self._decide(change.wanted)
+                self._complete()
+
+    def snapshot(self) -> Iterator[tuple[str, int, Path]]:
+        if not self.folder.is_dir():
+            return
+        with temporary_folder(self.folder) as links:
+            with locked_folder(self.folder):
+                self._complete()
+                found = [
+                    (name, number, self.local(file))
+                    for name in self.names()
+                    for number, file in enumerate([self.find(name), *self.versions(name)])
+                    if file is not None
+                ]
+                for row, (_, _, path) in enumerate(found):
+                    link_file(path, links / str(row))
+            for row, (name, number, _) in enumerate(found):
+                yield name, number, links / str(row)
+
+    def sweep(self) -> None:
+        if (self.folder / _DECIDED).exists():
+            with locked_folder(self.folder):
+                self._complete()
+
+    def _decide(self, wanted: dict[str, str | None]) -> None:
+        """Prepare links for the files that places are to hold, an empty file for none, and rename their folder.
+
+        Args:
+            wanted: places below the folder, and what they are to hold: files below it, or None.
+        """
+        changes = {place: file for place, file in wanted.items() if file != place}
+        if not changes:
+            return
+        begun = self.folder / _BEGUN
+        shutil.rmtree(begun, ignore_errors=True)
+        (begun / _PREVIOUS).mkdir(parents=True)
+        for place, file in changes.items():
+            if file is None:
+                (begun / place).touch()
+            else:
+                link_file(self.folder / file, begun / place)
+        sync_folder(begun / _PREVIOUS)
+        sync_folder(begun)
+        begun.rename(self.folder / _DECIDED)
+        sync_folder(self.folder)
+
+    def _complete(self) -> None:
+        """Put the links of a change that was decided, if there is one, in their places."""
+        decided = self.folder / _DECIDED
+        if not decided.exists():
+            return
+        for link in sorted(path for path in decided.rglob("*") if path.is_file()):
+            place = self.folder / link.relative_to(decided)
+            if link.stat().st_size == 0:
+                place.unlink(missing_ok=True)
+                continue
+            place.parent.mkdir(exist_ok=True)
+            link.replace(place)
+        for folder in (self.folder, self.folder / _PREVIOUS):
+            if folder.is_dir():
+                sync_folder(folder)
+        shutil.rmtree(decided)
+
+
+class _Change:
+    """What is wanted of a folder's places."""
+
+    def __init__(self, folder: MapFolder) -> None:
+        self._folder = folder
+        self.present, self.versions = folder.find, folder.versions
+        self.wanted: dict[str, str | None] = {}
+
+    def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
+        files = [present, *versions[:KEPT_VERSIONS]]
+        for number in range(KEPT_VERSIONS + 1):
+            file = files[number] if number < len(files) else None
+            if file is not None or self._folder.at(place_of(name, number)) is not None:
+                self.wanted[place_of(name, number)] = None if file is None else file.key
+
+
+def _file(place: str, status: os.stat_result) -> MapFile:
+    return MapFile(
+        place, status.st_size, status.st_mtime, signature=(status.st_ino, status.st_mtime_ns, status.st_size)
+    )

@@ -1,0 +1,227 @@
+"""Access control: API keys, requests from other sites, and security headers for browsers."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection, Sequence
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders, QueryParams
+from starlette.routing import BaseRoute
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rholoc.service.access.keys import ApiKey, KeyStore
+from rholoc.service.access.keys import Scope as KeyScope
+from rholoc.service.access.scopes import (
+    STREAM_KEY_PREFIX,
+    Access,
+    RouteAccess,
+    find_route,
+    forbidden,
+    grant,
+    note_client,
+    request_key,
+    route_access,
+    undeclared,
+)
+from rholoc.service.caller import ASKER
+from rholoc.service.errors import CrossSite, InvalidRequest, MethodNotAllowed, Unauthorized, UnknownRoute
+from rholoc.service.settings import KeyPolicy, is_loopback, keys_needed
+from rholoc.service.threads.storage import StorageLanes
+
+_READING = ("GET", "HEAD", "OPTIONS")
+_API_PREFIX = "/v1/"
+_KEY_HINT = "Make one on the server with rholoc key create, and send it as Authorization: Bearer KEY."
+
+SECURITY_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; media-src 'self' blob:; "
+        "connect-src 'self'; worker-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(self), accelerometer=(self), gyroscope=(self), microphone=(), geolocation=()",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+class SecurityHeaders:
+    """ASGI middleware that adds the security headers to every response."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in SECURITY_HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+
+class Guard:
+    """ASGI middleware that checks a request before any of its body is read.
+
+    It finds the request's route and enforces what that route declares. A request without a route does not pass, so
+    whatever is added to the application without a declaration stays closed.
+
+    Args:
+        app: the application to guard.
+        routes: its routes.
+        keys: the keys that exist.
+        lanes: threads that read them again.
+        policy: when a request needs one.
+        host: the address that the server listens on.
+        open_paths: routes that need no key, whatever they declare.
+    """
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        routes: Sequence[BaseRoute],
+        keys: KeyStore,
+        lanes: StorageLanes,
+        policy: KeyPolicy,
+        host: str,
+        open_paths: Collection[str] = (),
+    ) -> None:
+        self._app = app
+        self._routes = route_access(routes)
+        self._keys, self._lanes = keys, lanes
+        self._open_paths = frozenset(open_paths)
+        self._keys_needed = keys_needed(policy, host)
+        self._looking: asyncio.Task[None] | None = None
+        self._local_only = policy is KeyPolicy.AUTO and not self._keys_needed
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Raises:
+            CrossSite: another site sent it.
+            Unauthorized, Forbidden: it needs a key, or one that allows more, or nobody may use the route.
+            UnknownRoute, MethodNotAllowed: no route takes it; only clients that may read anything learn this.
+            InvalidRequest: the query has a name that the route does not know.
+        """
+        if scope["type"] in ("http", "websocket"):
+            headers = Headers(scope=scope)
+            check_same_site(scope.get("method", "GET"), headers, self._local_only)
+            found = find_route(self._routes, scope)
+            access = Access(KeyScope.READ) if found.route is None else found.route.access
+            if access is None:
+                raise undeclared()
+            if access.scope is not None:
+                is_open = found.route is not None and found.route.path in self._open_paths
+                key = None if is_open else await self._check_key(_authorization(scope, headers), access.scope, scope)
+                grant(scope, access.scope if is_open else KeyScope.ADMIN if key is None else key.scope, key)
+                ASKER.set(_address(scope) if key is None else key.name)
+                note_client(scope, _address(scope) if key is None else self._keys.chain(key)[-1].name)
+            if found.route is None and found.methods:
+                hint = "The answer's header Allow names those that it takes."
+                raise MethodNotAllowed("This route does not support this method.", hint, found.methods)
+            if found.route is None:
+                raise UnknownRoute("There is nothing at this path.", "See /docs for the routes.")
+            check_query(scope, found.route)
+        await self._app(scope, self._receive_while_valid(scope, receive), send)
+
+    def _receive_while_valid(self, scope: Scope, receive: Receive) -> Receive:
+        """Receive a request's body only as long as its key is valid; raises Unauthorized from then on."""
+        key = request_key(scope) if scope["type"] == "http" else None
+        if key is None:
+            return receive
+
+        async def receive_checked() -> Message:
+            message = await receive()
+            if message.get("more_body", False) and not self._keys.is_valid(key):
+                raise Unauthorized("This API key was revoked.", _KEY_HINT)
+            return message
+
+        return receive_checked
+
+    async def _known(self, secret: str, scope: Scope) -> ApiKey | None:
+        """The key of a secret; keys are read again, in a thread, for one that is not in memory."""
+        key = self._keys.find(secret)
+        if key is None:
+            if self._looking is None or self._looking.done():
+                self._looking = asyncio.create_task(self._lanes.database(self._keys.refresh))
+            await asyncio.shield(self._looking)
+            key = self._keys.find(secret)
+        return key
+
+    async def _check_key(self, authorization: str, needed: KeyScope, scope: Scope) -> ApiKey | None:
+        """The key that allows the request, at least ``needed``; None where no key is needed."""
+        if not self._keys_needed:
+            return None
+        kind, _, secret = authorization.partition(" ")
+        if kind.lower() != "bearer" or not secret.strip():
+            raise Unauthorized("This server requires an API key.", _KEY_HINT)
+        key = await self._known(secret.strip(), scope)
+        if key is None:
+            raise Unauthorized("This API key is unknown, or was revoked.", _KEY_HINT)
+        if not self._keys.is_valid(key):
+            raise Unauthorized("This API key has expired.", _KEY_HINT)
+        if not key.scope.allows(needed):
+            raise forbidden(key.scope, needed)
+        return key
+
+
+def _address(scope: Scope) -> str:
+    client = scope.get("client")
+    return f"{client[0]}" if client else ""
+
+
+def _authorization(scope: Scope, headers: Headers) -> str:
+    """A request's credentials. A browser cannot set headers on a WebSocket, but it can offer subprotocols."""
+    offered = scope.get("subprotocols", ()) if scope["type"] == "websocket" else ()
+    keys = [one.removeprefix(STREAM_KEY_PREFIX) for one in offered if one.startswith(STREAM_KEY_PREFIX)]
+    return headers.get("authorization", f"Bearer {keys[0]}" if keys else "")
+
+
+def check_query(scope: Scope, route: RouteAccess) -> None:
+    """Refuse a query with a name that the route does not know: a mistyped option would be silently ignored.
+
+    Raises:
+        InvalidRequest: there is such a name.
+    """
+    if not route.path.startswith(_API_PREFIX):
+        return
+    given = QueryParams(scope["query_string"])
+    unknown = next((name for name in given if name not in route.query), None)
+    if unknown is not None:
+        known = ", ".join(sorted(route.query)) or "none"
+        raise InvalidRequest(f"The query has '{unknown[:64]}', which this route does not take.", f"It takes: {known}.")
+
+
+def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
+    """Refuse what a page of another site makes a browser send. Programs send none of these headers.
+
+    Following a link from another site is allowed. A server that only listens on this machine answers to local names
+    only: otherwise another site could reach it by pointing its own name here (DNS rebinding).
+
+    Raises:
+        CrossSite: another site sent it.
+    """
+    host, origin, site = headers.get("host", ""), headers.get("origin"), headers.get("sec-fetch-site")
+    if local_only and not is_loopback(_host_name(host)):
+        raise CrossSite(f"This server does not answer to the name {host[:64]}.", "Use localhost.")
+    if site is not None:
+        followed = method in _READING and headers.get("sec-fetch-mode") == "navigate"
+        foreign = site not in ("same-origin", "none") and not followed
+    else:
+        foreign = origin is not None and origin.partition("://")[2] != host
+    if foreign:
+        raise CrossSite("Another site may not use this server from a browser.", "Open the server's own page.")
+
+
+def _host_name(host: str) -> str:
+    """The name or address in a ``Host`` header, without its port; empty where it has none."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""

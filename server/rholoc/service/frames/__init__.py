@@ -1,0 +1,1 @@
+"""A frame → its pose: queries, localizers, the choice of maps, answers."""

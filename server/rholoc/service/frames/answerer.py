@@ -1,0 +1,192 @@
+"""Answers frames in compute threads, each by its deadline."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from rholoc.errors import DeadlineExceeded, RholocError, StorageUnavailable
+from rholoc.localization import AnyLocalizer, MapFinder
+from rholoc.maps import MapLibrary, SiteLibrary
+from rholoc.service.caller import ASKER
+from rholoc.service.frames.answers import LocalizationOut, PlacesOut, late_answer
+from rholoc.service.frames.landscape import LandscapeOut, landscape_of
+from rholoc.service.frames.learning import Learner
+from rholoc.service.frames.live import Live
+from rholoc.service.frames.localizers import Localizers, LocalizerSource, MapNotHereError
+from rholoc.service.frames.map_choice import MapChoice
+from rholoc.service.frames.queries import Frame
+from rholoc.service.frames.several_frames import Frames, localize_frames
+from rholoc.service.frames.single_frame import likeliest_places, localize_frame
+from rholoc.service.frames.site_answers import in_site
+from rholoc.service.frames.stopwatch import Stopwatch, frame_deadline_s
+from rholoc.service.http.metrics import Metrics
+from rholoc.service.settings import Settings
+from rholoc.service.threads.compute import ComputePool, Effort
+from rholoc.service.threads.storage import StorageLanes
+
+T = TypeVar("T")
+
+_FETCHING_S = 1.0  # for a map among several that is not on this machine; then it is passed over
+_LOADING_GRACE_S = 0.5  # for a map that was not in memory, beyond the deadline
+
+
+@dataclass(frozen=True)
+class Answerer:
+    """Answers frames. Use it from the event loop only.
+
+    Attributes:
+        settings: of the service.
+        library, sites: the maps, and the sites in whose frames answers are given too.
+        localizers: of the maps.
+        finder: chooses from many maps.
+        compute: where frames are localized.
+        learner, live, metrics: what takes notice of answers.
+        lanes: threads in which maps are looked up and fetched.
+    """
+
+    settings: Settings
+    library: MapLibrary
+    sites: SiteLibrary
+    localizers: Localizers
+    finder: MapFinder
+    compute: ComputePool
+    learner: Learner
+    live: Live
+    metrics: Metrics
+    lanes: StorageLanes
+
+    async def check_known(self, names: Iterable[str]) -> None:
+        """Refuse an unknown map before a request takes a place in the queue. Known ones cost no wait for a disk.
+
+        Raises:
+            InvalidName, UnknownMap: by the library.
+        """
+        for name in names:
+            if not self.library.is_known(name):
+                await self.lanes.files(self.library.stat, name)
+
+    async def localizer(self, name: str) -> AnyLocalizer:
+        """The localizer of a map, which is fetched first if necessary. Raises as :meth:`Localizers.get`."""
+        if not await self.lanes.files(self.library.is_here, name):
+            await self.lanes.fetches(self.library.path, name)
+        return await self.lanes.files(self.localizers.get, name)
+
+    async def forget_missing(self) -> None:
+        """Drop the localizers of maps that are no longer in the library."""
+        await self.lanes.files(self.localizers.forget_missing)
+
+    async def localize(self, frame: Frame, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
+        """The most confident answer of several maps for one frame, by its deadline.
+
+        Raises:
+            RholocError: as :func:`rholoc.service.frames.single_frame.localize_frame`, and Busy.
+        """
+        listener = self.learner.listener(ASKER.get())
+        prior = frame.options.prior
+        return await self._by_deadline(
+            lambda localizers: localize_frame(frame, maps, localizers, self.settings, clock, listener),
+            maps,
+            clock,
+            frame_deadline_s(frame.options.deadline_ms, self.settings),
+            frame.effort,
+            None if prior is None else prior.position,
+        )
+
+    async def localize_together(self, frames: Frames, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
+        """As :meth:`localize`, for several frames."""
+        deadline_s = frame_deadline_s(frames.query.deadline_ms, self.settings)
+        return await self._by_deadline(
+            lambda localizers: localize_frames(frames, maps, localizers, self.settings, clock, deadline_s),
+            maps,
+            clock,
+            deadline_s,
+            Effort.LARGE,
+        )
+
+    async def places(self, frame: Frame, maps: MapChoice, clock: Stopwatch, most: int) -> PlacesOut:
+        """The views of several maps that a frame resembles most, at most ``most``."""
+        await self.check_known(maps.names if maps.named else ())
+        return await self._compute(
+            lambda localizers: likeliest_places(frame, maps, localizers, self.settings, clock, most),
+            frame.effort,
+            maps.named,
+        )
+
+    async def landscape(self, frame: Frame, name: str, clock: Stopwatch) -> LandscapeOut:
+        """What the densities of a map say around a frame's pose."""
+        return await self._compute(
+            lambda localizers: landscape_of(frame, name, localizers, self.settings, clock), Effort.LARGE
+        )
+
+    async def _by_deadline(
+        self,
+        localize: Callable[[LocalizerSource], LocalizationOut],
+        maps: MapChoice,
+        clock: Stopwatch,
+        deadline_s: float,
+        effort: Effort,
+        expected: Sequence[float] | None = None,
+    ) -> LocalizationOut:
+        """The answer that a thread finds, or at the deadline the answer that it was too late.
+
+        ``expected``: the prior's position.
+        """
+        await self.check_known(maps.names if maps.named else ())
+        try:
+            async with asyncio.timeout(deadline_s - clock.elapsed_s):
+                answer = await self._compute(
+                    lambda localizers: in_site(localize(localizers), self.sites, maps.site), effort, maps.named
+                )
+        except (TimeoutError, DeadlineExceeded):
+            answer = await self._late(maps.first, clock)
+        self.metrics.localization(answer.map, answer.reason, answer.timings_ms)
+        self.live.note(answer, expected)
+        return answer
+
+    async def _late(self, name: str, clock: Stopwatch) -> LocalizationOut:
+        """The answer at the deadline, while a thread is still working on the frame or has not begun."""
+        try:
+            async with asyncio.timeout(_LOADING_GRACE_S):
+                localizer = await self.lanes.files(self.localizers.get, name)
+        except (TimeoutError, MapNotHereError, StorageUnavailable):
+            raise DeadlineExceeded("The deadline passed while the map was being loaded.", "Try again.") from None
+        return late_answer(name, localizer, clock)
+
+    async def _compute(self, work: Callable[[LocalizerSource], T], effort: Effort, needs_all: bool = True) -> T:
+        """The result of ``work`` in a compute thread; it begins again whenever a map had to be fetched first.
+
+        Args:
+            work: given the localizers.
+            effort: of the work.
+            needs_all: whether a map that is not fetched soon is waited for, or passed over.
+        """
+        localizers, patience_s = _RequestLocalizers(self.localizers), None if needs_all else _FETCHING_S
+        while True:
+            try:
+                return await self.compute.run(lambda: work(localizers), effort)
+            except MapNotHereError as missing:
+                name = missing.name
+            try:
+                async with asyncio.timeout(patience_s):
+                    await self.lanes.fetches(self.library.path, name)
+            except RholocError as error:
+                localizers.refused[name] = error
+            except TimeoutError:
+                hint = "It is being fetched: try again soon."
+                localizers.refused[name] = StorageUnavailable(f"The map {name} is not on this server yet.", hint)
+
+
+class _RequestLocalizers:
+    """The localizers for one request, which keep what prevented a map from being fetched for it."""
+
+    def __init__(self, localizers: Localizers) -> None:
+        self._localizers = localizers
+        self.refused: dict[str, RholocError] = {}
+
+    def get(self, name: str) -> AnyLocalizer:
+        if name in self.refused:
+            raise self.refused[name]
+        return self._localizers.get(name)

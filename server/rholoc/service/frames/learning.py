@@ -1,0 +1,156 @@
+"""What sure answers saw is kept, so that maps learn from it: after the answer, in a thread of its own."""
+
+from __future__ import annotations
+
+import hashlib
+import queue
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+import structlog
+
+from rholoc.errors import RholocError
+from rholoc.features import Extractor, FeatureSet
+from rholoc.geometry import Camera
+from rholoc.jobs import QueryStore
+from rholoc.localization import Localization
+from rholoc.mapping import AnsweredQuery
+from rholoc.maps import Documents
+from rholoc.service.access.keys import HANDED_PREFIX
+from rholoc.service.settings import Settings
+from rholoc.service.threads.compute import lower_priority
+
+TEACHES_FROM = 0.8  # a confidence
+_MOST_WAITING = 8
+_STOP_S = 5.0
+_SALT_FILE = "askers.salt"
+_SALT_BYTES = 16
+_log = structlog.get_logger("rholoc.service")
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """An answer that a map may learn from.
+
+    Attributes:
+        map_id: of the map that answered.
+        extractor: of its features.
+        camera: that the frame was taken with.
+        answer: surely localized.
+        features: what finds the frame's features by the extractor.
+    """
+
+    map_id: str
+    extractor: Extractor
+    camera: Camera
+    answer: Localization
+    features: Callable[[Extractor], FeatureSet]
+
+
+Listener = Callable[[Lesson], None]
+
+
+class Learner:
+    """Keeps the features of sure answers. An answer waits for nothing: what there is no time for is dropped.
+
+    Args:
+        store: where they are kept.
+        settings: whether, and whose.
+        salts: where the salt of their pseudonyms is kept: in common with whom the queries are.
+    """
+
+    def __init__(self, store: QueryStore, settings: Settings, salts: Documents) -> None:
+        self.store, self._settings, self._salts = store, settings, salts
+        self._barred = {name.strip() for name in settings.learn_not_from.split(",")} - {""}
+        self._waiting: queue.Queue[tuple[Lesson, str] | None] = queue.Queue(_MOST_WAITING)
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin to listen, where the settings say so."""
+        if self._settings.learn:
+            self._thread = threading.Thread(target=self._keep_all, name="rholoc-learner", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Stop; what still waits is dropped."""
+        if self._thread is None:
+            return
+        with suppress(queue.Empty):
+            while True:
+                self._waiting.get_nowait()
+        self._waiting.put(None)
+        self._thread.join(_STOP_S)
+
+    def listener(self, asker: str) -> Listener | None:
+        """What hears the sure answers that somebody is given, by the name of their key or their address; None where
+        they teach nothing."""
+        if self._thread is None or asker in self._barred:
+            return None
+        if asker.startswith(HANDED_PREFIX) and not self._settings.learn_from_handed:
+            return None
+
+        def listen(lesson: Lesson) -> None:
+            answer = lesson.answer
+            if answer.pose is None or answer.covariance is None or answer.confidence < TEACHES_FROM:
+                return
+            with suppress(queue.Full):
+                self._waiting.put_nowait((lesson, asker))
+
+        return listen
+
+    @property
+    def listens(self) -> bool:
+        """Whether queries are kept."""
+        return self._thread is not None
+
+    def pseudonym(self, asker: str) -> str:
+        """12 hex digits that stand for an asker, and tell nobody who does not have the salt who it is.
+
+        Raises:
+            StorageFull, InvalidInput: there is no salt yet, and it cannot be stored.
+        """
+        try:
+            salt = self._salts.read(_SALT_FILE)
+        except FileNotFoundError:
+            self._salts.write(_SALT_FILE, secrets.token_bytes(_SALT_BYTES), called="the salt of pseudonyms")
+            salt = self._salts.read(_SALT_FILE)
+        return hashlib.blake2b(asker.encode(), key=salt, digest_size=6).hexdigest()
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing waits to be kept."""
+        return self._waiting.unfinished_tasks == 0
+
+    def _keep_all(self) -> None:
+        lower_priority()
+        while (item := self._waiting.get()) is not None:
+            try:
+                self._keep(*item)
+            except RholocError as error:
+                _log.warning("query_not_kept", error=error.message)
+            except Exception:
+                _log.exception("query_not_kept")
+            finally:
+                self._waiting.task_done()
+
+    def _keep(self, lesson: Lesson, asker: str) -> None:
+        pose, covariance = lesson.answer.pose, lesson.answer.covariance
+        assert pose is not None
+        assert covariance is not None
+        now, who = time.time(), self.pseudonym(asker)
+        if not self.store.wants(lesson.map_id, pose.T_map_camera, who, now):
+            return
+        query = AnsweredQuery(
+            features=lesson.features(lesson.extractor),
+            camera=lesson.camera,
+            T_map_camera=pose.T_map_camera,
+            covariance=covariance,
+            confidence=lesson.answer.confidence,
+            time_s=now,
+            asker=who,
+        )
+        self.store.add(lesson.map_id, query)

@@ -1,0 +1,157 @@
+"""Who is asking for poses, and where requests failed: only if the settings enable it, and in memory only."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rholoc.errors import Conflict
+from rholoc.service.caller import ASKER
+from rholoc.service.frames.answers import LocalizationOut
+
+UNSURE_BELOW = 0.8  # a confidence
+LIVE_S = 10.0  # how long a client is shown after its last request
+DAY_S = 24 * 3600.0
+_MAX_ASKERS = 1000
+_MAX_FAILURES = 20_000
+_LAST_KNOWN_S = 30.0  # how long a client's last pose says where a request without a pose was
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """One answer.
+
+    Attributes:
+        number: increases with every answer of this server.
+        asker: who asked.
+        map: its name.
+        time: seconds since the epoch.
+        position, heading: of the pose, or of the last one where this answer has none; None where none is known.
+        T_map_camera: 4 × 4, likewise.
+        localized: whether the answer has a pose of its own.
+        reason: why it has none.
+        confidence: 0 to 1.
+        sigma_m: the pose's standard deviation along its worst axis.
+    """
+
+    number: int
+    asker: str
+    map: str
+    time: float
+    position: list[float] | None
+    heading: list[float] | None
+    T_map_camera: list[list[float]] | None
+    localized: bool
+    reason: str | None
+    confidence: float
+    sigma_m: float | None
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Where a request found no pose, or an unsure one; without who asked.
+
+    Attributes:
+        map: its name.
+        time: seconds since the epoch.
+        position, heading: of the unsure pose; else where the request expected to be, or the same asker's last pose.
+        confidence: 0 to 1.
+        reason: why there is no pose; None where there is an unsure one.
+    """
+
+    map: str
+    time: float
+    position: list[float]
+    heading: list[float] | None
+    confidence: float
+    reason: str | None
+
+
+class Live:
+    """The last answer for each asker, and the failures of a day. Use it from the event loop's thread only.
+
+    Args:
+        shown: whether it is shown who asks.
+        keeps_failures: whether failures are kept.
+    """
+
+    def __init__(self, shown: bool, keeps_failures: bool) -> None:
+        self._shown, self._keeps_failures = shown, keeps_failures
+        self._latest: dict[tuple[str, str], Sighting] = {}
+        self._failures: deque[Failure] = deque(maxlen=_MAX_FAILURES)
+        self.number = 0
+        self.changed = asyncio.Event()
+        """Set by the next answer, which puts another one in its place."""
+
+    def note(self, answer: LocalizationOut, expected: Sequence[float] | None = None) -> None:
+        """Record an answer; ``expected`` is the position of the request's prior."""
+        if not (self._shown or self._keeps_failures):
+            return
+        now, asker = time.time(), ASKER.get()
+        before = self._latest.pop((answer.map, asker), None)
+        self.number += 1
+        pose = answer.pose
+        known = before if pose is None and before is not None and now - before.time < _LAST_KNOWN_S else None
+        sighting = Sighting(
+            number=self.number,
+            asker=asker,
+            map=answer.map,
+            time=now,
+            position=pose.position if pose else known.position if known else None,
+            heading=pose.heading if pose else known.heading if known else None,
+            T_map_camera=pose.T_map_camera if pose else known.T_map_camera if known else None,
+            localized=pose is not None,
+            reason=answer.reason,
+            confidence=answer.confidence,
+            sigma_m=_worst_sigma(answer.covariance),
+        )
+        self._latest[answer.map, asker] = sighting  # in the order of the answers
+        self.changed.set()
+        self.changed = asyncio.Event()
+        if len(self._latest) > _MAX_ASKERS:
+            del self._latest[next(iter(self._latest))]
+        if self._keeps_failures:
+            self._keep(sighting, expected)
+
+    def _keep(self, sighting: Sighting, expected: Sequence[float] | None) -> None:
+        if sighting.localized and sighting.confidence >= UNSURE_BELOW:
+            return
+        position, heading = sighting.position, sighting.heading
+        if not sighting.localized and expected is not None:
+            position, heading = list(expected), None
+        if position is None:
+            return
+        failure = Failure(sighting.map, sighting.time, position, heading, sighting.confidence, sighting.reason)
+        self._failures.append(failure)
+
+    def after(self, map_name: str, number: int) -> list[Sighting]:
+        """The last answer in a map to everyone who asked recently, if it came after answer ``number``.
+
+        Raises:
+            Conflict: this server does not show it.
+        """
+        if not self._shown:
+            raise Conflict("This server does not show who asks for poses.", "Set RHOLOC_LIVE=true to enable it.")
+        since = time.time() - LIVE_S
+        found = self._latest.values()
+        return [one for one in found if one.map == map_name and one.number > number and one.time >= since]
+
+    def failures(self, map_name: str) -> list[Failure]:
+        """The failures of the last day in a map, the oldest first.
+
+        Raises:
+            Conflict: this server does not keep them.
+        """
+        if not self._keeps_failures:
+            raise Conflict(
+                "This server does not record where requests fail.", "Set RHOLOC_KEEP_FAILURES=true to enable it."
+            )
+        since = time.time() - DAY_S
+        return [one for one in self._failures if one.map == map_name and one.time >= since]
+
+
+def _worst_sigma(covariance: list[list[float]] | None) -> float | None:
+    return None if covariance is None else max(covariance[i][i] for i in range(3)) ** 0.5

@@ -1,0 +1,72 @@
+"""The localizers of the served maps: one for each loaded map, replaced between two requests."""
+
+from __future__ import annotations
+
+import threading
+from typing import Protocol
+
+from rholoc.localization import AnyLocalizer, localizer_of
+from rholoc.maps import Map, MapLibrary, check_usable
+
+
+class MapNotHereError(Exception):
+    """A map has to be fetched first, by :meth:`MapLibrary.path`; compute threads do not wait for the storage."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.name = name
+
+
+class LocalizerSource(Protocol):
+    """Where the localizers for one request come from."""
+
+    def get(self, name: str) -> AnyLocalizer:
+        """The localizer of the current map."""
+        ...
+
+
+class Localizers:
+    """Keeps one localizer per map name. Safe to call from several threads.
+
+    A map that leaves the library's memory takes its localizer with it. A request keeps the localizer that it has, and
+    so its map, even if the map is replaced in the meantime.
+    """
+
+    def __init__(self, library: MapLibrary, min_recognized: float) -> None:
+        self._library = library
+        self._min_recognized = min_recognized
+        self._ready: dict[str, AnyLocalizer] = {}
+        self._building: dict[str, threading.Lock] = {}
+
+    def get(self, name: str) -> AnyLocalizer:
+        """The localizer of the current map; built if the map is new or was replaced.
+
+        Raises:
+            InvalidName, UnknownMap, InvalidMap: as :meth:`MapLibrary.get` does.
+            MapNotHereError: the map's file is not on this machine.
+        """
+        if not self._library.is_here(name):
+            raise MapNotHereError(name)
+        map_ = self._library.get(name)
+        self._forget_unloaded()
+        with self._building.setdefault(name, threading.Lock()):
+            ready = self._ready.get(name)
+            if ready is None or ready.map is not map_:
+                ready = self._ready[name] = self._build(map_)
+        return ready
+
+    def forget_missing(self) -> None:
+        """Drop the localizers of maps that are no longer in the library."""
+        names = set(self._library.names())
+        for name in [name for name in self._ready if name not in names]:
+            self._ready.pop(name, None)
+
+    def _forget_unloaded(self) -> None:
+        """Drop the localizers of maps that left memory."""
+        for name, ready in list(self._ready.items()):
+            if not self._library.keeps(name, ready.map):
+                self._ready.pop(name, None)
+
+    def _build(self, map_: Map) -> AnyLocalizer:
+        check_usable(map_)
+        return localizer_of(map_, self._min_recognized)

@@ -1,0 +1,163 @@
+"""One frame → one answer, timed stage by stage. Runs in a thread of the compute pool."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rholoc import telemetry
+from rholoc.errors import DeadlineExceeded, RholocError
+from rholoc.features import widened
+from rholoc.localization import (
+    AnyLocalizer,
+    Intrinsics,
+    Localization,
+    Query,
+    likeliest_views,
+)
+from rholoc.service.frames.answers import LocalizationOut, PlaceOut, PlacesOut, answer_of, pose_out, too_late
+from rholoc.service.frames.best_map import best_map, chosen, each_map
+from rholoc.service.frames.frame_features import FrameFeatures
+from rholoc.service.frames.learning import Lesson, Listener
+from rholoc.service.frames.localizers import LocalizerSource
+from rholoc.service.frames.map_choice import CONCLUSIVE, Candidates, MapChoice
+from rholoc.service.frames.queries import Frame, camera_for, gravity_of, max_sigmas, prior_of
+from rholoc.service.frames.stopwatch import Stopwatch, frame_deadline_s
+from rholoc.service.settings import Settings
+
+_Answered = tuple[str, AnyLocalizer, Localization]  # by which map
+
+
+def localize_frame(
+    frame: Frame,
+    maps: MapChoice,
+    localizers: LocalizerSource,
+    settings: Settings,
+    clock: Stopwatch,
+    listener: Listener | None = None,
+) -> LocalizationOut:
+    """The best answer of some maps: the one whose place is recognized most surely, with a pose if any has one.
+
+    Of several maps, those whose features or camera do not fit the frame are passed over; where nobody named them, so
+    are those that cannot be used for any other reason. ``listener`` hears of a pose found by a camera whose
+    intrinsics are known.
+
+    Raises:
+        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
+            valid; with several maps, only if none could be used.
+    """
+    clock.stages_ms["queue"] = 1000 * clock.elapsed_s
+    telemetry.note("queue", clock.elapsed_s)
+    deadline_s = frame_deadline_s(frame.options.deadline_ms, settings)
+    features = FrameFeatures(frame, settings, clock, deadline_s)
+
+    def surest(asked: Candidates) -> _Answered:
+        def localize(localizer: AnyLocalizer) -> Localization:
+            return _localize(frame, localizer, features, deadline_s, clock)
+
+        return best_map(asked, localizers, localize, _rank, clock)
+
+    likely = chosen(maps, features.by_quick, clock)
+    if likely.are_ranked:
+        name, localizer, found = _looking_twice(likely.at_first(), maps, features, surest, clock)
+    else:
+        name, localizer, found = surest(likely)
+    if listener is not None and found.localized and frame.options.intrinsics is Intrinsics.GIVEN:
+        info = localizer.map.info
+        camera = camera_for(frame, features.size, info.camera)
+        listener(Lesson(info.id, widened(localizer.extractor, camera), camera, found, features.by))
+    return answer_of(name, localizer, found, clock, frame.options.with_matches)
+
+
+def likeliest_places(
+    frame: Frame, maps: MapChoice, localizers: LocalizerSource, settings: Settings, clock: Stopwatch, most: int
+) -> PlacesOut:
+    """The views of some maps that a picture resembles most, at most ``most`` in all.
+
+    Raises:
+        As :func:`localize_frame`.
+    """
+    features = FrameFeatures(frame, settings, clock, frame_deadline_s(frame.options.deadline_ms, settings))
+    places: list[PlaceOut] = []
+
+    def ask(name: str, localizer: AnyLocalizer) -> None:
+        info = localizer.map.info
+        places.extend(
+            PlaceOut(
+                map=name,
+                map_id=info.id,
+                map_version=info.version,
+                view=found.view,
+                pose=pose_out(found.pose),
+                score=found.score,
+            )
+            for found in likeliest_views(localizer, features.by(localizer.extractor), most)
+        )
+
+    each_map(chosen(maps, features.by, clock), localizers, ask, clock)
+    return PlacesOut(places=sorted(places, key=lambda place: -place.score)[:most])
+
+
+def _looking_twice(
+    at_first: Candidates,
+    maps: MapChoice,
+    features: FrameFeatures,
+    surest: Callable[[Candidates], _Answered],
+    clock: Stopwatch,
+) -> _Answered:
+    """The surest answer of the maps that a quick look at a frame finds; where it is not sure, of those that a closer
+    look finds as well.
+
+    Raises:
+        RholocError: none of them could be asked.
+    """
+    answers, refused = [], None
+    try:
+        answers.append(surest(at_first))
+    except DeadlineExceeded:
+        raise
+    except RholocError as error:
+        refused = error
+    if not answers or _rank(answers[0][2]) < (True, CONCLUSIVE):
+        others = chosen(maps, features.by, clock).besides(at_first)
+        if others.names:
+            answers.append(surest(others))
+    if not answers and refused is not None:
+        raise refused
+    return max(answers, key=lambda answer: _rank(answer[2]))
+
+
+def _rank(found: Localization) -> tuple[bool, float]:
+    return found.localized, found.recognized
+
+
+def _localize(
+    frame: Frame, localizer: AnyLocalizer, features: FrameFeatures, deadline_s: float, clock: Stopwatch
+) -> Localization:
+    camera = camera_for(frame, features.size, localizer.map.info.camera)
+    prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
+    if clock.elapsed_s >= deadline_s:
+        return too_late()
+    extractor = widened(localizer.extractor, camera)
+    found = features.by(extractor.quick)
+    left_s = deadline_s - clock.elapsed_s
+    if left_s <= 0:
+        return too_late()
+    options = frame.options
+    more = features.more_by(extractor)
+    answer = localizer.localize(
+        Query(
+            found,
+            camera,
+            options.dof,
+            prior,
+            gravity,
+            left_s,
+            options.intrinsics,
+            features.image,
+            more,
+            *max_sigmas(options),
+        )
+    )
+    for stage, duration_ms in answer.timings_ms.items():
+        clock.stages_ms[stage] = clock.stages_ms.get(stage, 0.0) + duration_ms
+    return answer

@@ -1,0 +1,241 @@
+"""Closes connections of clients that send slowly or nothing at all, so that they cannot take up all connections."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter
+from typing import Any
+
+import h11
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from rholoc.errors import Busy
+from rholoc.service.access.scopes import client_of
+from rholoc.service.errors import RequestTimeout, TooManyRequests
+
+_HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
+_LEAST_BYTES_PER_S = 500.0  # of a body, on average
+_LEFTOVER_BYTES_PER_S = 4e6  # of a body that was refused before it arrived: reading it slows the others down
+_RETRY_AFTER_S = 5.0
+_STALLED_READER_S = 30.0
+_FOR_PROBES = 128  # connections beyond the limit
+_YOUNG_S = 1.0  # a connection is not taken for idle before
+BEYOND_LIMIT = "beyond_limit"  # member of a request's state: its connection is one of these
+_STREAMED_BYTES = 8 * 2**20  # of one message of a WebSocket
+
+
+class PatientProtocol(H11Protocol):
+    """Uvicorn's HTTP/1.1, which closes a connection whose request's head does not arrive in time.
+
+    Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then.
+    At the limit of connections, a new one replaces the one that has been idle for longest. If none is idle, a few more
+    are let in, in which only probes are answered, and of which each new one replaces the oldest. A connection is broken
+    off if its client does not read what is sent.
+    """
+
+    head_timeout_s = _HEAD_TIMEOUT_S
+    max_connections = 500
+    stalled_reader_s = _STALLED_READER_S
+    _giving_up: asyncio.TimerHandle | None = None
+    _breaking_off: asyncio.TimerHandle | None = None
+    _waiting_since_s = 0.0
+    _beyond_limit = False
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._watch_head()
+        self._waiting_since_s = self.loop.time()
+        if len(self.connections) > self.max_connections:
+            self._make_room()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        if self._breaking_off is None:
+            self._breaking_off = self.loop.call_later(self.stalled_reader_s, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        self._stop_breaking_off()
+
+    def _stop_breaking_off(self) -> None:
+        if self._breaking_off is not None:
+            self._breaking_off.cancel()
+            self._breaking_off = None
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._waiting_since_s = self.loop.time()
+
+    def _make_room(self) -> None:
+        others = [one for one in self.connections if isinstance(one, PatientProtocol) and one is not self]
+        now_s = self.loop.time()
+        idle = [one for one in others if one._is_idle and now_s - one._waiting_since_s > _YOUNG_S]
+        beyond = [one for one in others if one._beyond_limit]
+        if idle:
+            self._replace(min(idle, key=lambda one: one._waiting_since_s))
+            return
+        self._beyond_limit = True
+        self.app_state = {**self.app_state, BEYOND_LIMIT: True}
+        if len(beyond) >= _FOR_PROBES:
+            self._replace(min(beyond, key=lambda one: one._waiting_since_s))
+
+    @property
+    def _is_idle(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
+
+    def _replace(self, other: PatientProtocol) -> None:
+        self.connections.discard(other)  # at once: many may come before its connection_lost is called
+        other.transport.close()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._watch_head()
+        answered = self.cycle is not None and self.cycle.response_complete
+        if answered and self.conn.their_state is h11.SEND_BODY:  # refused: the rest is read, slowly, and dropped
+            self.transport.pause_reading()
+            self.loop.call_later(len(data) / _LEFTOVER_BYTES_PER_S, self.transport.resume_reading)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._stop_watching()
+        self._stop_breaking_off()
+
+    def _watch_head(self) -> None:
+        """Let the time run from a head's first byte, not from its last."""
+        if self.conn.their_state is not h11.IDLE:
+            self._stop_watching()
+        elif self._giving_up is None:
+            self._giving_up = self.loop.call_later(self.head_timeout_s, self._give_up)
+
+    def _give_up(self) -> None:
+        self._giving_up = None
+        if self.conn.their_state is h11.IDLE and self.transport is not None:
+            self.transport.close()
+
+    def _stop_watching(self) -> None:
+        if self._giving_up is not None:
+            self._giving_up.cancel()
+            self._giving_up = None
+
+
+def _full() -> Busy:
+    return Busy("The service has reached its limit of connections.", "Try again after Retry-After.", _RETRY_AFTER_S)
+
+
+def protocol_of(max_connections: int, stalled_reader_s: float = _STALLED_READER_S) -> type[PatientProtocol]:
+    """The protocol for a server with this limit of connections, and of seconds in which a client reads nothing."""
+    limits = {"max_connections": max_connections, "stalled_reader_s": stalled_reader_s}
+    return type("PatientProtocol", (PatientProtocol,), limits)
+
+
+def websocket_options(max_request_bytes: int) -> dict[str, Any]:
+    """Uvicorn's options for WebSockets: a limit on messages, and no compression, since a small compressed message may
+    expand to a huge one."""
+    return {
+        "ws": "websockets-sansio",
+        "ws_max_size": min(max_request_bytes, _STREAMED_BYTES),
+        "ws_per_message_deflate": False,
+    }
+
+
+class ConcurrencyLimited:
+    """ASGI middleware that refuses a client that has too many requests under way. It stands behind the guard.
+
+    Args:
+        app: what answers.
+        max_of_client: how many requests a key with those that it handed on, or an address, may have under way.
+    """
+
+    def __init__(self, app: ASGIApp, max_of_client: int) -> None:
+        self._app = app
+        self._max_of_client = max_of_client
+        self._under_way: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Raises:
+            TooManyRequests: its client has too many under way.
+        """
+        client = client_of(scope) if scope["type"] == "http" else ""
+        if not client:
+            await self._app(scope, receive, send)
+            return
+        if self._under_way[client] >= self._max_of_client:
+            raise TooManyRequests(
+                f"You have {self._max_of_client} requests under way, the most allowed.", "Wait for their answers."
+            )
+        self._under_way[client] += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self._under_way[client] -= 1
+            if not self._under_way[client]:
+                del self._under_way[client]
+
+
+class ProbesOnly:
+    """ASGI middleware for connections beyond the limit: they are answered if they ask what is open to everyone.
+
+    It stands behind the guard, which finds the route.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Raises:
+            Busy: it is no probe.
+        """
+        if scope.get("state", {}).get(BEYOND_LIMIT) and client_of(scope):
+            raise _full()
+        await self._app(scope, receive, send)
+
+
+class SlowBodies:
+    """ASGI middleware that ends requests whose body stalls or trickles in.
+
+    Args:
+        app: what reads the bodies.
+        silence_s: how long nothing may arrive, and how far a body may lag behind 500 bytes a second.
+    """
+
+    def __init__(self, app: ASGIApp, silence_s: float) -> None:
+        self._app = app
+        self._silence_s = silence_s
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request.
+
+        Raises:
+            RequestTimeout: its body takes too long.
+        """
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        waited_s, received, whole = 0.0, 0, False
+
+        async def receive_in_time() -> Message:
+            nonlocal waited_s, received, whole
+            if whole:
+                return await receive()  # which waits for the client to disconnect
+            begun = time.monotonic()
+            try:
+                async with asyncio.timeout(self._silence_s):
+                    message = await receive()
+            except TimeoutError:
+                raise RequestTimeout("The request's body stopped coming.", "Send it again.") from None
+            waited_s += time.monotonic() - begun
+            received += len(message.get("body", b""))
+            whole = not message.get("more_body", False)
+            if not whole and waited_s > self._silence_s + received / _LEAST_BYTES_PER_S:
+                raise RequestTimeout(
+                    "The request's body arrives too slowly.", "Send it again over a better connection."
+                )
+            return message
+
+        await self._app(scope, receive_in_time, send)

@@ -1,0 +1,129 @@
+"""The service's metrics for Prometheus."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+
+import structlog
+from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
+from prometheus_client.core import GaugeMetricFamily
+from prometheus_client.registry import Collector
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rholoc.service.access.scopes import found_route
+
+_log = structlog.get_logger("rholoc.service")
+METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+_KEPT_S = 0.5
+_MOST_MAPS = 200  # that have counters of their own: each has one for every outcome
+_OTHER_MAPS = "other maps"  # no map can be called so
+_SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
+
+
+class Metrics:
+    """The counters of one service, and gauges that are evaluated when they are read."""
+
+    def __init__(self) -> None:
+        self._registry = CollectorRegistry()
+        self._making = threading.Lock()
+        self._text, self._made_s = b"", -math.inf
+        self._requests = Histogram(
+            "rholoc_request_seconds",
+            "How long requests took, until the last byte of their answers",
+            ("method", "route", "status"),
+            buckets=_SECONDS,
+            registry=self._registry,
+        )
+        self._localizations = Counter(
+            "rholoc_localizations", "Frames that were localized, or why not", ("outcome",), registry=self._registry
+        )
+        self._of_maps = Counter(
+            "rholoc_map_localizations",
+            "The same by the map that answered; beyond 200 maps, those that answered later are together 'other maps'",
+            ("map", "outcome"),
+            registry=self._registry,
+        )
+        self._stages = Histogram(
+            "rholoc_stage_seconds",
+            "How long the stages of answering frames took",
+            ("stage",),
+            buckets=_SECONDS,
+            registry=self._registry,
+        )
+        self._maps: set[str] = set()
+
+    def request(self, method: str, route: str, status: int, duration_s: float) -> None:
+        """Count a request that was answered."""
+        self._requests.labels(method, route, str(status)).observe(duration_s)
+
+    def localization(self, map_name: str, reason: str | None, timings_ms: Mapping[str, float]) -> None:
+        """Count a frame: the map that answered, why it has no pose, if it has none, and how long each stage took."""
+        self._localizations.labels(reason or "localized").inc()
+        if len(self._maps) < _MOST_MAPS:
+            self._maps.add(map_name)
+        self._of_maps.labels(map_name if map_name in self._maps else _OTHER_MAPS, reason or "localized").inc()
+        for stage, duration_ms in timings_ms.items():
+            self._stages.labels(stage).observe(max(0.0, duration_ms / 1000))
+
+    def gauge(self, name: str, text: str, label: str, read: Callable[[], Mapping[str, float]]) -> None:
+        """Add a gauge whose values, by label, are read whenever the metrics are."""
+        self._registry.register(_Gauge(name, text, label, read))
+
+    def text(self) -> bytes:
+        """All metrics in Prometheus's format; at most half a second old, because making the text takes a while."""
+        with self._making:
+            if time.monotonic() - self._made_s > _KEPT_S:
+                self._text, self._made_s = generate_latest(self._registry), time.monotonic()
+            return self._text
+
+
+class _Gauge(Collector):
+    def __init__(self, name: str, text: str, label: str, read: Callable[[], Mapping[str, float]]) -> None:
+        self._name, self._text, self._label, self._read = name, text, label, read
+
+    def describe(self) -> Iterator[GaugeMetricFamily]:
+        yield GaugeMetricFamily(self._name, self._text, labels=[self._label])
+
+    def collect(self) -> Iterator[GaugeMetricFamily]:
+        family = GaugeMetricFamily(self._name, self._text, labels=[self._label])
+        try:
+            values = self._read()
+        except Exception as error:  # whatever a database's driver raises: the other metrics are still wanted
+            _log.warning("gauge_unread", gauge=self._name, error=repr(error)[:200])
+            values = {}
+        for value, number in values.items():
+            family.add_metric([value], number)
+        yield family
+
+
+class Metered:
+    """ASGI middleware that counts every request under its route's path, so that names do not become labels."""
+
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+        self._app = app
+        self._metrics = metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        method, begun, status = scope["method"], time.perf_counter(), 0
+
+        async def send_noting_status(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_noting_status)
+        finally:
+            route, duration_s = found_route(scope), time.perf_counter() - begun
+            if route is None:  # neither made-up paths nor made-up methods become labels
+                self._metrics.request("other", "other", status, duration_s)
+            else:
+                self._metrics.request(method, route.path, status, duration_s)

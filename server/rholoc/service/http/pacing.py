@@ -1,0 +1,94 @@
+"""Frames first: while one is being localized, other requests wait after each of their steps.
+
+A frame takes many small steps that need the interpreter, which runs one thread at a time: anything else that runs in
+this process slows them down, however many cores there are and whatever its priority.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rholoc.service.access.keys import Scope as KeyScope
+from rholoc.service.access.scopes import found_route
+
+_SHARE = 0.2  # of the time, for everything that is not a frame
+_LONGEST_S = 1.0
+
+
+class Pace:
+    """Limits the steps of everything that shares it to ``share`` of the time in all.
+
+    Args:
+        share: of the time.
+        longest_s: the longest wait after one step, however many are waiting.
+        clock: the time in seconds.
+    """
+
+    def __init__(
+        self, share: float = _SHARE, longest_s: float = _LONGEST_S, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._share = share
+        self._longest_s = longest_s
+        self._clock = clock
+        self._free_s = 0.0  # when the waits for all steps so far are over
+
+    def delay_s(self, took_s: float) -> float:
+        """How long to wait after a step that took so long."""
+        now_s = self._clock()
+        self._free_s = min(max(now_s, self._free_s) + took_s / self._share, now_s + self._longest_s)
+        return self._free_s - now_s
+
+
+class FramesFirst:
+    """ASGI middleware: requests other than frames wait before each piece of their body and before their answer.
+
+    How long depends on the time spent since the piece before. Routes that localize, and those that are open to
+    everyone, never wait.
+
+    Args:
+        app: what answers.
+        busy: whether frames are being worked on.
+        pace: of those who wait.
+    """
+
+    def __init__(self, app: ASGIApp, busy: Callable[[Scope], bool], pace: Pace | None = None) -> None:
+        self._app = app
+        self._busy = busy
+        self._pace = pace or Pace()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] != "http" or not _gives_way(scope):
+            await self._app(scope, receive, send)
+            return
+        since_s, whole = time.monotonic(), False
+
+        async def give_way() -> None:
+            if self._busy(scope):
+                await asyncio.sleep(self._pace.delay_s(time.monotonic() - since_s))
+
+        async def receive_in_turn() -> Message:
+            nonlocal since_s, whole
+            if whole:
+                return await receive()  # which waits for the client to disconnect
+            await give_way()
+            message = await receive()
+            since_s, whole = time.monotonic(), not message.get("more_body", False)
+            return message
+
+        async def send_in_turn(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                await give_way()
+            await send(message)
+
+        await self._app(scope, receive_in_turn, send_in_turn)
+
+
+def _gives_way(scope: Scope) -> bool:
+    route = found_route(scope)
+    access = None if route is None else route.access
+    return access is not None and access.scope not in (None, KeyScope.LOCALIZE)

@@ -1,0 +1,340 @@
+"""The libraries for the event loop: each call runs in a thread of the lane for what it may wait for.
+
+Routes use these alone. ``sync`` is the library itself, for other threads: its methods wait for a disk, a database or a
+storage.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from rholoc.errors import Conflict, InvalidMap, UnknownMap, UnknownRecording
+from rholoc.exports import ExportFormat
+from rholoc.jobs import (
+    WAYPOINTS_FILE,
+    Job,
+    JobKind,
+    JobOptions,
+    JobQueue,
+    KeptQueries,
+    PendingRecording,
+    QueryStore,
+    RecordedWaypoint,
+    RecordingEntry,
+    RecordingStore,
+    UploadStore,
+    read_notes,
+    waypoints_file,
+)
+from rholoc.mapping import FEWEST_QUERIES, set_floor_plan, too_few_queries
+from rholoc.maps import CameraLibrary, FloorPlan, Map, MapInfo, MapLibrary, SiteLibrary, check_memory
+from rholoc.service.access.audit import AuditLog
+from rholoc.service.access.keys import ApiKey, KeyStore
+from rholoc.service.access.quotas import Quotas, Usage
+from rholoc.service.frames.learning import Learner
+from rholoc.service.http.files import OpenedFile
+from rholoc.service.maps.descriptions import MapDetail, MapList, MapVersions, detail_of, list_of, versions_of
+from rholoc.service.maps.job_events import JobEvents
+from rholoc.service.maps.publishing import publish_file, publish_merged
+from rholoc.service.settings import Settings
+from rholoc.service.threads.storage import StorageLanes
+
+NotedRecording = tuple[RecordingEntry, dict[str, bytes]]
+"""A recording, and the content of the files with what is noted of it, by name."""
+
+
+class AsyncMaps:
+    """The maps.
+
+    Attributes:
+        publishing: held while a map is published: a large one takes memory while it is checked.
+    """
+
+    def __init__(self, library: MapLibrary, queries: QueryStore, settings: Settings, lanes: StorageLanes) -> None:
+        self.sync, self._queries, self._settings, self._lanes = library, queries, settings, lanes
+        self.publishing = asyncio.Lock()
+        self.names = lanes.files.offload(library.names)
+        self.readable = lanes.files.offload(library.readable)
+        self.stat = lanes.files.offload(library.stat)
+        self.existing = lanes.files.offload(self._existing)
+        self.list = lanes.files.offload(self._list)
+        self.detail = lanes.database.offload(self._detail)
+        self.versions = lanes.database.offload(self._versions)
+        self.rename = lanes.database.offload(library.rename)
+        self.delete = lanes.database.offload(self._delete)
+        self.path = lanes.fetches.offload(library.path)
+        self.open = lanes.fetches.offload(self._open)
+        self.publish = lanes.transfers.offload(self._publish)
+        self.publish_merged = lanes.transfers.offload(self._publish_merged)
+        self.restore = lanes.transfers.offload(library.restore)
+        self.replace = lanes.transfers.offload(library.replace)
+        self.keep_plan = lanes.transfers.offload(self._keep_plan)
+
+    async def get(self, name: str) -> Map:
+        """A map, fetched from the storage if it is not on this machine. Raises as :meth:`MapLibrary.get`."""
+        if not await self._lanes.files(self.sync.is_here, name):
+            await self.path(name)
+        return await self._lanes.files(self.sync.get, name)
+
+    def _existing(self, names: Iterable[str]) -> list[str]:
+        """Those names that maps have now."""
+        found = []
+        for name in names:
+            with suppress(UnknownMap):
+                self.sync.stat(name)
+                found.append(name)
+        return found
+
+    def _list(self) -> MapList:
+        return list_of(self.sync)
+
+    def _detail(self, name: str, published: Map | None = None) -> MapDetail:
+        """Description of a map, with what this server shows of it.
+
+        ``published`` is the map if the request just published it. Another request may have replaced it meanwhile, or
+        this server may not see it yet.
+        """
+        library, settings = self.sync, self._settings
+        detail = detail_of(name, published or library.get(name), library.stat(name).size_bytes, library.previous(name))
+        here = {
+            "live": settings.live,
+            "keeps_failures": settings.keep_failures,
+            "pictures": detail.pictures and settings.keep_pictures,
+        }
+        return detail.model_copy(update=here)
+
+    def _versions(self, name: str) -> MapVersions:
+        return versions_of(self.sync, name)
+
+    def _delete(self, name: str) -> None:
+        """Delete a map, and the queries that are kept for it."""
+        with suppress(InvalidMap):  # one that cannot be read has no id; the sweep forgets its queries
+            self._queries.delete(self.sync.map_id(name))
+        self.sync.delete(name)
+
+    def _open(self, name: str, headers: dict[str, str]) -> OpenedFile:
+        """A response with a map's file. Raises Conflict if the map is replaced at this moment."""
+        try:
+            return OpenedFile(self.sync.path(name), headers, ExportFormat.RHO.media_type)
+        except FileNotFoundError:
+            self.sync.stat(name)  # which says that there is no such map; else it came back meanwhile
+            raise Conflict(f"The map {name} was replaced in the meantime.", "Try again.") from None
+
+    def _publish(self, name: str, arrived: Path) -> None:
+        publish_file(self.sync, name, arrived, self._settings)
+
+    def _publish_merged(self, parts: dict[str, Map], into: str, merged: Map) -> None:
+        publish_merged(self.sync, parts, into, merged)
+
+    def _keep_plan(self, name: str, content: bytes, plan: FloorPlan | None) -> Map:
+        """Publish a map's next version, with another floor plan or none, and return it."""
+        planned = set_floor_plan(self.sync.get(name), content, plan)
+        self.sync.replace(name, planned)
+        return planned
+
+
+class AsyncCameras:
+    """The stored cameras."""
+
+    def __init__(self, cameras: CameraLibrary, lanes: StorageLanes) -> None:
+        self.names = lanes.database.offload(cameras.names)
+        self.get = lanes.database.offload(cameras.get)
+        self.put = lanes.database.offload(cameras.put)
+        self.delete = lanes.database.offload(cameras.delete)
+        self.named_in = lanes.database.offload(cameras.named_in)
+
+
+class AsyncSites:
+    """The sites."""
+
+    def __init__(self, sites: SiteLibrary, lanes: StorageLanes) -> None:
+        self.names = lanes.database.offload(sites.names)
+        self.get = lanes.database.offload(sites.get)
+        self.all = lanes.database.offload(sites.all)
+        self.put = lanes.database.offload(sites.put)
+        self.delete = lanes.database.offload(sites.delete)
+        self.rename_map = lanes.database.offload(sites.rename_map)
+
+
+class AsyncJobs:
+    """The mapping jobs.
+
+    Attributes:
+        events: of the jobs that are watched.
+    """
+
+    def __init__(self, jobs: JobQueue, quotas: AsyncQuotas, lanes: StorageLanes) -> None:
+        self.sync, self._quotas, self._database = jobs, quotas, lanes.database
+        self.events = JobEvents(jobs, lanes.database)
+        self.list = lanes.database.offload(jobs.list)
+        self.get = lanes.database.offload(jobs.get)
+        self.prioritize = lanes.database.offload(jobs.prioritize)
+        self.cancel = lanes.database.offload(jobs.cancel)
+        self.delete = lanes.database.offload(jobs.delete)
+
+    async def begin(self, key: ApiKey | None, map_name: str, submit: Callable[[JobQueue], Job]) -> Job:
+        """The job that ``submit`` queues, counted to a key.
+
+        Args:
+            key: of the request; None where none is needed.
+            map_name: the map that the job makes; empty where it makes none.
+            submit: queues the job, in a thread.
+
+        Raises:
+            QuotaExceeded: the key may not have one more.
+        """
+        async with self._quotas.counting(key):
+            await self._quotas.check(key, job_for=map_name)
+            job = await self._database(submit, self.sync)
+            await self._quotas.hold_job(key, job.id, map_name)
+        return job
+
+
+class AsyncRecordings:
+    """The recordings, and the uploads that become recordings."""
+
+    def __init__(self, store: RecordingStore, uploads: UploadStore, jobs: JobQueue, lanes: StorageLanes) -> None:
+        self.sync, self.uploads, self._jobs = store, uploads, jobs
+        self.list = lanes.database.offload(self._list)
+        self.get = lanes.database.offload(self._get)
+        self.correct = lanes.database.offload(self._correct)
+        self.delete = lanes.database.offload(self._delete)
+        self.begin = lanes.files.offload(store.begin)
+        self.commit = lanes.transfers.offload(self._commit)
+        self.begin_upload = lanes.database.offload(uploads.create)
+        self.upload = lanes.database.offload(uploads.get)
+        self.append = lanes.transfers.offload(uploads.append)
+
+    def _list(self) -> list[NotedRecording]:
+        """All recordings with the files of their notes, the newest first."""
+        found = []
+        for entry in self.sync.list():
+            with suppress(UnknownRecording):  # deleted meanwhile
+                found.append((entry, self.sync.notes(entry.id)))
+        return found
+
+    def _get(self, recording: str) -> NotedRecording:
+        return self.sync.get(recording), self.sync.notes(recording)
+
+    def _correct(self, recording: str, waypoints: tuple[RecordedWaypoint, ...] | None) -> NotedRecording:
+        """Replace a recording's waypoints by others; by its own where ``waypoints`` is None."""
+        notes = read_notes(self.sync.notes(recording))
+        corrected = None if waypoints is None else waypoints_file(waypoints, notes)
+        self.sync.note(recording, {WAYPOINTS_FILE: corrected})
+        return self._get(recording)
+
+    def _commit(self, pending: PendingRecording, map_name: str, options: JobOptions) -> tuple[RecordingEntry, Job]:
+        """Store a recording that was uploaded, and queue its job: both, or neither."""
+        entry = pending.commit()
+        try:
+            return entry, self._jobs.submit(entry.id, map_name, options)
+        except Exception:
+            self.sync.delete(entry.id)  # no job would ever read it
+            raise
+
+    def _delete(self, recording: str) -> None:
+        """Give an upload up, or delete the recording that it has become."""
+        try:
+            self.uploads.delete(recording)
+        except UnknownRecording:
+            self._jobs.delete_recording(recording)
+
+
+@dataclass(frozen=True)
+class Learning:
+    """What is kept for a map to learn from, and its jobs.
+
+    Attributes:
+        info: of the map.
+        kept: queries that are kept.
+        job: by which it is learning now, or will be; None where there is none.
+        latest: by which it last learned, or could not; None where there was none.
+    """
+
+    info: MapInfo
+    kept: KeptQueries
+    job: Job | None
+    latest: Job | None
+
+
+class AsyncLearning:
+    """The queries that are kept for maps to learn from."""
+
+    def __init__(self, library: MapLibrary, learner: Learner, jobs: JobQueue, lanes: StorageLanes) -> None:
+        self._library, self._learner, self._jobs = library, learner, jobs
+        self.store = learner.store
+        self.get = lanes.database.offload(self._get)
+        self.delete = lanes.database.offload(self._delete)
+
+    @property
+    def listens(self) -> bool:
+        """Whether queries are kept."""
+        return self._learner.listens
+
+    def _get(self, name: str) -> Learning:
+        info = self._library.get(name).info
+        jobs = self._jobs
+        return Learning(info, self.store.kept(info.id), jobs.learning(name), jobs.last_learning(name))
+
+    def _delete(self, name: str, asker: str | None) -> int:
+        """Delete a map's queries, or those of one asker. Returns how many."""
+        who = None if asker is None else self._learner.pseudonym(asker)
+        return self.store.delete(self._library.map_id(name), who)
+
+    def submit(self, name: str) -> Job:
+        """Queue a job by which a map learns, in a thread.
+
+        Raises:
+            InvalidInput: the map has no memory, or too few queries are kept.
+            Conflict: it is learning already.
+        """
+        map_ = self._library.get(name)
+        check_memory(map_, f"The map {name}")
+        kept = self.store.kept(map_.info.id).queries
+        if kept < FEWEST_QUERIES:
+            raise too_few_queries(kept)
+        if (running := self._jobs.learning(name)) is not None:
+            raise Conflict(f"The map {name} is learning already.", f"Wait for the job {running.id}.")
+        return self._jobs.submit("", name, JobOptions(kind=JobKind.LEARN))
+
+
+class AsyncQuotas:
+    """What API keys hold."""
+
+    def __init__(self, quotas: Quotas, lanes: StorageLanes) -> None:
+        self.sync = quotas
+        self.counting = quotas.counting
+        self.check = lanes.database.offload(quotas.check)
+        self.check_upload = lanes.database.offload(quotas.check_upload)
+        self.hold = lanes.database.offload(quotas.hold)
+        self.hold_job = lanes.database.offload(quotas.hold_job)
+        self.rename_map = lanes.database.offload(quotas.rename_map)
+        self.uploads = lanes.database.offload(quotas.uploads)
+
+
+class AsyncKeys:
+    """The API keys. ``chain`` goes by memory alone."""
+
+    def __init__(self, keys: KeyStore, quotas: Quotas, lanes: StorageLanes) -> None:
+        self.sync, self._quotas = keys, quotas
+        self.chain = keys.chain
+        self.list = lanes.database.offload(keys.keys)
+        self.get = lanes.database.offload(self._get)
+        self.hand_on = lanes.database.offload(keys.hand_on)
+        self.limit = lanes.database.offload(keys.limit)
+        self.revoke = lanes.database.offload(keys.revoke)
+        self.abandon_uploads = lanes.database.offload(quotas.abandon_uploads)
+
+    def _get(self, name: str) -> tuple[ApiKey, Usage]:
+        return self.sync.named(name), self._quotas.usage(name)
+
+
+class AsyncAudit:
+    """The requests that changed something."""
+
+    def __init__(self, log: AuditLog, lanes: StorageLanes) -> None:
+        self.changes = lanes.database.offload(log.changes)

@@ -1,0 +1,1 @@
+"""Maps and sites as clients see and change them, and the jobs that make maps."""

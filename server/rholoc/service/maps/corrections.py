@@ -1,0 +1,197 @@
+"""Applies corrections, as a client sends them, to a map."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rholoc import mapping
+from rholoc.errors import Conflict, InvalidInput
+from rholoc.geometry import FloatArray
+from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint
+from rholoc.service.http.models import Number, RequestModel, Vector2, Vector3
+
+
+class _CorrectionIn(RequestModel):
+    version: int | None = Field(
+        default=None,
+        description="the version to correct: if it is no longer the present one, nothing changes",
+    )
+
+
+class OriginIn(_CorrectionIn):
+    """A point becomes the origin."""
+
+    kind: Literal["origin"]
+    at: Vector3 = Field(description="m, present frame")
+
+
+class NorthIn(_CorrectionIn):
+    """A direction, seen from above, becomes y; the map turns about its origin."""
+
+    kind: Literal["north"]
+    direction: Vector3 = Field(description="present frame; its length does not matter")
+
+
+class WallIn(_CorrectionIn):
+    """A direction along a wall, seen from above, becomes x; the map turns about its origin."""
+
+    kind: Literal["wall"]
+    direction: Vector3 = Field(description="present frame; its length does not matter")
+
+
+class UpIn(_CorrectionIn):
+    """A direction becomes z, and the map upright."""
+
+    kind: Literal["up"]
+    direction: Vector3 | None = Field(
+        default=None, description="present frame; default: the direction that the map's views hold upright"
+    )
+
+
+class ScaleIn(_CorrectionIn):
+    """A measured distance between two points: the map takes that scale, and is metric from then on."""
+
+    kind: Literal["scale"]
+    start: Vector3 = Field(description="present frame")
+    end: Vector3 = Field(description="present frame")
+    length_m: Number = Field(gt=0, description="the measured distance between them, m")
+
+
+class PlanPoint(RequestModel):
+    """A point of the map, and where it is on a floor plan."""
+
+    map: Vector3 = Field(description="present frame")
+    plan: Vector2 = Field(description="m, in the plan's frame: x and y")
+
+
+class PlanIn(_CorrectionIn):
+    """The map is aligned with a floor plan, whose frame becomes the map's; heights stay."""
+
+    kind: Literal["plan"]
+    points: list[PlanPoint] = Field(description="two pairs or more")
+    scaled: bool = Field(default=False, description="whether the map takes the plan's scale, and is metric")
+
+
+class RegionIn(_CorrectionIn):
+    """The landmarks inside a region are removed, or all others."""
+
+    kind: Literal["region"]
+    outline: list[Vector2] = Field(description="its corners, seen from above, m: 3 to 200")
+    bottom_m: Number | None = Field(default=None, description="its lowest z; default: no bound")
+    top_m: Number | None = Field(default=None, description="its highest z; default: no bound")
+    keep: Literal["inside", "outside"] = Field(description="what stays")
+
+
+class WalkIn(_CorrectionIn):
+    """A piece of a walk is removed: its views, and the landmarks that only they saw."""
+
+    kind: Literal["walk"]
+    first_view: int = Field(description="its first view, by number in the map, from 0")
+    last_view: int = Field(description="its last view, inclusive")
+
+
+class NamedPointIn(RequestModel):
+    """A point with a name."""
+
+    name: str
+    position: Vector3 = Field(description="m")
+
+
+class NamedAreaIn(RequestModel):
+    """An area with a name, seen from above; areas may overlap."""
+
+    name: str
+    outline: list[Vector2] = Field(description="its corners in order, m: 3 to 200")
+
+
+class NamesIn(_CorrectionIn):
+    """Names of points and areas, replacing those that the map has."""
+
+    kind: Literal["names"]
+    points: list[NamedPointIn] = Field(default_factory=list)
+    areas: list[NamedAreaIn] = Field(default_factory=list)
+
+
+class LabelsIn(_CorrectionIn):
+    """The map's site, floor and tags, replacing those that it has."""
+
+    kind: Literal["labels"]
+    site: str = Field(default="", description="such as a building")
+    floor: str = Field(default="", description="of the site")
+    tags: list[str] = Field(default_factory=list, description="further words; 20 at most")
+
+
+CorrectionIn = Annotated[
+    OriginIn | NorthIn | WallIn | UpIn | ScaleIn | PlanIn | RegionIn | WalkIn | NamesIn | LabelsIn,
+    Field(discriminator="kind"),
+]
+
+
+_FARTHEST_M = 1e6  # coordinates beyond it are refused
+
+
+def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
+    """The map's next version.
+
+    Raises:
+        Conflict: the map has another version by now, or the correction does not fit it.
+        InvalidInput: the correction makes no sense.
+    """
+    if wanted.version not in (None, map_.info.version):
+        raise Conflict(
+            f"The map is now at version {map_.info.version}, not {wanted.version}.",
+            "Fetch it again and repeat the correction.",
+        )
+    match wanted:
+        case OriginIn():
+            return mapping.set_origin(map_, _vector(wanted.at))
+        case NorthIn():
+            return mapping.set_north(map_, _vector(wanted.direction))
+        case WallIn():
+            return mapping.set_wall(map_, _vector(wanted.direction))
+        case UpIn():
+            return mapping.set_up(map_, None if wanted.direction is None else _vector(wanted.direction))
+        case ScaleIn():
+            return mapping.set_distance(map_, _vector(wanted.start), _vector(wanted.end), wanted.length_m)
+        case PlanIn():
+            points = _vector([pair.map for pair in wanted.points]).reshape(-1, 3)
+            plan = _vector([pair.plan for pair in wanted.points]).reshape(-1, 2)
+            return mapping.lay_over_plan(map_, points, plan, wanted.scaled)
+        case RegionIn():
+            outline = _vector(wanted.outline).reshape(-1, 2)
+            inside = wanted.keep == "inside"
+            return mapping.remove_region(map_, outline, wanted.bottom_m, wanted.top_m, keep_inside=inside)
+        case WalkIn():
+            return mapping.remove_views(map_, wanted.first_view, wanted.last_view)
+        case NamesIn():
+            return mapping.set_names(map_, _names(wanted))
+        case LabelsIn():
+            return mapping.set_labels(map_, MapLabels(wanted.site, wanted.floor, tuple(wanted.tags)))
+
+
+def _names(wanted: NamesIn) -> MapNames:
+    points, areas = [], []
+    for point in wanted.points:
+        x, y, z = _vector(point.position).tolist()
+        points.append(NamedPoint(point.name, (x, y, z)))
+    for area in wanted.areas:
+        outline = _vector(area.outline).reshape(-1, 2).tolist()
+        areas.append(NamedArea(area.name, tuple((x, y) for x, y in outline)))
+    return MapNames(tuple(points), tuple(areas))
+
+
+def _vector(numbers: list[float] | list[list[float]]) -> FloatArray:
+    """Coordinates as an array.
+
+    Raises:
+        InvalidInput: one is out of range.
+    """
+    array = np.array(numbers, dtype=np.float64)
+    if not np.all(np.abs(array) <= _FARTHEST_M):
+        raise InvalidInput(
+            f"A coordinate is beyond {_FARTHEST_M:g} m.", "Coordinates are in metres, in the map's frame."
+        )
+    return array

@@ -1,0 +1,180 @@
+"""Maps as they are described to clients."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from rholoc.errors import RholocError, UnknownMap
+from rholoc.mapping import levelled
+from rholoc.maps import (
+    Correction,
+    DensityKind,
+    FloorPlan,
+    Map,
+    MapInfo,
+    MapLabels,
+    MapLibrary,
+    MapNames,
+    MapOutline,
+    MapWaypoint,
+    Source,
+    consistency_m,
+    expected_error_m,
+    trust_of,
+)
+from rholoc.reports import MapReport
+from rholoc.service.http.models import AnswerModel, CameraIn
+from rholoc.trajectory import Scale
+
+
+class MapSummary(AnswerModel):
+    """A map in a list."""
+
+    name: str
+    id: str = Field(description="unique for each built map")
+    version: int
+    density: DensityKind
+    features: str = Field(description="the extractor's name")
+    scale: Scale
+    upright: bool = Field(description="whether z points up")
+    created: str = Field(description="ISO 8601, UTC")
+    landmarks: int = Field(description="how many features it holds")
+    views: int = Field(description="how many keyframes it was seen from")
+    size_bytes: int
+    trusted: bool | None = Field(
+        description="whether the frame poses that it was built on passed every check; null where it does not say"
+    )
+    trust_reason: str = Field(description="why it is trusted, or which checks failed")
+    expected_error_m: float | None = Field(
+        description="how far its poses are expected to be from the truth, root mean square, m; null where unknown"
+    )
+    consistency_m: float | None = Field(
+        description="median distance, m, between where frames of the walk that were held out of the map are localized "
+        "and where the walk has them: how well the map agrees with itself, not how right it is; null if none were held "
+        "out"
+    )
+    camera: CameraIn
+    labels: MapLabels = Field(description="its site, floor and tags, as people set them")
+
+
+class PreviousMap(AnswerModel):
+    """The map that a map replaced."""
+
+    number: int = Field(default=1, description="the number that restores it: 1 was replaced last")
+    id: str
+    version: int
+    created: str = Field(description="ISO 8601, UTC")
+
+
+class MapDetail(MapSummary):
+    """A map with its sources and its extent."""
+
+    sources: tuple[Source, ...]
+    waypoints: tuple[MapWaypoint, ...]
+    bounds_m: list[list[float]] | None = Field(description="the lowest and the highest x, y, z of its landmarks")
+    previous: PreviousMap | None = Field(description="the map that it replaced, which can be restored")
+    names: MapNames = Field(description="of points and areas")
+    corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the latest last")
+    plan: FloorPlan | None = Field(
+        description="the floor plan that it keeps, and where it lies; null where there is none"
+    )
+    points: int = Field(description="how many further points of the room it keeps, for people to see")
+    pictures: bool = Field(description="whether it keeps pictures of its views, and this server shows them")
+    levelling: list[list[float]] | None = Field(
+        description="3×3, a rotation of the map for display that makes up z and walls parallel to x and y, both as "
+        "estimated; null where the map is upright, or where up cannot be estimated"
+    )
+    live: bool = Field(default=False, description="whether this server shows who asks for poses in it")
+    keeps_failures: bool = Field(default=False, description="whether this server keeps where requests fail in it")
+
+
+class MapReportOut(AnswerModel):
+    """What the map found out about itself while it was built."""
+
+    map: str
+    map_id: str
+    map_version: int
+    report: MapReport
+
+
+class MapList(AnswerModel):
+    """All maps that are served, by name; files that cannot be read are listed separately."""
+
+    maps: list[MapSummary]
+    unreadable: dict[str, str] = Field(description="names of map files that cannot be read, and why")
+
+
+class MapVersions(AnswerModel):
+    """The maps that a map replaced and that are kept, the latest first."""
+
+    versions: list[PreviousMap]
+
+
+def list_of(library: MapLibrary) -> MapList:
+    """All maps of a library, by the headers of their files."""
+    maps: list[MapSummary] = []
+    unreadable: dict[str, str] = {}
+    for name in library.names():
+        try:
+            fields = _summary_fields(name, library.outline(name), library.stat(name).size_bytes)
+            maps.append(MapSummary.model_validate(fields))
+        except UnknownMap:
+            continue  # deleted meanwhile
+        except RholocError as error:
+            unreadable[name] = error.message
+    return MapList(maps=maps, unreadable=unreadable)
+
+
+def versions_of(library: MapLibrary, name: str) -> MapVersions:
+    """The maps that a map replaced. Raises as :meth:`MapLibrary.stat`."""
+    library.stat(name)
+    return MapVersions(versions=[_previous(number, info) for number, info in library.versions(name).items()])
+
+
+def _summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str, object]:
+    info = outline.info
+    trust = trust_of(info)
+    return {
+        "name": name,
+        "id": info.id,
+        "version": info.version,
+        "density": info.density,
+        "features": info.features,
+        "scale": Scale.METRIC if info.metric else Scale.ARBITRARY,
+        "upright": info.upright,
+        "created": info.created,
+        "landmarks": outline.landmarks,
+        "views": outline.views,
+        "size_bytes": size_bytes,
+        "trusted": trust.trusted,
+        "trust_reason": trust.reason,
+        "expected_error_m": expected_error_m(info),
+        "consistency_m": consistency_m(info),
+        "camera": CameraIn(**info.camera.to_dict()),
+        "labels": info.labels,
+    }
+
+
+def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
+    """Description of a map whose file has ``size_bytes`` bytes and replaced the map ``before``."""
+    bounds, rotation = None, levelled(map_)
+    outline = MapOutline(map_.info, len(map_), len(map_.views))
+    if len(map_):
+        bounds = [map_.landmarks.positions.min(axis=0).tolist(), map_.landmarks.positions.max(axis=0).tolist()]
+    fields = {
+        "sources": map_.info.sources,
+        "waypoints": map_.info.waypoints,
+        "bounds_m": bounds,
+        "previous": None if before is None else _previous(1, before),
+        "names": map_.info.names,
+        "corrections": map_.info.corrections,
+        "plan": map_.info.plan,
+        "points": len(map_.cloud),
+        "pictures": map_.views.pictures is not None,
+        "levelling": None if rotation is None else rotation.tolist(),
+    }
+    return MapDetail.model_validate({**_summary_fields(name, outline, size_bytes), **fields})
+
+
+def _previous(number: int, info: MapInfo) -> PreviousMap:
+    return PreviousMap(number=number, id=info.id, version=info.version, created=info.created)

@@ -1,0 +1,266 @@
+"""Bounded thread pools for CPU-bound work, in which short work never waits for long work."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import math
+import os
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum, auto
+from functools import partial
+from typing import Any, TypeVar
+
+import cv2
+import faiss
+
+from rholoc.errors import Busy
+from rholoc.service.caller import CLIENT
+
+_T = TypeVar("_T")
+_SMOOTHING = 0.2  # weight of the newest duration in the running mean
+_FIRST_GUESS_S = 0.2
+_CLOSE_TIMEOUT_S = 5.0
+_BUSY_AFTER_S = 0.1  # between the frames of a client that sends one after another, the pool still counts as busy
+_NICENESS = 5  # of large work; more would let it hold the interpreter while it waits for a core
+_THREADS = "rholoc-compute"
+_COSTLY_S, _COSTLY_RATIO = 0.25, 3.0  # a mean time on a core that is too much beside clients of a third of it
+_ACTIVE_S = 5.0
+_MAX_CLIENTS = 1000
+
+
+class Effort(Enum):
+    """How long work is expected to take."""
+
+    ORDINARY = auto()  # like one camera frame
+    LARGE = auto()  # many times that
+
+
+class ComputePool:
+    """Runs up to ``concurrency`` functions of each effort at a time; up to ``queue_length`` more of each may wait.
+
+    Large work has threads and a queue of its own, one thread fewer where there are several: however much of it there
+    is, ordinary work never waits for it and has a core left. In each queue the client goes first that has had the least
+    of the threads' time. A client whose ordinary work costs several times that of others goes with large work while
+    others are active, so that theirs never waits for it. Use it from the event loop's thread only.
+    """
+
+    def __init__(self, concurrency: int, queue_length: int) -> None:
+        self._costs: dict[str, _Cost] = {}
+        self._lanes = {
+            Effort.ORDINARY: _Lane(_THREADS, concurrency, queue_length, _keep_to_one_core),
+            Effort.LARGE: _Lane(f"{_THREADS}-large", max(1, concurrency - 1), queue_length, lower_priority),
+        }
+
+    @property
+    def taken(self) -> int:
+        """How many calls run or wait."""
+        return sum(lane.taken for lane in self._lanes.values())
+
+    @property
+    def busy(self) -> bool:
+        """Whether calls of ordinary effort run or wait, or did a moment ago."""
+        return self._lanes[Effort.ORDINARY].busy
+
+    @property
+    def full(self) -> bool:
+        """Whether the next call of ordinary effort is refused."""
+        return self._lanes[Effort.ORDINARY].full
+
+    def check_room(self, effort: Effort) -> None:
+        """Raise Busy if :meth:`run` would, before any work is done for a request."""
+        self._lanes[effort].check_room(CLIENT.get())
+
+    async def run(self, work: Callable[[], _T], effort: Effort = Effort.ORDINARY) -> _T:
+        """The result of ``work()``, computed in a thread. A call that is cancelled while it waits leaves the queue.
+
+        Raises:
+            Busy: the queue is full, and no other client has more calls in it.
+        """
+        client = CLIENT.get()
+        if effort is Effort.LARGE:
+            return (await self._lanes[effort].run(work, client))[0]
+        lane = Effort.LARGE if self._is_costly(client) else effort
+        result, cost_s = await self._lanes[lane].run(work, client)
+        self._note(client, cost_s)
+        return result
+
+    def _is_costly(self, client: str) -> bool:
+        """Whether a client's calls have lately cost several times those of another client that is active."""
+        own, now_s = self._costs.get(client), time.monotonic()
+        if own is None or own.mean_s <= _COSTLY_S:
+            return False
+        others = [one.mean_s for name, one in self._costs.items() if name != client and now_s - one.last_s < _ACTIVE_S]
+        return bool(others) and own.mean_s > _COSTLY_RATIO * min(others)
+
+    def _note(self, client: str, cost_s: float) -> None:
+        now_s, before = time.monotonic(), self._costs.get(client)
+        mean_s = cost_s if before is None else before.mean_s + _SMOOTHING * (cost_s - before.mean_s)
+        if before is None and len(self._costs) >= _MAX_CLIENTS:
+            self._costs = {name: one for name, one in self._costs.items() if now_s - one.last_s < _ACTIVE_S}
+        self._costs[client] = _Cost(mean_s, now_s)
+
+    def close(self) -> None:
+        """Accept no more work, and wait a few seconds for what is running: nobody needs its result any more."""
+        for lane in self._lanes.values():
+            lane.close()
+        deadline_s = time.monotonic() + _CLOSE_TIMEOUT_S
+        for thread in compute_threads():
+            thread.join(max(0.0, deadline_s - time.monotonic()))
+
+
+def compute_threads() -> list[threading.Thread]:
+    """The threads of all pools of this process that have not ended."""
+    return [thread for thread in threading.enumerate() if thread.name.startswith(_THREADS)]
+
+
+@dataclass(frozen=True)
+class _Cost:
+    """What a client's ordinary calls cost: their mean time on a core, and when the last one ended."""
+
+    mean_s: float
+    last_s: float
+
+
+@dataclass(eq=False)
+class _Call:
+    """A call that runs or waits; ``result`` gets what it returned, and its time on a core [s]."""
+
+    client: str
+    work: Callable[[], Any]
+    result: asyncio.Future[tuple[Any, float]]
+    expected_s: float = 0.0
+
+
+class _Lane:
+    """Threads, and a queue for each client. It needs no lock, because only the event loop's thread uses it."""
+
+    def __init__(self, name: str, concurrency: int, queue_length: int, prepare: Callable[[], None]) -> None:
+        self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix=name, initializer=prepare)
+        self._concurrency = concurrency
+        self._queue_length = queue_length
+        self._mean_s = _FIRST_GUESS_S
+        self._running = 0
+        self._waiting: dict[str, deque[_Call]] = {}
+        self._used_s: dict[str, float] = {}  # each client's time on a core, at least that of the client served last
+        self._served_s = 0.0
+        self._last_end_s = -math.inf
+
+    @property
+    def taken(self) -> int:
+        return self._running + sum(map(len, self._waiting.values()))
+
+    @property
+    def busy(self) -> bool:
+        return self.taken > 0 or time.monotonic() - self._last_end_s < _BUSY_AFTER_S
+
+    @property
+    def full(self) -> bool:
+        return self.taken >= self._concurrency + self._queue_length
+
+    def check_room(self, client: str) -> None:
+        """Raise Busy if the queue is full and nobody has more in it than ``client`` would have."""
+        if self.full and self._greediest(client) is None:
+            raise self._busy()
+
+    async def run(self, work: Callable[[], _T], client: str) -> tuple[_T, float]:
+        self.check_room(client)
+        greediest = self._greediest(client) if self.full else None
+        if greediest is not None:
+            self._waiting[greediest].pop().result.set_exception(self._busy())
+        loop, context = asyncio.get_running_loop(), contextvars.copy_context()
+        call = _Call(client, lambda: context.run(work), loop.create_future())
+        self._used_s[client] = max(self._used_s.get(client, 0.0), self._served_s)
+        self._waiting.setdefault(client, deque()).append(call)
+        self._dispatch(loop)
+        try:
+            return await call.result
+        finally:
+            with suppress(KeyError, ValueError):
+                self._waiting[client].remove(call)
+
+    def _greediest(self, client: str) -> str | None:
+        """The client with the most waiting calls; None unless it has more than ``client`` will have."""
+        most = max(self._waiting, key=lambda name: len(self._waiting[name]), default=None)
+        mine = len(self._waiting.get(client, ()))
+        return most if most is not None and len(self._waiting[most]) > mine + 1 else None
+
+    def _busy(self) -> Busy:
+        wait_s = self._mean_s * self.taken / self._concurrency
+        return Busy("The service is overloaded.", "Try again after Retry-After.", wait_s)
+
+    def _dispatch(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._waiting = {client: calls for client, calls in self._waiting.items() if calls}
+        while self._running < self._concurrency and self._waiting:
+            client = min(self._waiting, key=lambda name: self._used_s[name])
+            call = self._waiting[client].popleft()
+            if not self._waiting[client]:
+                del self._waiting[client]
+            self._served_s = max(self._served_s, self._used_s[client])
+            # Until it is known what it costs, it counts as a mean one: a client's calls do not all begin together.
+            call.expected_s = self._mean_s
+            self._used_s[client] += call.expected_s
+            self._running += 1
+            # A thread cannot be stopped, and keeps its place until its work ends, even if nobody waits any more.
+            self._executor.submit(_timed, call.work).add_done_callback(partial(self._from_thread, loop, call))
+
+    def _from_thread(self, loop: asyncio.AbstractEventLoop, call: _Call, ended: Future[_Ended]) -> None:
+        with suppress(RuntimeError):  # the loop is closed: nobody waits
+            loop.call_soon_threadsafe(self._ended, call, ended, loop)
+
+    def _ended(self, call: _Call, ended: Future[_Ended], loop: asyncio.AbstractEventLoop) -> None:
+        self._running -= 1
+        self._last_end_s = time.monotonic()
+        if not ended.cancelled():
+            outcome = ended.result()
+            self._used_s[call.client] += outcome.cost_s - call.expected_s
+            self._mean_s += _SMOOTHING * (outcome.cost_s - self._mean_s)
+            if not call.result.done():
+                if outcome.error is not None:
+                    call.result.set_exception(outcome.error)
+                else:
+                    call.result.set_result((outcome.value, outcome.cost_s))
+        if not self._waiting and not self._running:
+            self._used_s, self._served_s = {}, 0.0
+        self._dispatch(loop)
+
+    def close(self) -> None:
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """What a call returned or raised, and its time on a core [s]."""
+
+    value: Any
+    error: BaseException | None
+    cost_s: float
+
+
+def _timed(work: Callable[[], Any]) -> _Ended:
+    begun_s = time.thread_time()
+    try:
+        value, error = work(), None
+    except BaseException as raised:
+        value, error = None, raised
+    return _Ended(value, error, time.thread_time() - begun_s)
+
+
+def _keep_to_one_core() -> None:
+    """Requests run in parallel; if each also used all cores, they would wait for one another."""
+    faiss.omp_set_num_threads(1)  # OpenMP keeps this setting per thread
+    cv2.setNumThreads(1)
+
+
+def lower_priority() -> None:
+    """As :func:`_keep_to_one_core`; and where cores are few, ordinary work gets them first."""
+    _keep_to_one_core()
+    if sys.platform == "linux":  # which has priorities per thread
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)

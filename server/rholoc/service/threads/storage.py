@@ -1,0 +1,121 @@
+"""Threads for calls that may wait for the database, the storage or a disk, so that the event loop never does."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import threading
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ParamSpec, TypeVar
+
+from rholoc.errors import StorageUnavailable
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_NAME = "rholoc-storage"
+
+
+class StorageThreads:
+    """Runs calls in a few threads of its own; ``await threads(library.get, name)``. Use it from the event loop only.
+
+    A call that a silent database holds up keeps its thread until the database's own timeout, but its caller is answered
+    after ``timeout_s``. While such calls hold all threads, further ones are refused at once.
+
+    Args:
+        threads: how many calls run at a time; any number may wait for a thread.
+        timeout_s: how long a call may take, including its wait for a thread.
+    """
+
+    def __init__(self, threads: int, timeout_s: float) -> None:
+        self._threads = threads
+        self._timeout_s = timeout_s
+        self._executor = ThreadPoolExecutor(threads, thread_name_prefix=_NAME)
+        self._overdue = 0
+
+    async def __call__(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """The result of ``call(*args, **kwargs)``.
+
+        Raises:
+            StorageUnavailable: it took too long; what it does may still be done.
+        """
+        if self._overdue >= self._threads:
+            raise _unavailable()
+        context = contextvars.copy_context()
+        future = self._executor.submit(context.run, partial(call, *args, **kwargs))
+        waiting = asyncio.wrap_future(future)
+        try:
+            done, _ = await asyncio.wait({waiting}, timeout=self._timeout_s)
+        except asyncio.CancelledError:
+            self._give_up(future, waiting)
+            raise
+        if done:
+            return waiting.result()
+        self._give_up(future, waiting)
+        raise _unavailable()
+
+    def offload(self, call: Callable[P, T]) -> Callable[P, Coroutine[Any, Any, T]]:
+        """Coroutine function that runs ``call`` in these threads. Raises as :meth:`__call__`."""
+
+        async def offloaded(*args: P.args, **kwargs: P.kwargs) -> T:
+            return await self(call, *args, **kwargs)
+
+        return offloaded
+
+    def close(self) -> None:
+        """Accept no more calls; those that are under way are not waited for."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _give_up(self, future: Future[T], waiting: asyncio.Future[T]) -> None:
+        """Take a call out of the queue, or note that it holds a thread for nobody."""
+        loop = asyncio.get_running_loop()
+        waiting.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
+        if future.cancel():
+            return
+        self._overdue += 1
+        future.add_done_callback(lambda _: _in_loop(loop, self._returned))
+
+    def _returned(self) -> None:
+        self._overdue -= 1
+
+
+@dataclass(frozen=True)
+class StorageLanes:
+    """Threads by what a call may wait for, so that a silent database or storage holds up only what needs it.
+
+    Attributes:
+        database: SQL, and small files of the data folder.
+        files: maps and pictures that are on this machine.
+        fetches: maps that are fetched from the storage.
+        transfers: maps and recordings that are stored, however long that takes.
+    """
+
+    database: StorageThreads = field(default_factory=lambda: StorageThreads(16, 8.0))
+    files: StorageThreads = field(default_factory=lambda: StorageThreads(8, 8.0))
+    fetches: StorageThreads = field(default_factory=lambda: StorageThreads(4, 8.0))
+    transfers: StorageThreads = field(default_factory=lambda: StorageThreads(8, 300.0))
+
+    def close(self) -> None:
+        """Accept no more calls."""
+        for lane in (self.database, self.files, self.fetches, self.transfers):
+            lane.close()
+
+
+def storage_threads() -> list[threading.Thread]:
+    """The threads of this process that have not ended; a call that nothing answers keeps one."""
+    return [thread for thread in threading.enumerate() if thread.name.startswith(_NAME)]
+
+
+def _in_loop(loop: asyncio.AbstractEventLoop, function: Callable[[], None]) -> None:
+    with suppress(RuntimeError):  # the loop is closed
+        loop.call_soon_threadsafe(function)
+
+
+def _unavailable() -> StorageUnavailable:
+    return StorageUnavailable(
+        "The server's storage or its database does not answer.", "What it has in memory is still served. Try again."
+    )
