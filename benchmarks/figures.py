@@ -8,8 +8,7 @@ than its noise. Documents quote a figure as ``98 %<!-- kitchen.hard.within_2cm_p
 measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out.
 
 The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), afar (frames 30 cm and farther from
-the map's views), strangers (pictures of other rooms), pictures (a set without times), request (what a frame costs),
-lenses (a walk as a fisheye and a panorama would have recorded it).
+the map's views), strangers (pictures of other rooms), pictures (a set without times), request (what a frame costs).
 """
 
 from __future__ import annotations
@@ -33,13 +32,12 @@ import cv2
 import numpy as np
 
 import demo_sweep
-import lenses
 import rooms
 from measuring import SHARED_DATA
 from rholoc.evaluation.compare import CompareOptions, SplitResult, compare
 from rholoc.evaluation.errors import trajectory_errors
 from rholoc.evaluation.splits import QuerySet
-from rholoc.geometry import FloatArray, Lens, align_poses
+from rholoc.geometry import FloatArray, align_poses
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.recordings import read_recording
@@ -208,23 +206,6 @@ def request(cache: Path) -> Figures:
     }
 
 
-def seen_by_lenses(_: Path) -> Figures:
-    """A walk as it is, and as it would be through other lenses."""
-    found = {lens: lenses.run("euroc_v101", lens, SEED) for lens in Lens}
-    figures = {}
-    for lens, one in found.items():
-        figures |= {
-            f"lenses.{lens}.map_cm": length_cm(one["map_cm"]),
-            f"lenses.{lens}.median_cm": length_cm(one["median_cm"]),
-            f"lenses.{lens}.median_deg": Figure(one["median_deg"], 0.05, False),
-            f"lenses.{lens}.localized_percent": Figure(one["localized_percent"], FRAME_PERCENT, True),
-        }
-        if lens is not Lens.PINHOLE:
-            ratio = one["median_cm"] / found[Lens.PINHOLE]["median_cm"]
-            figures[f"lenses.{lens}.times_pinhole_ratio"] = Figure(round(ratio, 2), AGAIN_RATIO, False)
-    return figures
-
-
 PARTS: dict[str, Callable[[Path], Figures]] = {
     "demo": demo,
     "kitchen": kitchen,
@@ -232,7 +213,6 @@ PARTS: dict[str, Callable[[Path], Figures]] = {
     "strangers": strangers,
     "pictures": pictures,
     "request": request,
-    "lenses": seen_by_lenses,
 }
 
 

@@ -122,8 +122,11 @@ def solve_with_imu(
     problem, adjusted, accelerometer_scale = _accelerometer_corrected(problem, adjusted, progress)
     felt = ScaleMeasurement(ScaleSource.ACCELEROMETER, 1.0, scale_sigma_of(adjusted), is_adjusted=True)
     driven = scale_by_steps(sights.steps, adjusted)
+    contradicted = driven is not None and felt.contradicts(driven.ratio, driven.sigma)
+    if driven is not None and contradicted:  # a wrong unit is likelier than a wrong gravity: the first of equals counts
+        driven = replace(driven, sigma=max(driven.sigma, felt.sigma))
     scales = [felt, *([] if driven is None else [driven])]
-    if driven is not None and driven.usable and not felt.contradicts(driven.ratio, driven.sigma):
+    if driven is not None and driven.usable and not contradicted:
         problem = replace(problem, steps=sights.steps)
         adjusted = adjust(problem, adjusted.state, LAST_ITERATIONS, progress)
         best = min(scales, key=lambda one: one.sigma).source
