@@ -142,6 +142,23 @@ class GivenPoses:
 
 
 @dataclass(frozen=True, eq=False)
+class Odometry:
+    """How the camera moved by wheels or a tracker.
+
+    Attributes:
+        times: (M,) seconds on the recording's clock, increasing.
+        T_odom_camera: (M, 4, 4) in a frame that drifts, metres.
+        sigma_m: (M,) standard deviation of the motion since the row before, of each coordinate.
+        sigma_rad: (M,) of its rotation about each axis.
+    """
+
+    times: FloatArray
+    T_odom_camera: FloatArray
+    sigma_m: FloatArray
+    sigma_rad: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """A walk through a place.
 
@@ -157,6 +174,7 @@ class Recording:
         frame_intrinsics: (N, 4) fx, fy, cx, cy of each frame in pixels, NaN where not logged; None where none were.
         readout_s: how long a rolling shutter takes from the first row to the last, or None where not logged.
         depth: depth images of its frames, or None.
+        odometry: None if there is none.
         focal_px: first guess of the focal length where the intrinsics are unknown, by EXIF; or None.
         lengths: measured distances between the camera's places.
         warnings: its problems.
@@ -173,6 +191,7 @@ class Recording:
     frame_intrinsics: FloatArray | None = None
     readout_s: float | None = None
     depth: DepthImages | None = None
+    odometry: Odometry | None = None
     focal_px: float | None = None
     lengths: tuple[KnownLength, ...] = ()
     warnings: tuple[RecordingWarning, ...] = ()

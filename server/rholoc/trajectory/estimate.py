@@ -20,7 +20,9 @@ from rholoc.trajectory.child import run_in_child
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.frame.upright import up_without_roll
 from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
+from rholoc.trajectory.inertial.odometry import odometry_steps
 from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
+from rholoc.trajectory.optimization.adjustment import Step
 from rholoc.trajectory.reconstruction import (
     Reconstruction,
     Sights,
@@ -328,7 +330,13 @@ def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[Fea
         for one, (a, b) in zip(recording.lengths, _rows_of_lengths(recording), strict=True)
         if np.isin((a, b), rows).all()
     )
-    return Sights(flow, rows, features, recording.camera, is_film(flow), shutter, depth, recording.focal_px, lengths)
+    steps: tuple[Step, ...] = ()
+    if recording.odometry is not None and flow.timed:
+        moved = odometry_steps(recording.odometry, flow.times[rows])
+        steps = tuple(Step(k, k + 1, T, sigma_m, sigma_rad) for k, T, sigma_m, sigma_rad in moved)
+    return Sights(
+        flow, rows, features, recording.camera, is_film(flow), shutter, depth, recording.focal_px, lengths, steps
+    )
 
 
 def _rows_of_lengths(recording: Recording) -> list[tuple[int, int]]:

@@ -8,6 +8,7 @@
     waypoints.csv                    name[,time|frame],x,y,z                optional
     camera.json                      intrinsics, fps, R_camera_imu          optional
     poses.txt | poses.csv            frame|time tx ty tz qx qy qz qw        optional
+    odometry.csv                     timestamp,x,y,z,qx,qy,qz,qw            optional
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ from rholoc.recordings.readers._frames import find_video, timed_video
 from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.frames_table import read_frame_numbers
 from rholoc.recordings.tables.imu_table import read_imu_rows
+from rholoc.recordings.tables.odometry_table import read_odometry_csv
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.reports import RecordingWarning
 
-TABLES = ("frames.csv", "times.csv", "imu.csv", "poses.txt", "poses.csv", "truth.csv")
+TABLES = ("frames.csv", "times.csv", "imu.csv", "poses.txt", "poses.csv", "odometry.csv", "truth.csv")
 
 
 def read(folder: Path) -> Recording:
@@ -38,12 +40,12 @@ def read(folder: Path) -> Recording:
         InvalidRecording: no frames, or a file that cannot be read or contradicts another.
         InvalidCamera: ``camera.json`` is broken, or is of another image shape than the frames.
         InvalidWaypoints: ``waypoints.csv`` is broken.
-        InvalidTrajectory: the table of poses is broken.
+        InvalidTrajectory: the table of poses, or of odometry, is broken.
     """
     description = read_description(folder)
     frames, warnings = _read_frames(folder, description)
     imu, imu_warnings = _read_imu(folder, description)
-    waypoints_csv = folder / "waypoints.csv"
+    waypoints_csv, odometry_csv = folder / "waypoints.csv", folder / "odometry.csv"
     poses = _first_file(folder, "poses.txt", "poses.csv")
     camera = description.camera
     return Recording(
@@ -56,6 +58,7 @@ def read(folder: Path) -> Recording:
         poses=None if poses is None else match_poses(read_pose_table(poses), frames),
         format=RecordingFormat.RHOLOC,
         readout_s=description.readout_s,
+        odometry=read_odometry_csv(odometry_csv) if odometry_csv.is_file() else None,
         focal_px=frames.focal_px if isinstance(frames, ImageFolderFrames | UnifiedPictures) else None,
         warnings=(*warnings, *imu_warnings),
     )

@@ -31,11 +31,13 @@ class ScaleSource(StrEnum):
     ACCELEROMETER = "The accelerometer"
     DEPTH = "Depth pictures"
     LENGTH = "A known length"
+    ODOMETRY = "Odometry"
 
 
 _WHY_OPEN = {
     ScaleSource.ACCELEROMETER: "the camera hardly sped up or slowed down. Start and stop more often.",
     ScaleSource.DEPTH: "they contradict the pictures. Check their unit, and that each belongs to its picture.",
+    ScaleSource.ODOMETRY: "it contradicts the pictures. Check its unit, its axes and its clock.",
     ScaleSource.LENGTH: "it is too short for the reconstruction. Measure one between places that are further apart.",
 }
 

@@ -275,7 +275,7 @@ def adjust(
     _add_fixes(graph, problem.fixes)
     _add_steps(graph, problem.steps)
     has_depths = _add_depths(graph, problem, state, used)
-    if (problem.steps or (has_depths and state.inertial is None)) and not problem.fixes:
+    if (problem.steps or has_depths) and state.inertial is None and not problem.fixes:
         first = gtsam.noiseModel.Isotropic.Sigma(6, _GAUGE_SIGMA)
         graph.add(gtsam.PriorFactorPose3(C(0), values.atPose3(C(0)), first))
     elif not problem.fixes:

@@ -28,6 +28,7 @@ from rholoc.trajectory.reconstruction.rounds import (
     camera_sigmas,
 )
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
+from rholoc.trajectory.reconstruction.step_scale import scale_by_steps
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.camera_guess import calibrate_by_flow
 from rholoc.trajectory.visual.directions import PairDirection, direction_between
@@ -119,17 +120,26 @@ def solve_with_imu(
         adjusted = adjust(problem, adjusted.state, ITERATIONS, progress)
     evidence, problem, adjusted = with_loops_closed(sights, evidence, problem, adjusted, progress)
     problem, adjusted, accelerometer_scale = _accelerometer_corrected(problem, adjusted, progress)
-    scale_sigma = scale_sigma_of(adjusted)
-    felt = ScaleMeasurement(ScaleSource.ACCELEROMETER, 1.0, scale_sigma, is_adjusted=True)
+    felt = ScaleMeasurement(ScaleSource.ACCELEROMETER, 1.0, scale_sigma_of(adjusted), is_adjusted=True)
+    driven = scale_by_steps(sights.steps, adjusted)
+    contradicted = driven is not None and felt.contradicts(driven.ratio, driven.sigma)
+    if driven is not None and contradicted:  # a wrong unit is likelier than a wrong gravity: the first of equals counts
+        driven = replace(driven, sigma=max(driven.sigma, felt.sigma))
+    scales = [felt, *([] if driven is None else [driven])]
+    if driven is not None and driven.usable and not contradicted:
+        problem = replace(problem, steps=sights.steps)
+        adjusted = adjust(problem, adjusted.state, LAST_ITERATIONS, progress)
+        best = min(scales, key=lambda one: one.sigma).source
+        scales = [ScaleMeasurement(best, 1.0, scale_sigma_of(adjusted), is_adjusted=True)]
     seen = with_depths(problem.observations, sights.depth, adjusted.state.camera)
     depth = scale_by_depth(replace(problem, observations=seen), adjusted)
-    scales = [felt, *scales_by_lengths(sights.lengths, adjusted), *([] if depth is None else [depth])]
+    scales += [*scales_by_lengths(sights.lengths, adjusted), *([] if depth is None else [depth])]
     solved = in_map_frame(problem, adjusted, waypoints, up_by_gravity(), scales, evidence.loops, progress)
     inertial = solved.adjusted.state.inertial
     assert inertial is not None
     figures = InertialFigures(
         gyro,
-        scale_sigma,
+        scales[0].sigma,
         inertial.biases[len(inertial.biases) // 2, :3],
         -inertial.T_imu_camera[:3, :3].T @ inertial.T_imu_camera[:3, 3],
         inertial.clock_s,

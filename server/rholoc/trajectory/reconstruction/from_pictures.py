@@ -33,6 +33,7 @@ from rholoc.trajectory.reconstruction.rounds import (
     camera_sigmas,
 )
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights
+from rholoc.trajectory.reconstruction.step_scale import scale_by_steps, scaled_by_steps
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
 from rholoc.trajectory.visual.two_view import PairRotation
@@ -190,6 +191,11 @@ def _adjusted(
     if scaled is not None:
         problem = replace(problem, depth_sigma=DEPTH_SIGMA)
         adjusted = adjust(problem, scaled, LAST_ITERATIONS, progress)
+    steps = sights.take(members).steps
+    scaled = scaled_by_steps(steps, adjusted)
+    if scaled is not None:
+        problem = replace(problem, steps=steps)
+        adjusted = adjust(problem, scaled, LAST_ITERATIONS, progress)
     return _Part(members, problem, adjusted)
 
 
@@ -203,8 +209,11 @@ def _finished(
 ) -> Reconstruction:
     """The part in the map frame, as a reconstruction of all pictures."""
     up = up_by_pictures(part.adjusted.state.R_map_camera)
+    members = sights.take(part.members)
     depth = scale_by_depth(part.problem, part.adjusted)
-    scales = scales_by_lengths(sights.take(part.members).lengths, part.adjusted) + ([] if depth is None else [depth])
+    driven = scale_by_steps(members.steps, part.adjusted)
+    scales = scales_by_lengths(members.lengths, part.adjusted)
+    scales += [one for one in (depth, driven) if one is not None]
     solved = in_map_frame(part.problem, part.adjusted, waypoints, up, scales, (), progress)
     found = finished(solved, len(evidence.loops), sights.camera is not None, None, reason)
     if sights.camera is not None:

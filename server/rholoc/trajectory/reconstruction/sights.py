@@ -14,6 +14,7 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener
 from rholoc.recordings.frames.depth import DepthImages
+from rholoc.trajectory.optimization.adjustment import Step
 from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, match_pictures
 from rholoc.trajectory.visual.parallax import only_turned
@@ -42,6 +43,7 @@ class Sights:
         depth: depth pictures of the keyframes, or None.
         focal_px: first guess of the focal length where the intrinsics are unknown; or None.
         lengths: measured distances [m] between two keyframes each.
+        steps: measured by odometry, each from a keyframe to the next.
     """
 
     flow: Flow
@@ -53,6 +55,7 @@ class Sights:
     depth: DepthImages | None = None
     focal_px: float | None = None
     lengths: tuple[tuple[int, int, float], ...] = ()
+    steps: tuple[Step, ...] = ()
 
     @property
     def times(self) -> FloatArray:
@@ -66,7 +69,20 @@ class Sights:
         shutter = None if self.shutter is None else self.shutter.take(some)
         depth = None if self.depth is None else self.depth.select(some)
         features = [self.features[k] for k in some.tolist()]
-        return replace(self, rows=self.rows[some], features=features, shutter=shutter, depth=depth, lengths=lengths)
+        steps = tuple(
+            replace(one, first=places[one.first], second=places[one.second])
+            for one in self.steps
+            if one.first in places and one.second in places
+        )
+        return replace(
+            self,
+            rows=self.rows[some],
+            features=features,
+            shutter=shutter,
+            depth=depth,
+            lengths=lengths,
+            steps=steps,
+        )
 
 
 @dataclass(frozen=True, eq=False)
