@@ -71,9 +71,11 @@ from rholoc.recordings import (
     read_pose_table,
     read_recording,
 )
+from rholoc.recordings.tables.odometry_table import read_odometry_csv
 from rholoc.service.operate.backup import back_up, unpack_backup
 
 SHIPPED = Path(__file__).resolve().parents[1] / "maps"
+ODOMETRY = "timestamp,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n0.5,0.1,0,0,0,0,0,1\n1,0.2,0,0,0,0,0,1\n"
 MOST_MEMORY_BYTES = 2 * 2**30
 MOST_SECONDS = 5.0  # of processor time
 MOST_CHARACTERS = 2000
@@ -176,6 +178,7 @@ def readers() -> list[Reader]:
             _of_file("recording video", "walk.mp4", own["video.mp4"], _use_recording),
             _of_file("recording archive", "walk.zip", zipped(own), _use_recording),
             _of_file("imu table", "imu.csv", own["imu.csv"], read_imu_csv),
+            _of_file("odometry table", "odometry.csv", ODOMETRY.encode(), read_odometry_csv),
             _of_file("frames table", "frames.csv", own["frames.csv"], read_frames_csv),
             _of_file("camera.json", "camera.json", own["camera.json"], read_camera_json),
             _of_file("pose table", "poses.txt", b"0 0 0 0 0 0 0 1\n0.5 1 0 0 0 0 0 1\n", read_pose_table),
@@ -209,7 +212,8 @@ def _images(own: Mapping[str, bytes]) -> dict[str, bytes]:
     poses = "".join(f"{i} {0.1 * i} 0 0 0 0 0 1\n" for i in range(phone.FRAMES))
     waypoints = "name,frame,x,y,z,sigma\nA,2,0,0,1.5,0.02\nB,12,1,0,1.5,\nC,22,1,1,1.5,0.05\n"
     tables = {name: own[name] for name in ("imu.csv", "frames.csv", "camera.json")}
-    return {**images, **tables, "poses.txt": poses.encode(), "waypoints.csv": waypoints.encode()}
+    texts = {"poses.txt": poses, "waypoints.csv": waypoints, "odometry.csv": ODOMETRY}
+    return {**images, **tables, **{name: text.encode() for name, text in texts.items()}}
 
 
 def _site(folder: Path) -> bytes:
