@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -66,24 +65,3 @@ def test_importing_it_loads_nothing_heavy() -> None:
     code = "import sys, rholoc; assert 'numpy' not in sys.modules; assert 'build_map' in dir(rholoc); rholoc.nothing"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert "has no attribute 'nothing'" in done.stderr
-
-
-@pytest.mark.slow
-def test_the_site_builds_without_network_and_without_a_warning(tmp_path: Path) -> None:
-    pytest.importorskip("mkdocs")
-    unreachable = dict.fromkeys(("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY"), "http://127.0.0.1:9")
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", ROOT / "docs/site/mkdocs.yml", "-d", tmp_path],
-        capture_output=True,
-        text=True,
-        timeout=280,
-        env={**os.environ, **unreachable, "NO_MKDOCS_2_WARNING": "1"},
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "WARNING" not in done.stderr
-    assert "fonts.googleapis.com" not in (tmp_path / "index.html").read_text(encoding="utf-8")
-    reference = (tmp_path / "reference.html").read_text(encoding="utf-8")
-    assert all(f'id="rholoc.{home}' in reference for home in ("mapping.build_map", "localization.Localizer"))
-    for page in ("index", "server/COMMANDS", "maps/index", "docs/paper"):
-        assert (tmp_path / f"{page}.html").is_file()

@@ -58,6 +58,9 @@ def test_the_site_builds_and_shows_the_notebook(tmp_path: Path) -> None:
     built = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600, check=False)
     assert built.returncode == 0, built.stdout + built.stderr
     assert "WARNING" not in built.stderr
+    reference = (tmp_path / "reference.html").read_text(encoding="utf-8")
+    assert all(f'id="rholoc.{home}' in reference for home in ("mapping.build_map", "localization.Localizer"))
+    assert (tmp_path / "server" / "COMMANDS.html").is_file()
     notebook = _Page(tmp_path / "docs" / "notebook.html")
     drawn = [name for name in notebook.pictures if name.startswith("paper-")]
     assert len(drawn) == 7

@@ -22,16 +22,12 @@ def _set_of(paths: list[Path], folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("seed", [None, 0])
-def test_every_picture_of_a_set_is_placed_in_order_or_shuffled(
-    real_data: Path, tmp_path: Path, seed: int | None
-) -> None:
+def test_every_picture_of_a_shuffled_set_is_placed(real_data: Path, tmp_path: Path) -> None:
     kitchen = real_data / "redkitchen"
     known = read_recording(kitchen, "525.505,525.505,320,240", "400:1000:10")
     assert known.poses is not None
     order = np.arange(len(known.frames.times))
-    if seed is not None:
-        np.random.default_rng(seed).shuffle(order)
+    np.random.default_rng(0).shuffle(order)
     paths = [kitchen / "frames" / f"frame-{known.frames.numbers[row]:06d}.jpg" for row in order]
     recording = read_recording(_set_of(paths, tmp_path / "set"))
     assert not recording.frames.timed
@@ -66,11 +62,11 @@ def test_a_wrong_focal_length_is_doubted(real_data: Path, focal_px: float, contr
 
 
 def test_lidar_depth_gives_the_scale_of_a_walk(real_data: Path) -> None:
-    """The first third of a corridor, without ARKit's poses: metric by its depth pictures alone."""
-    known = read_recording(real_data / "corridor_lidar" / "scan", frames="0:45")
+    """The first fifth of a corridor, without ARKit's poses: metric by its depth pictures alone."""
+    known = read_recording(real_data / "corridor_lidar" / "scan", frames="0:30")
     assert known.poses is not None
     found = estimate_trajectory(replace(known, poses=None), PoseMethod.AUTO)
-    assert len(found.rows) == 45
+    assert len(found.rows) == 30
     assert found.scale is Scale.METRIC
     assert (found.report.scale or "").startswith("Depth pictures fix the scale to ")
     T = known.poses.T_map_camera[found.rows]
