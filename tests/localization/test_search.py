@@ -57,7 +57,7 @@ def found(
     return _Found(verified, camera, estimate, Belief(recognized, exact), near_prior)
 
 
-def search(*candidates: _Found, prior: Prior | None = None) -> _Search:
+def search(*candidates: _Found | None, prior: Prior | None = None) -> _Search:
     query: Any = SimpleNamespace(prior=prior)
     begun = _Search(query, _Stopwatch(None))
     for candidate in candidates:
@@ -65,12 +65,13 @@ def search(*candidates: _Found, prior: Prior | None = None) -> _Search:
     return begun
 
 
-def test_a_search_is_hopeless_once_three_poses_are_hardly_of_the_right_place() -> None:
+def test_a_search_is_hopeless_once_five_looks_found_hardly_the_right_place_or_nothing() -> None:
     options = SearchOptions()
     assert not search().is_hopeless(options)
-    assert not search(found(0.01), found(0.001)).is_hopeless(options)
-    assert search(found(0.01), found(0.001), found(0.019)).is_hopeless(options)
-    assert not search(found(0.01), found(0.021), found(0.001), found(0.0)).is_hopeless(options)
+    assert not search(found(0.01), None, found(0.001), None).is_hopeless(options)
+    assert search(found(0.01), None, found(0.001), None, found(0.019)).is_hopeless(options)
+    assert search(*[None] * 5).is_hopeless(options)
+    assert not search(found(0.01), found(0.021), found(0.001), None, found(0.0)).is_hopeless(options)
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.pose.ascent import Optimum, ascend, upright
 from rholoc.localization.pose.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
-from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.ransac import exceeds_chance, lo_ransac
 from rholoc.localization.pose.rematching import SEARCH_RADII_PX, Verified, evidence_of, verify
 from rholoc.localization.pose.rivals import are_rivals, rival_seeds, shares
 from rholoc.localization.pose.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
@@ -75,7 +75,8 @@ class SearchOptions:
             otherwise
             its place is searched closely and all features are matched again.
         hopeless: probability of the right place below which a verified pose counts as hopeless.
-        hopeless_poses: number of hopeless poses after which the search ends, because the picture shows another place.
+        hopeless_looks: number of hopeless poses, or of looks that found none, after which the search ends, because the
+            picture shows another place.
         expected: probability of the right place above which the search ends after a close look at the prior's place.
     """
 
@@ -89,7 +90,7 @@ class SearchOptions:
     conclusive: float = 0.9
     settled_sigma_m: float = 0.04
     hopeless: float = 0.02
-    hopeless_poses: int = 3
+    hopeless_looks: int = 5
     expected: float = MIN_RECOGNIZED
 
 
@@ -168,6 +169,7 @@ class _Search:
         nearest: nearest landmarks of each feature in the whole map.
         is_sampled: whether ``nearest`` covers only a sample of the features.
         found: all candidates.
+        fruitless: number of looks that found none.
     """
 
     query: Query
@@ -181,10 +183,12 @@ class _Search:
     nearest: NearestLandmarks | None = None
     is_sampled: bool = False
     found: list[_Found] = field(default_factory=list)
+    fruitless: int = 0
 
     def add(self, found: _Found | None) -> None:
         """Add a candidate."""
         if found is None:
+            self.fruitless += 1
             return
         self.found.append(found)
         if found.near_prior:
@@ -203,9 +207,9 @@ class _Search:
         )
 
     def is_hopeless(self, options: SearchOptions) -> bool:
-        """Whether enough poses were verified without any chance of the right place."""
-        likeliest = max((found.if_focal_right.recognized for found in self.found), default=1.0)
-        return len(self.found) >= options.hopeless_poses and likeliest < options.hopeless
+        """Whether enough was looked at without any chance of the right place."""
+        likeliest = max((found.if_focal_right.recognized for found in self.found), default=0.0)
+        return len(self.found) + self.fruitless >= options.hopeless_looks and likeliest < options.hopeless
 
     def is_as_expected(self, enough: float) -> bool:
         """Whether some candidate agrees with the prior and is probable enough."""
@@ -479,8 +483,11 @@ class Localizer:
         evidence = evidence_of(self.index, matches, rays, query.camera)
         seed = self._ransac_seed(matches, query, rays)
         watch.lap("seed")
+        if seed is None:
+            yield None
+            return
         optimum = None
-        if seed is not None and _plausible(seed, query):
+        if _plausible(seed, query):
             optimum = self._climb(matches, evidence, [seed], query, watch)
             yield self._verified(optimum, query, rays, matches, watch)
         samples = minimal_samples(
@@ -501,7 +508,7 @@ class Localizer:
             self.options.ransac_tolerance_px,
             *self.options.ransac_samples,
         )
-        return None if found is None else found[0]
+        return found[0] if found is not None and exceeds_chance(found[1], len(ordered)) else None
 
     def _climb(
         self, matches: Matches, evidence: Evidence, seeds: list[FloatArray], query: Query, watch: _Stopwatch

@@ -8,6 +8,7 @@ from rholoc.geometry import FloatArray
 from rholoc.geometry.resection import resected
 
 _MIN_MATCHES = 4
+_FEWEST_INLIERS, _CHANCE_SHARE = 4, 1 / 80
 
 
 def lo_ransac(
@@ -46,3 +47,8 @@ def lo_ransac(
         [rays], [np.asarray(points, dtype=np.float64)], np.eye(4)[None], focal_px, settings
     )
     return (T_map_camera, agreeing) if agreeing >= _MIN_MATCHES and np.isfinite(T_map_camera).all() else None
+
+
+def exceeds_chance(inliers: int, matches: int) -> bool:
+    """Whether more of so many matches agree on a pose than agree on the best of many poses in another room."""
+    return inliers >= _FEWEST_INLIERS + _CHANCE_SHARE * matches
