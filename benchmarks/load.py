@@ -6,6 +6,8 @@
 Starts servers on 127.0.0.1 with the shipped map and asks them for poses of its pictures:
 
 - capacity: as many requests at a time as a server works on, with 1, 2, … of the machine's cores; frames a second;
+- clients: with 1, 2, 4 and 8 at once, frames a second, and how many cores the server and what asks keep busy: what one
+  client leaves idle is all that more clients can gain;
 - 80 %: requests that come at random moments (Poisson), four fifths of the capacity; the median, 99 % and worst. Beside
   them what an ideal service has, whose frames all take the same time and wait in one queue: at random moments several
   come at once, however quick the service is;
@@ -43,6 +45,7 @@ from typing import Any
 
 import httpx
 import numpy as np
+import psutil
 
 from localize_request import START_SECONDS, free_port
 
@@ -52,6 +55,7 @@ WARM_UP = 10  # requests to each server, before anything is measured
 HEALTH_EVERY_S = 0.1
 MOST_AT_ONCE = 400  # requests that are open: more would measure what asks
 PATIENCE_S = 60.0
+CLIENTS = (1, 2, 4, 8)
 SAMPLES = 180  # of the memory, over the part of a soak that counts
 BESIDE = ("/v1/maps", f"/v1/maps/{MAP}", f"/v1/maps/{MAP}/report", "/metrics", "/readyz")  # asked during a soak
 
@@ -91,8 +95,12 @@ class Server:
 
     def resident_mib(self) -> float:
         """The memory of its process."""
-        pages = int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+        return float(psutil.Process(self.process.pid).memory_info().rss / 2**20)
+
+    def busy_s(self) -> float:
+        """How long cores have worked for its process."""
+        spent = psutil.Process(self.process.pid).cpu_times()
+        return float(spent.user + spent.system)
 
 
 @contextmanager
@@ -246,12 +254,28 @@ async def measure(servers: Sequence[Server], cores: int, seconds: float) -> dict
         asker = Asker(servers, client)
         await asker.warm_up()
         capacity = await asker.always(2 * cores, seconds)
-        figures = {"capacity": capacity.summary()}
+        figures = {"capacity": capacity.summary(), "clients": await by_clients(asker, servers, seconds)}
         hz = capacity.frames_a_second
         figures["at 80 %"] = (await asker.at_random(0.8 * hz, seconds)).summary()
         figures["at 80 %"]["ideal_p99_over_p50"] = round(ideal_p99_over_p50(cores, 0.8), 2)
         figures["at 200 %"] = (await asker.at_random(2 * hz, seconds)).summary()
     return figures
+
+
+async def by_clients(asker: Asker, servers: Sequence[Server], seconds: float) -> dict[str, Any]:
+    """Frames a second and busy cores by the number of requests that are kept open, and what the most gain over one."""
+
+    def busy_s() -> float:
+        return time.process_time() + sum(server.busy_s() for server in servers)
+
+    found = {}
+    for clients in CLIENTS:
+        before_s = busy_s()
+        outcome = await asker.always(clients, seconds)
+        cores = round((busy_s() - before_s) / outcome.seconds, 2)
+        found[clients] = {"frames_a_second": round(outcome.frames_a_second, 1), "busy_cores": cores}
+    rates = [one["frames_a_second"] for one in found.values()]
+    return {"at_once": found, "most_over_one": round(rates[-1] / rates[0], 2)}
 
 
 async def soak(servers: Sequence[Server], rate_hz: float, seconds: float) -> dict[str, Any]:
