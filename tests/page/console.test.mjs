@@ -176,7 +176,10 @@ test("on the way a turned camera stays a camera", () => {
 });
 
 test("failures are counted in a sentence", () => {
-  assert.match(sayFailures([{ reason: null }, { reason: "deadline" }]), /without a pose: 1, with an unsure one: 1/);
+  const position = [0, 0, 0];
+  const placed = [{ reason: null, position }, { reason: "deadline", position }];
+  assert.match(sayFailures(placed), /without a pose: 1, with an unsure one: 1\. The drawing glows .* from\.$/);
+  assert.match(sayFailures([{ reason: "deadline", position: null }]), /without a pose: 1, .*: 0\. Of 1 nobody knows where they/);
   assert.match(sayFailures([]), /No request failed/);
 });
 

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { inPlainWords, mistakesIn, Trust, trustOf, whatToDo } from "../../client/page/shared/trust.js";
+import { inPlainWords, mistakesIn, mostTrusted, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../../client/page/shared/trust.js";
 
 const FIGURES = "3.1% of the median depth and 1.2° apart, nine in ten keyframes within 5.4%.";
 
@@ -10,6 +10,18 @@ test("a map is trusted, not trusted, or nobody knows", () => {
     [true, false, null, undefined].map((trusted) => trustOf({ trusted })),
     [Trust.YES, Trust.NO, Trust.UNKNOWN, Trust.UNKNOWN],
   );
+});
+
+test("a checked map comes first, one that is not trusted last", () => {
+  const [no, given, yes] = [
+    { trusted: false, trust_reason: "The poses were given." },
+    { trusted: true, trust_reason: "The poses were given." },
+    { trusted: true, trust_reason: "Pictures and IMU agree." },
+  ];
+  assert.equal(mostTrusted([no, given, yes]), yes);
+  assert.equal(mostTrusted([no, given]), given);
+  assert.equal(mostTrusted([no]), no);
+  assert.deepEqual([no, given, yes].map(restsOnGivenPoses), [false, true, false]);
 });
 
 test("figures about reconstructions become plain words, and what else is said stays", () => {

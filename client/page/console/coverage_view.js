@@ -277,12 +277,20 @@ const colourOf = (share) => LEVELS.find(([least]) => share >= least)[1];
 export function sayFailures(failures) {
   if (!failures.length) return t`No request failed here in the last day, as far as this server knows.`;
   const none = failures.filter(({ reason }) => reason !== null).length;
-  return t`Requests of the last day without a pose: ${none}, with an unsure one: ${failures.length - none}. The drawing glows where they came from.`;
+  const lost = failures.filter(({ position }) => !position).length;
+  return [
+    t`Requests of the last day without a pose: ${none}, with an unsure one: ${failures.length - none}.`,
+    lost < failures.length && t`The drawing glows where they came from.`,
+    lost > 0 && t`Of ${lost} nobody knows where they came from.`,
+  ]
+    .filter(Boolean)
+    .join(" ");
 }
 
 /** A glow where requests failed: the more, the stronger, but what is below stays to be seen. */
 function drawFailures(context, { axes, step }, place, failures, token) {
-  if (!failures.length) return;
+  const placed = failures.filter(({ position }) => position);
+  if (!placed.length) return;
   const { width, height } = context.canvas;
   const glow = Object.assign(document.createElement("canvas"), { width, height });
   const layer = glow.getContext("2d");
@@ -290,7 +298,7 @@ function drawFailures(context, { axes, step }, place, failures, token) {
   layer.fillStyle = token("--bad");
   layer.globalAlpha = GLOW_ALPHA;
   const reach = Math.max(GLOW_PX, (GLOW_M / step) * place.pixels);
-  for (const { position } of failures) {
+  for (const { position } of placed) {
     const [x, y] = place.point(dot(position, axes[0]), dot(position, axes[1]));
     for (const share of [1, 0.66, 0.33]) {
       layer.beginPath();

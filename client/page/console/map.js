@@ -4,7 +4,7 @@ import { call, download, get, objectUrl, path, request } from "../shared/api.js"
 import { ask, fill, h } from "../shared/dom.js";
 import { field, nameChoice, nameField } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { inPlainWords, mistakesIn, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
+import { inPlainWords, mistakesIn, mostTrusted, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { coverageView } from "./coverage_view.js";
 import { keptPlan } from "./floor_plan.js";
 import { bytes, count, fileNames, length, when } from "./format.js";
@@ -104,12 +104,12 @@ function trustNotice(map, report) {
     [Trust.UNKNOWN]: ["warn", t`Nothing has checked this map.`],
   }[trust];
   const reason = inPlainWords(map.trust_reason);
-  const given = trust === Trust.YES && restsOnGivenPoses(map.trust_reason);
+  const given = restsOnGivenPoses(map);
   const mistakes = mistakesIn(report);
   const next = whatToDo(trust, mistakes, map.trust_reason);
   return h(
     "section",
-    { class: ["notice stack", kind], "aria-label": t`Trust` },
+    { class: ["notice stack", !given && kind], "aria-label": t`Trust` },
     h(
       "p",
       {},
@@ -388,7 +388,7 @@ async function merge(name) {
   const other = h(
     "select",
     { name: "other" },
-    others.map((map) => h("option", { value: map.name }, trusted(map))),
+    others.map((map) => h("option", { value: map.name, selected: map === mostTrusted(others) }, trusted(map))),
   );
   const into = nameChoice({ names: [name, ...others.map((map) => map.name)], learns: false });
   into.suggest(`${name}-merged`);

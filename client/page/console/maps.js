@@ -95,7 +95,7 @@ function card(map, signal) {
     h(
       "div",
       { class: "row" },
-      trustBadge(trust),
+      trustBadge(map),
       map.scale === "arbitrary" && h("span", { class: "badge warn" }, t`no unit of length`),
       !map.upright && h("span", { class: "badge warn" }, t`not upright`),
       map.labels.tags.map((tag) => h("span", { class: "badge" }, tag)),

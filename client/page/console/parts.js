@@ -2,7 +2,7 @@
 
 import { busy, fill, h } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
-import { Trust } from "../shared/trust.js";
+import { restsOnGivenPoses, Trust, trustOf } from "../shared/trust.js";
 
 const STATES = { published: "good", failed: "bad", cancelled: "warn" };
 const TRUST_BADGES = {
@@ -80,9 +80,9 @@ export function stateBadge({ state, trusted }) {
   return h("span", { class: ["badge", STATES[state]] }, translated(state));
 }
 
-/** Whether a map can be relied on, as a badge. */
-export function trustBadge(trust) {
-  const [kind, text] = TRUST_BADGES[trust];
+/** Whether a map can be relied on, as a badge; green only where something has checked it. */
+export function trustBadge(map) {
+  const [kind, text] = restsOnGivenPoses(map) ? ["", t`poses given`] : TRUST_BADGES[trustOf(map)];
   return h("span", { class: ["badge", kind] }, text);
 }
 

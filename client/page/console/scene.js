@@ -309,18 +309,13 @@ export class SceneView {
     this.setLines("rays", "--accent", at ? seen.flatMap((landmark) => [...at, ...landmark]) : [], 0.2);
   }
 
-  /** Show those who ask for poses: `{asker, T, localized, stale}`. */
+  /** Show those who ask for poses: `{asker, T, stale}`. */
   showRobots(robots) {
     const some = (chosen) => robots.filter(chosen).flatMap(({ T }) => frustum(T, EXTENTS));
     this.setLines(
       "robots",
       "--accent",
-      some(({ localized, stale }) => localized && !stale),
-    );
-    this.setLines(
-      "robots lost",
-      "--bad",
-      some(({ localized, stale }) => !localized && !stale),
+      some(({ stale }) => !stale),
     );
     this.setLines(
       "robots gone",

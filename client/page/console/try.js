@@ -4,7 +4,7 @@ import { call, get, path, storedKey, url } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { inPlainWords, Trust, trustOf, whatToDo } from "../shared/trust.js";
+import { inPlainWords, mostTrusted, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { length } from "./format.js";
 import { cameraFrames, readPicture, videoFrames } from "./frame_sources.js";
 import { asQuery, halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "./intrinsics.js";
@@ -49,7 +49,7 @@ export async function showTry(main, name, signal) {
     return;
   }
   const { cameras } = await get("v1/cameras", { signal });
-  const map = await get(path`v1/maps/${name ?? maps[0].name}`, { signal });
+  const map = await get(path`v1/maps/${name ?? mostTrusted(maps).name}`, { signal });
   const trial = new Trial(map, cameras, maps.length > 1, signal);
   fill(main, layout(trial, maps));
   await showScene(trial.scene, map, signal);
@@ -310,10 +310,8 @@ class Trial {
 }
 
 /** Why an answer has no pose. */
-const reasons = ({ reason, diagnosis }) => [
-  h("p", {}, WHY[reason] ?? reason),
-  diagnosis && h("p", {}, `${diagnosis.message} ${diagnosis.hint}`),
-];
+const reasons = ({ reason, diagnosis }) =>
+  h("p", {}, diagnosis ? `${diagnosis.message} ${diagnosis.hint}` : (WHY[reason] ?? reason));
 
 const doubt = (text) => h("p", { class: "notice warn small" }, text);
 
@@ -387,7 +385,7 @@ function layout(trial, maps) {
   );
   return page(
     t`Try it`,
-    h("div", { class: "row" }, trustBadge(trustOf(trial.map)), field(t`Map`, choice)),
+    h("div", { class: "row" }, trustBadge(trial.map), field(t`Map`, choice)),
     trustOf(trial.map) === Trust.NO && mistrust(trial.map),
     h(
       "div",

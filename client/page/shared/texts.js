@@ -47,6 +47,7 @@ export const GERMAN = {
   trusted: "vertrauenswürdig",
   "not trusted": "nicht vertrauenswürdig",
   "not checked": "nicht geprüft",
+  "poses given": "Posen vorgegeben",
   "published, not trusted": "fertig, nicht vertrauenswürdig",
   "{0} (not trusted)": "{0} (nicht vertrauenswürdig)",
   Trust: "Vertrauenswürdigkeit",
@@ -689,8 +690,10 @@ export const GERMAN = {
   "{0} a second": "{0} pro Sekunde",
   "No request failed here in the last day, as far as this server knows.":
     "In den letzten 24 Stunden schlug hier keine Anfrage fehl, soweit dieser Server weiß.",
-  "Requests of the last day without a pose: {0}, with an unsure one: {1}. The drawing glows where they came from.":
-    "Anfragen der letzten 24 Stunden ohne Pose: {0}, mit unsicherer Pose: {1}. Wo sie herkamen, leuchtet die Zeichnung.",
+  "Requests of the last day without a pose: {0}, with an unsure one: {1}.":
+    "Anfragen der letzten 24 Stunden ohne Pose: {0}, mit unsicherer Pose: {1}.",
+  "The drawing glows where they came from.": "Wo sie herkamen, leuchtet die Zeichnung.",
+  "Of {0} nobody knows where they came from.": "Bei {0} weiß niemand, woher sie kamen.",
 
   // Links with a key
   Share: "Teilen",

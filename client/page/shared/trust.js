@@ -15,7 +15,14 @@ export function mistakesIn(report) {
 }
 
 /** Whether a map is trusted only because nobody doubted the poses that came with its recording. */
-export const restsOnGivenPoses = (why) => why === "The poses were given.";
+export const restsOnGivenPoses = ({ trusted, trust_reason: why }) =>
+  trusted === true && why === "The poses were given.";
+
+/** The one of several maps that is shown first where nobody chose: a checked one before others, as listed. */
+export const mostTrusted = (maps) =>
+  maps.find((map) => map.trusted === true && !restsOnGivenPoses(map)) ??
+  maps.find((map) => map.trusted !== false) ??
+  maps[0];
 
 /** A reason as the server gives it, and where it is full of figures, what they mean. */
 export function inPlainWords(why) {
