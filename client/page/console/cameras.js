@@ -1,10 +1,10 @@
 // Cameras: intrinsics that frames and recordings refer to by name.
 
 import { call, get, path } from "../shared/api.js";
-import { ask, fill, h } from "../shared/dom.js";
+import { action, ask, fill, h } from "../shared/dom.js";
 import { field, nameField } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { action, empty, loading, page, skeletons } from "./parts.js";
+import { empty, loading, page, skeletons } from "./parts.js";
 
 const FIGURES = [
   ["width", t`Width, px`],

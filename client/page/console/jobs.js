@@ -1,12 +1,12 @@
 // Mapping jobs: how far they are, why they failed, cancelled and tried again.
 
-import { followJob } from "../record/job.js";
+import { cancelJob, followJob } from "../record/job.js";
 import { call, get, path } from "../shared/api.js";
-import { fill, h } from "../shared/dom.js";
+import { action, fill, h, tell } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
 import { inPlainWords, Trust, whatToDo } from "../shared/trust.js";
 import { ago, duration, when } from "./format.js";
-import { action, empty, facts, loading, lostNotice, skeletons, stateBadge, tell } from "./parts.js";
+import { empty, facts, loading, lostNotice, skeletons, stateBadge } from "./parts.js";
 
 const STAGES = [
   "received",
@@ -106,7 +106,7 @@ function overview(job) {
       h(
         "div",
         { class: "row" },
-        !ENDED.includes(job.state) && action(t`Cancel`, () => call("DELETE", path`v1/jobs/${job.id}`), "danger"),
+        !ENDED.includes(job.state) && action(t`Cancel`, () => cancelJob(job.id), "danger"),
         ["failed", "cancelled"].includes(job.state) &&
           action(t`Try again`, async () => {
             await call("POST", path`v1/jobs/${job.id}/retry`);

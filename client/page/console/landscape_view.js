@@ -1,8 +1,7 @@
 // The landscape around a pose: what the densities say of positions near it, from above, and the ways that ascents climb.
 
-import { h } from "../shared/dom.js";
+import { action, h } from "../shared/dom.js";
 import { t } from "../shared/text.js";
-import { action } from "./parts.js";
 
 const SIZE = 480; // px, of the drawing's sides
 const STEP_MS = 90; // between two steps of an ascent

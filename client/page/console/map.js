@@ -1,8 +1,8 @@
 // One map: whether it can be relied on, where it works, in 3-D, what it knows of itself, and what can be done with it.
 
 import { call, download, get, objectUrl, path, request } from "../shared/api.js";
-import { ask, fill, h } from "../shared/dom.js";
-import { field, nameChoice, nameField } from "../shared/name_choice.js";
+import { action, ask, fill, h, tell } from "../shared/dom.js";
+import { field, mapNameOf, nameChoice, nameField } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { inPlainWords, mistakesIn, mostTrusted, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { coverageView } from "./coverage_view.js";
@@ -11,7 +11,7 @@ import { bytes, count, fileNames, length, when } from "./format.js";
 import { learningText } from "./learning.js";
 import { liveView } from "./live.js";
 import { expectedError, placeOf } from "./maps.js";
-import { action, facts, loading, page, skeletons, tell } from "./parts.js";
+import { facts, loading, page, skeletons } from "./parts.js";
 import { SceneView } from "./scene.js";
 import { readPoints, readScene } from "./scene_data.js";
 import { share } from "./share.js";
@@ -341,9 +341,9 @@ const go = (name) => (location.hash = `#/maps/${encodeURIComponent(name)}`);
 async function rename(name) {
   const input = nameField(name);
   const done = await ask(t`Rename the map`, field(t`Name`, input), h("button", { class: "primary" }, t`Rename`), () =>
-    call("PATCH", path`v1/maps/${name}`, { body: { name: input.value } }),
+    call("PATCH", path`v1/maps/${name}`, { body: { name: mapNameOf(input.value) } }),
   );
-  if (done) go(input.value);
+  if (done) go(mapNameOf(input.value));
 }
 
 async function remove(name) {

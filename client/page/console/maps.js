@@ -1,13 +1,13 @@
 // The maps that are served.
 
 import { call, get, path, request } from "../shared/api.js";
-import { ask, fill, h } from "../shared/dom.js";
+import { action, ask, fill, h, tell } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { inPlainWords, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { bytes, count, length, when } from "./format.js";
 import { listTools } from "./list_tools.js";
-import { action, empty, facts, loading, page, skeletons, tell, trustBadge } from "./parts.js";
+import { empty, facts, loading, page, skeletons, trustBadge } from "./parts.js";
 import { readScene } from "./scene_data.js";
 import { drawFromAbove } from "./thumbnail.js";
 

@@ -1,7 +1,7 @@
 // Try it: a picture, a camera, a video or a trajectory, and where it is in the map.
 
 import { call, get, path, storedKey, url } from "../shared/api.js";
-import { fill, h } from "../shared/dom.js";
+import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { inPlainWords, mostTrusted, Trust, trustOf, whatToDo } from "../shared/trust.js";
@@ -10,7 +10,7 @@ import { cameraFrames, readPicture, videoFrames } from "./frame_sources.js";
 import { asQuery, halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "./intrinsics.js";
 import { landscapeView } from "./landscape_view.js";
 import { showScene, trusted } from "./map.js";
-import { action, empty, facts, page, problem, tell, trustBadge } from "./parts.js";
+import { empty, facts, page, problem, trustBadge } from "./parts.js";
 import { play } from "./player.js";
 import { SceneView } from "./scene.js";
 import { LANGUAGES, snippet } from "./snippets.js";

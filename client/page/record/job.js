@@ -1,6 +1,6 @@
 // A mapping job, followed until it ends.
 
-import { ApiError, get, path } from "../shared/api.js";
+import { ApiError, call, get, path } from "../shared/api.js";
 import { events } from "../shared/events.js";
 
 const ENDED = new Set(["published", "failed", "cancelled"]);
@@ -30,6 +30,9 @@ export async function followJob(id, hear, signal, lost = (_error) => {}) {
     signal?.throwIfAborted();
   }
 }
+
+/** End a job; whoever follows it hears of that. */
+export const cancelJob = (id) => call("DELETE", path`v1/jobs/${id}`);
 
 /** What the server says of a job as it changes, until the connection ends. */
 async function* jobEvents(id, signal) {

@@ -143,7 +143,7 @@ export function askForKey(error) {
     const answer = await ask(
       t`API key`,
       [
-        h("p", {}, error.message),
+        h("p", {}, error.summary),
         h("label", {}, t`Key`, field),
         h(
           "p",

@@ -102,8 +102,6 @@ export const GERMAN = {
   "The map is replaced; the one before can be restored":
     "Die Karte wird ersetzt; die vorige lässt sich wiederherstellen",
   "Use another name": "Anderen Namen verwenden",
-  "Letters, digits, . _ and -, the first a letter, a digit or _":
-    "Buchstaben, Ziffern, . _ und -, zuerst ein Buchstabe, eine Ziffer oder _",
 
   // One map
   "Landmarks and walk of the map {0}": "Landmarken und Rundgang der Karte {0}",
@@ -422,17 +420,14 @@ export const GERMAN = {
   "Got it": "Verstanden",
   "For the map {0}: begin where it works, walk to about {1}, {2}, look to {3}°, and come back. Before sending, choose that the map learns it.":
     "Für die Karte {0}: dort beginnen, wo sie funktioniert, bis etwa {1}, {2} gehen, in Richtung {3}° blicken und zurückkommen. Vor dem Senden wählen, dass die Karte die Aufnahme dazulernt.",
-  "Measure three points or more, not on one line, and where they are: with a tape, from a corner of the room.":
-    "Drei oder mehr Punkte, die nicht auf einer Geraden liegen, ausmessen: mit dem Maßband, von einer Ecke des Raums aus.",
-  "At each point stand still for two seconds, the phone upright, and mark it.":
-    "An jedem Punkt zwei Sekunden still stehen, das Telefon aufrecht halten und den Punkt markieren.",
   "Walk slowly, and sideways where you can; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.":
     "Langsam und möglichst seitwärts gehen, sich nicht auf der Stelle drehen. Dinge im Bild behalten: Möbel, Plakate, Regale, keine kahlen Wände.",
   "Come back to where you began, and look at it again as you did then: the loop shows the map its own errors.":
     "Zum Anfang zurückkommen und ihn wieder so ansehen wie zu Beginn: Die Schleife zeigt der Karte ihre eigenen Fehler.",
+  "Optional: measure three points or more, not on one line. Stand still at each for two seconds, and mark it.":
+    "Wer mag: drei oder mehr Punkte ausmessen, die nicht auf einer Geraden liegen. An jedem zwei Sekunden still stehen und ihn markieren.",
+  "Measured points (optional)": "Gemessene Punkte (freiwillig)",
   "Open the camera": "Kamera öffnen",
-  "Walk slowly, keep texture in view, and come back to where you began.":
-    "Langsam gehen, Strukturen im Bild behalten und zum Anfang zurückkommen.",
   "On this phone": "Auf diesem Telefon",
   "This phone's storage is almost full: {0} left. A minute takes about 60 MB.":
     "Der Speicher dieses Telefons ist fast voll: {0} frei. Eine Minute braucht etwa 60 MB.",
@@ -459,8 +454,8 @@ export const GERMAN = {
   "Leave private browsing and try again. ({0})":
     "Bitte den privaten Modus verlassen und es noch einmal versuchen. ({0})",
   "Browsers give the camera to pages over HTTPS only.": "Browser geben die Kamera nur für Seiten über HTTPS frei.",
-  "Start the server with rholoc serve --tls, and open the address that it prints.":
-    "Den Server mit rholoc serve --tls starten und die Adresse öffnen, die er ausgibt.",
+  "Film the walk with the phone's camera app and upload the video. Or start the server with rholoc serve --tls, and open the address that it prints.":
+    "Den Rundgang mit der Kamera-App des Telefons filmen und das Video hochladen. Oder den Server mit rholoc serve --tls starten und die Adresse öffnen, die er ausgibt.",
   "This browser cannot record video.": "Dieser Browser kann kein Video aufnehmen.",
   "Use a recent Chrome, Safari or Firefox.": "Bitte eine aktuelle Version von Chrome, Safari oder Firefox verwenden.",
   "The motion sensors were refused.": "Der Zugriff auf die Bewegungssensoren wurde verweigert.",
@@ -478,8 +473,7 @@ export const GERMAN = {
   gyroscope: "Gyroskop",
   "No motion sensors: video only": "Keine Bewegungssensoren: nur Video",
   Stop: "Anhalten",
-  "coordinates may follow later": "Koordinaten können später folgen",
-  "Mark points while recording": "Punkte beim Aufnehmen markieren",
+  "Mark a point:": "Punkt markieren:",
   "Points ({0})": "Punkte ({0})",
   Light: "Licht",
   Texture: "Struktur",
@@ -510,14 +504,12 @@ export const GERMAN = {
   "Remove {0}": "{0} entfernen",
   Remove: "Entfernen",
   "{0} of {1} in metres": "{0} von {1} in Metern",
-  "Where the camera is at a point, in metres, z up. Three or more that are not on one line give the map your frame; without them it gets one of its own.":
-    "Wo die Kamera an einem Punkt ist, in Metern, z nach oben. Drei oder mehr, die nicht auf einer Geraden liegen, geben der Karte Ihr Koordinatensystem; ohne sie bekommt sie ein eigenes.",
   "Add a point": "Punkt hinzufügen",
+  "{0} of at least {1} points are marked and measured. Without more the map gets axes of its own.":
+    "{0} von mindestens {1} Punkten sind markiert und gemessen. Mit so wenigen bekommt die Karte eigene Achsen.",
+  "Where the camera is at a point, in metres, z up. Three or more that are not on one line give the map your axes; without them it has its own.":
+    "Wo die Kamera an einem Punkt ist, in Metern, z nach oben. Drei oder mehr, die nicht auf einer Geraden liegen, geben der Karte Ihre Achsen; ohne sie hat sie eigene.",
   "Two waypoints are called {0}.": "Zwei Wegpunkte heißen {0}.",
-  "No waypoint is both marked and measured. The map gets a frame of its own.":
-    "Kein Wegpunkt ist zugleich markiert und gemessen. Die Karte bekommt ein eigenes Koordinatensystem.",
-  "{0} of at least {1} waypoints are marked and measured. Without more the map gets a frame of its own.":
-    "{0} von mindestens {1} Wegpunkten sind markiert und gemessen. Mit so wenigen bekommt die Karte ein eigenes Koordinatensystem.",
   "The waypoints lie on one line, so the rotation about it is not determined. Measure one more off that line, or clear their coordinates.":
     "Die Wegpunkte liegen auf einer Geraden; die Drehung um sie bleibt offen. Bitte einen weiteren abseits davon messen oder ihre Koordinaten löschen.",
 
@@ -556,6 +548,8 @@ export const GERMAN = {
   "Getting ready …": "Wird vorbereitet …",
   "You may close this page: sending continues when you open it again.":
     "Sie können diese Seite schließen: Das Senden geht weiter, wenn Sie sie wieder öffnen.",
+  "You may close this page: the server goes on by itself.":
+    "Sie können diese Seite schließen: Der Server macht von selbst weiter.",
   "For the map {0}": "Für die Karte {0}",
   "{0} of {1}, {2}": "{0} von {1}, {2}",
   "The server cannot be reached.": "Der Server ist nicht erreichbar.",
@@ -716,11 +710,13 @@ export const GERMAN = {
   "A walk is recorded with a phone: this computer's camera does not walk.":
     "Ein Rundgang wird mit einem Telefon aufgenommen: Mit diesem Rechner geht niemand herum.",
   "Show a QR code": "QR-Code zeigen",
+  "Film the walk with the phone's camera app, and upload the video here.":
+    "Den Rundgang mit der Kamera-App des Telefons filmen und das Video hier hochladen.",
+  "To record in the phone's browser, with its motion sensors, start the server with rholoc serve --tls, and open the address that it prints.":
+    "Um im Browser des Telefons aufzunehmen, mit dessen Bewegungssensoren, den Server mit rholoc serve --tls starten und die Adresse öffnen, die er ausgibt.",
   "Point the phone's camera at it.": "Die Kamera des Telefons darauf richten.",
   "Point the phone's camera at it. The key in it is valid for two hours.":
     "Die Kamera des Telefons darauf richten. Der Schlüssel darin gilt zwei Stunden.",
-  "No phone reaches this address: start the server with rholoc serve --tls, and open the address that it shows.":
-    "Kein Telefon erreicht diese Adresse: Den Server mit rholoc serve --tls starten und die Adresse öffnen, die er zeigt.",
 
   // While walking
   "{0} of {1} directions seen, different views: {2}, loops closed: {3}":
