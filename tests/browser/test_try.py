@@ -68,6 +68,7 @@ def test_a_file_that_is_no_picture_clears_the_picture_before_and_an_error_its_ci
         assert canvas.evaluate(CIRCLES) > 500
         take(page, pictures / "text.png")
         expect(page.get_by_role("alert")).to_contain_text("not a picture")
+        expect(page.get_by_text("Drop a picture")).to_be_visible()  # the frame is not left empty
         assert not canvas.evaluate(DRAWN)
         expect(canvas).to_have_attribute("aria-label", "No picture yet")
         take(page, pictures / "frame.png")

@@ -32,6 +32,8 @@ test("figures about reconstructions become plain words, and what else is said st
   assert.match(inPlainWords(`Two reconstructions agree: ${FIGURES}`).plain, /came out in the same shape\.$/);
   assert.deepEqual(inPlainWords("The poses were given."), { plain: "The poses were given.", technical: null });
   assert.equal(inPlainWords(""), null);
+  assert.equal(inPlainWords("Its poses are expected to be right to 4.5 cm."), null); // the page says it once, elsewhere
+  assert.equal(inPlainWords("Its poses are expected to be right to 4.5 cm. W2 is missed.").plain, "W2 is missed.");
 });
 
 test("mistakes are found in reports of any make", () => {

@@ -2,7 +2,7 @@
 
 import { resolvedColour } from "../shared/colours.js";
 import { fill, h } from "../shared/dom.js";
-import { t } from "../shared/text.js";
+import { coordinates, t } from "../shared/text.js";
 import { keptPlan } from "./floor_plan.js";
 import { drawFloorPlan } from "./plan_view.js";
 
@@ -104,7 +104,7 @@ function walkNext({ degrees, position: [x, y] }, map, unit) {
       {},
       h("strong", {}, t`Walk here next:`),
       " ",
-      t`around ${place[0]}, ${place[1]} ${unit}, looking to ${place[2]}° (the arrow).`,
+      t`around ${coordinates([x, y], 1)} ${unit}, looking to ${place[2]}° (the arrow).`,
     ),
     h("a", { class: "button", href: `record#/next/${encodeURIComponent(map.name)}/${place.join(",")}` }, t`Record it`),
   );
@@ -118,7 +118,7 @@ export function summary({ share_sufficient: share, positions_sufficient: places,
 
 /** What is said of one place and direction. */
 export function sayPlace(coverage, cell, heading, unit) {
-  const [x, y] = position(coverage, cell).map((value) => value.toFixed(2));
+  const at = coordinates(position(coverage, cell));
   const seen = coverage.counts[cell][heading];
   const degrees = Math.round(coverage.headings_deg[heading]);
   const [, verdict] = [
@@ -126,7 +126,7 @@ export function sayPlace(coverage, cell, heading, unit) {
     [0.5, t`it may fail`],
     [0, t`it will fail`],
   ].find(([share]) => seen >= share * coverage.sufficient);
-  return t`At ${x}, ${y} ${unit}, looking ${degrees}°: ${seen} landmarks in view; ${verdict}.`;
+  return t`At ${at} ${unit}, looking ${degrees}°: ${seen} landmarks in view; ${verdict}.`;
 }
 
 /**

@@ -5,7 +5,7 @@ import { call, get, path } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
 import { inPlainWords, Trust, whatToDo } from "../shared/trust.js";
-import { ago, duration, when } from "./format.js";
+import { duration, when } from "./format.js";
 import { empty, facts, loading, lostNotice, skeletons, stateBadge } from "./parts.js";
 
 const STAGES = [
@@ -70,7 +70,7 @@ function row(job) {
       "div",
       { class: "row spread" },
       h("h2", {}, h("a", { href: `#/jobs/${job.id}` }, nameOf(job))),
-      h("span", { class: "row" }, stateBadge(job), h("span", { class: "muted small" }, ago(job.created))),
+      h("span", { class: "row" }, stateBadge(job), h("span", { class: "muted small" }, when(job.created))),
     ),
     bar(job),
     h("p", { class: "muted small" }, job.error?.message ?? job.message),
@@ -80,7 +80,13 @@ function row(job) {
 
 const nameOf = (job) => (job.site ? t`Site ${job.site}` : job.map);
 
-const bar = (job) => h("progress", { max: 1, value: job.progress, "aria-label": t`Progress of ${nameOf(job)}` });
+const bar = (job) =>
+  h("progress", {
+    max: 1,
+    value: job.progress,
+    class: job.state === "failed" && "failed",
+    "aria-label": t`Progress of ${nameOf(job)}`,
+  });
 
 export async function showJob(main, id, signal) {
   const lost = lostNotice();
@@ -139,7 +145,9 @@ function overview(job) {
       [t`Priority`, job.state === "queued" ? priorityField(job) : translated(job.priority)],
       [
         t`Recording`,
-        job.recording ? h("a", { href: `#/recordings/${job.recording}` }, h("code", {}, job.recording)) : null,
+        job.recording
+          ? h("a", { href: `#/recordings/${job.recording}` }, h("code", {}, job.recording.slice(0, 8)))
+          : null,
       ],
     ]),
     h("h2", {}, t`Log`),

@@ -107,7 +107,7 @@ function card(map, signal) {
       [t`Expected error`, expectedError(map)],
       [t`Size`, t`${count(map.landmarks)} landmarks, ${bytes(map.size_bytes)}`],
       [t`Made`, when(map.created)],
-      [t`Version`, `${map.version}, ${map.features}`],
+      [t`Version`, map.version],
     ]),
   );
 }

@@ -3,7 +3,7 @@
 import { call, get, path, storedKey, url } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
-import { t } from "../shared/text.js";
+import { coordinates, decimal, t } from "../shared/text.js";
 import { inPlainWords, mostTrusted, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { length } from "./format.js";
 import { cameraFrames, readPicture, videoFrames } from "./frame_sources.js";
@@ -279,21 +279,17 @@ class Trial {
       !found.localized && reasons(found),
       doubts(found, known, this.map).map(doubt),
       facts([
-        [
-          t`Position`,
-          pose ? pose.position.map((value) => value.toFixed(2)).join(", ") + (metric ? " m" : t` units`) : "–",
-        ],
+        [t`Position`, pose ? coordinates(pose.position) + (metric ? " m" : t` units`) : "–"],
         [t`In the area`, found.areas.join(", ") || null],
         [t`Near the point`, found.near.join(", ") || null],
-        [t`Heading`, pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
+        [t`Heading`, pose ? coordinates(pose.heading) : "–"],
         [t`Off by about`, offBy(found, known, metric)],
         [
           t`Focal length`,
-          found.camera &&
-            t`${found.camera.fx.toFixed(0)} px, estimated to ${found.camera.focal_sigma_px.toFixed(0)} px`,
+          found.camera && t`${decimal(found.camera.fx)} px, estimated to ${decimal(found.camera.focal_sigma_px)} px`,
         ],
         [t`Matches`, t`${found.inliers} of ${found.matches} agree`],
-        [t`Took`, [`${found.timings_ms.total.toFixed(0)} ms`, extra].filter(Boolean).join(", ")],
+        [t`Took`, [`${decimal(found.timings_ms.total)} ms`, extra].filter(Boolean).join(", ")],
       ]),
     );
   }
@@ -499,6 +495,7 @@ async function takeFile(trial, file) {
     else if (file.type.startsWith("video/")) await film(trial, (_, signal) => videoFrames(file, signal));
     else await trial.tryStill(await readPicture(file));
   } catch (error) {
+    if (!trial.still) trial.picture.closest(".drop").classList.remove("taken"); // nothing is in the frame
     trial.fail(error);
   }
 }
@@ -516,7 +513,7 @@ function playTrajectory(trial, poses) {
     trial.answer,
     facts([
       [t`Trajectory`, t`${poses.length} poses`],
-      [t`Lasts`, `${(poses.at(-1).time - poses[0].time).toFixed(1)} s`],
+      [t`Lasts`, `${decimal(poses.at(-1).time - poses[0].time, 1)} s`],
     ]),
   );
 }
@@ -581,6 +578,10 @@ function tracked(trial, signal) {
       const { known, extents, camera } = trial.intrinsicsOf(frame.source.width, frame.source.height);
       if (!found || (known === Known.ESTIMATED && !found.localized)) return;
       const track = new Track();
+      trial.ends.push(() => {
+        track.ended = true;
+        if (track.now) fill(trial.answer, trackReport(track, reasons, null));
+      });
       const show = (message) => {
         track.take(message);
         trial.showTrack(shown, track, known, extents, rateShown);
@@ -601,7 +602,7 @@ function rate(times) {
   times.push(performance.now());
   if (times.length > RATE_OVER) times.shift();
   const hertz = times.length > 1 ? (1000 * (times.length - 1)) / (times.at(-1) - times[0]) : 0;
-  return t`${hertz.toFixed(1)} frames a second`;
+  return t`${decimal(hertz, 1)} frames a second`;
 }
 
 function priorOf({ position, heading }) {

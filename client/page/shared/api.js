@@ -181,7 +181,7 @@ export async function changeKey() {
 
 /** A button of the page's head that changes the key; hidden while there is none. */
 export function keyButton() {
-  const button = h("button", { type: "button", class: "key", "aria-label": t`API key`, onclick: changeKey }, "⚿");
+  const button = h("button", { type: "button", class: "key", "aria-label": t`API key`, onclick: changeKey }, t`Key`);
   const show = () => (button.hidden = !storedKey());
   addEventListener("keychange", show);
   show();

@@ -5,6 +5,25 @@ import { GERMAN } from "./texts.js";
 /** The language that the page speaks: the browser's where there are texts in it, else English. */
 export const language = globalThis.navigator?.language?.toLowerCase().startsWith("de") ? "de" : "en";
 
+/** A number with so many decimals, as the page's language writes it. */
+export const decimal = (value, digits = 0) =>
+  value.toLocaleString(language, { minimumFractionDigits: digits, maximumFractionDigits: digits, useGrouping: false });
+
+/** Coordinates beside each other; where a comma is in them, semicolons are between them. */
+export const coordinates = (values, digits = 2) =>
+  values.map((value) => decimal(value, digits)).join(language === "de" ? "; " : ", ");
+
+/** A part of one as a percentage. */
+export const percent = (share) => `${Math.round(100 * share)} %`;
+
+/** An ISO time, or milliseconds since the epoch, as a local date and time. */
+export function when(time) {
+  const date = new Date(time);
+  return Number.isNaN(date.getTime())
+    ? String(time)
+    : date.toLocaleString(language === "de" ? "de" : "en-GB", { dateStyle: "medium", timeStyle: "short" });
+}
+
 const texts = language === "de" ? GERMAN : {};
 
 /** A sentence with its values put in; a template is looked up with {0}, {1} … in place of the values. */

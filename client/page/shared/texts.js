@@ -114,9 +114,9 @@ export const GERMAN = {
   Landmarks: "Landmarken",
   Views: "Ansichten",
   Features: "Merkmale",
-  "{0}, {1} densities": "{0}, Dichten {1}",
+  Densities: "Dichten",
+  "For developers": "Für Entwickler",
   File: "Datei",
-  "{0}, of map {1}": "{0}, der Karte {1}",
   Camera: "Kamera",
   "Learned from": "Gelernt aus",
   "It learns from those who use it: {0} queries are kept.":
@@ -162,13 +162,14 @@ export const GERMAN = {
   "the map itself (.rho)": "die Karte selbst (.rho)",
   "cameras and points for COLMAP and Gaussian splatting (.zip)":
     "Kameras und Punkte für COLMAP und Gaussian Splatting (.zip)",
+  "densities (.csv)": "Dichten (.csv)",
+  "observations (.csv)": "Beobachtungen (.csv)",
+  "walk (.csv)": "Rundgang (.csv)",
   "cameras for nerfstudio (.json)": "Kameras für nerfstudio (.json)",
-  "densities, Table 5 (.csv)": "Dichten, Tabelle 5 (.csv)",
-  "observations, Table 4 (.csv)": "Beobachtungen, Tabelle 4 (.csv)",
-  "walk, Table 6 (.csv)": "Rundgang, Tabelle 6 (.csv)",
   "landmarks (.ply)": "Landmarken (.ply)",
   "landmarks (.vtp)": "Landmarken (.vtp)",
   "landmarks in colour, for Blender and the web (.glb)": "farbige Landmarken, für Blender und das Web (.glb)",
+  More: "Mehr",
   Update: "Aktualisieren",
   Merge: "Zusammenführen",
   Rename: "Umbenennen",
@@ -200,10 +201,10 @@ export const GERMAN = {
   "it works": "es funktioniert",
   "it may fail": "es kann fehlschlagen",
   "it will fail": "es schlägt fehl",
-  "At {0}, {1} {2}, looking {3}°: {4} landmarks in view; {5}.":
-    "Bei {0}, {1} {2}, Blickrichtung {3}°: {4} Landmarken im Bild; {5}.",
+  "At {0} {1}, looking {2}°: {3} landmarks in view; {4}.":
+    "Bei {0} {1}, Blickrichtung {2}°: {3} Landmarken im Bild; {4}.",
   "Walk here next:": "Als Nächstes hier entlanggehen:",
-  "around {0}, {1} {2}, looking to {3}° (the arrow).": "bei {0}, {1} {2}, Blickrichtung {3}° (der Pfeil).",
+  "around {0} {1}, looking to {2}° (the arrow).": "bei {0} {1}, Blickrichtung {2}° (der Pfeil).",
   "Record it": "Aufnehmen",
   fewer: "weniger",
   units: "Einheiten",
@@ -320,10 +321,10 @@ export const GERMAN = {
   Landscape: "Landschaft",
   "Play the ascents": "Aufstiege abspielen",
   "Too little in the picture matches to climb by.": "Im Bild passt zu wenig zur Karte, um daran aufzusteigen.",
-  "Positions around the pose, {0} {1} wide, from above: the brighter, the better they explain the picture. {2} ascents; the best gains {3} nats.":
-    "Positionen um die Pose, {0} {1} breit, von oben: je heller, desto besser erklären sie das Bild. {2} Aufstiege; der beste gewinnt {3} Nat.",
-  "No pose, but the best optimum: positions around it, {0} {1} wide, from above. {2} ascents; the best gains {3} nats.":
-    "Keine Pose, aber das beste Optimum: Positionen darum herum, {0} {1} breit, von oben. {2} Aufstiege; der beste gewinnt {3} Nat.",
+  "Positions around the pose, {0} {1} wide, from above: the brighter, the better they explain the picture. {2} ascents.":
+    "Positionen um die Pose, {0} {1} breit, von oben: je heller, desto besser erklären sie das Bild. {2} Aufstiege.",
+  "No pose, but the best optimum: positions around it, {0} {1} wide, from above. {2} ascents.":
+    "Keine Pose, aber das beste Optimum: Positionen darum herum, {0} {1} breit, von oben. {2} Aufstiege.",
   "Localizing …": "Wird lokalisiert …",
   "Type the picture's horizontal field of view, or choose a camera.":
     "Das waagrechte Blickfeld des Bildes eingeben oder eine Kamera wählen.",
@@ -386,6 +387,7 @@ export const GERMAN = {
   searching: "sucht noch",
   tracking: "verfolgt",
   lost: "verloren",
+  stopped: "angehalten",
   "Too long without an answer of use: the pose is a guess.":
     "Zu lange keine brauchbare Antwort: Die Pose ist nur geschätzt.",
   "The pose jumped by {0}. The track before it may be wrong.":

@@ -2,6 +2,8 @@
 
 import { t } from "./text.js";
 
+const EXPECTED = /Its poses are expected to be right to [\d.]+ cm\.\s*/; // the page says it in a place of its own
+
 /** How far a map may be relied on. */
 export const Trust = Object.freeze({ YES: "yes", NO: "no", UNKNOWN: "unknown" });
 
@@ -26,7 +28,8 @@ export const mostTrusted = (maps) =>
 
 /** A reason as the server gives it, and where it is full of figures, what they mean. */
 export function inPlainWords(why) {
-  if (typeof why !== "string" || !why) return null;
+  if (typeof why !== "string" || !why.replace(EXPECTED, "")) return null;
+  why = why.replace(EXPECTED, "");
   const disagree = /Two reconstructions disagree[^.]*(\.\d[^.]*)*\./;
   const agree = /Two reconstructions agree[^.]*(\.\d[^.]*)*\./;
   const unchecked = /Only \d+ of \d+ keyframes could be checked\./;

@@ -2,7 +2,7 @@
 
 import { ask, busy, fill, h } from "../../shared/dom.js";
 import { field, mapNameOf, nameField } from "../../shared/name_choice.js";
-import { t } from "../../shared/text.js";
+import { t, when } from "../../shared/text.js";
 import { draft, keepDraft } from "../draft.js";
 import { missing } from "../problem.js";
 import { askForSensors } from "../sensors.js";
@@ -11,7 +11,7 @@ import { mayUpload } from "../upload.js";
 import { guide } from "./guide.js";
 import { onPhone } from "./on_phone.js";
 import { waypointList } from "./waypoint_list.js";
-import { duration, moment, size } from "./words.js";
+import { duration, size } from "./words.js";
 
 const LITTLE_ROOM_BYTES = 300e6;
 
@@ -110,7 +110,7 @@ function card(recording, store) {
     h(
       "p",
       { class: "muted small" },
-      `${moment(recording.created)} · ${duration(recording.duration)} · ${size(recording.bytes)}`,
+      `${when(recording.created)} · ${duration(recording.duration)} · ${size(recording.bytes)}`,
     ),
     h(
       "div",

@@ -3,14 +3,14 @@
 import { get, path } from "../../shared/api.js";
 import { action, fill, h } from "../../shared/dom.js";
 import { Existing } from "../../shared/name_choice.js";
-import { t } from "../../shared/text.js";
+import { percent, t } from "../../shared/text.js";
 import { blamesPoints, inPlainWords, mistakesIn, Trust, whatToDo } from "../../shared/trust.js";
 import { cancelJob, followJob } from "../job.js";
 import { mapNames } from "../map_names.js";
 import { archive } from "../recording.js";
 import { State } from "../store.js";
 import { upload } from "../upload.js";
-import { percent, size } from "./words.js";
+import { size } from "./words.js";
 
 const STAGES = {
   received: t`Received`,
