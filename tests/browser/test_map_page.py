@@ -342,6 +342,7 @@ def test_a_german_browser_is_spoken_to_in_german(desk_browser, running, opened, 
         expect(settled(page).get_by_text("Auf diese Karte ist kein Verlass.")).to_be_visible()
         assert page.evaluate("document.documentElement.lang") == "de"
         expect(page.get_by_role("link", name="Aufträge")).to_be_visible()
+        page.get_by_text("Mehr", exact=True).click()
         page.get_by_role("button", name="Löschen").click()
         expect(page.get_by_role("dialog").get_by_role("button", name="Abbrechen")).to_be_focused()
 

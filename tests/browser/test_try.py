@@ -342,7 +342,7 @@ def test_a_video_is_tracked_to_its_end(desk_browser, running, picture_world, ope
         expect(page.get_by_role("button", name="Stop the video")).to_be_visible()
         expect(page.locator(".answer .badge")).to_have_text("tracking")
         expect(page.get_by_role("button", name="Use the camera")).to_be_visible()  # it has come to its end
-        expect(page.locator(".answer .badge")).to_have_text("tracking")
+        expect(page.locator(".answer .badge")).to_have_text("stopped")
         (tmp_path / "broken.webm").write_bytes(b"\x1a\x45\xdf\xa3 no video")
         take(page, tmp_path / "broken.webm")
         expect(page.get_by_role("alert")).to_contain_text("not a video that the browser can play")

@@ -1,9 +1,9 @@
 // Mapping jobs: how far they are, why they failed, cancelled and tried again.
 
 import { cancelJob, followJob } from "../record/job.js";
-import { call, get, path } from "../shared/api.js";
+import { call, get, passes, path } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
-import { t, translated } from "../shared/text.js";
+import { heard, t, translated } from "../shared/text.js";
 import { inPlainWords, Trust, whatToDo } from "../shared/trust.js";
 import { duration, when } from "./format.js";
 import { empty, facts, loading, lostNotice, skeletons, stateBadge } from "./parts.js";
@@ -52,9 +52,6 @@ async function watchAll(list, lost, signal) {
   }
 }
 
-/** Whether an error is of a server that will be back. */
-const passes = (error) => error.code === "unreachable" || error.status >= 500;
-
 const noJobs = () =>
   empty(
     t`No jobs yet`,
@@ -73,7 +70,7 @@ function row(job) {
       h("span", { class: "row" }, stateBadge(job), h("span", { class: "muted small" }, when(job.created))),
     ),
     bar(job),
-    h("p", { class: "muted small" }, job.error?.message ?? job.message),
+    h("p", { class: "muted small" }, heard(job.error?.message ?? job.message)),
     job.warnings.map((warning) => h("p", { class: "small reason" }, inPlainWords(warning).plain)),
   );
 }
@@ -134,7 +131,7 @@ function overview(job) {
     h(
       "div",
       { class: "card stack" },
-      h("div", { class: "row" }, stateBadge(job), h("span", { role: "status" }, job.message)),
+      h("div", { class: "row" }, stateBadge(job), h("span", { role: "status" }, heard(job.message))),
       bar(job),
       stages(job),
     ),

@@ -3,7 +3,7 @@
 import { call, download, get, objectUrl, path, request } from "../shared/api.js";
 import { action, ask, fill, h, tell } from "../shared/dom.js";
 import { field, mapNameOf, nameChoice, nameField } from "../shared/name_choice.js";
-import { coordinates, decimal, t } from "../shared/text.js";
+import { coordinates, decimal, heard, t } from "../shared/text.js";
 import { inPlainWords, mistakesIn, mostTrusted, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { coverageView } from "./coverage_view.js";
 import { keptPlan } from "./floor_plan.js";
@@ -130,7 +130,7 @@ function fillAbout(place, map, report, learning) {
   const advice = [report.coaching ?? []]
     .flat()
     .flatMap((section) => section.advice ?? [])
-    .map(({ text }) => text);
+    .map(({ text }) => heard(text));
   fill(
     place,
     !metric &&

@@ -1,5 +1,6 @@
 // What several parts of the console show.
 
+import { passes, serverIsBack } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
 import { restsOnGivenPoses, Trust, trustOf } from "../shared/trust.js";
@@ -23,6 +24,7 @@ export function problem(error, again) {
     { class: "notice bad stack", role: "alert" },
     h("p", {}, h("strong", {}, error.summary ?? error.message)),
     error.hint && h("p", {}, error.hint),
+    error.code === "unreachable" && h("p", {}, t`This page continues by itself when it is back.`),
     h(
       "div",
       { class: "row" },
@@ -43,14 +45,20 @@ export async function loading(element, load, signal) {
   try {
     await load();
   } catch (error) {
-    if (!signal.aborted)
-      fill(
-        element,
-        problem(error, () => loading(element, load, signal)),
-      );
+    if (signal.aborted) return;
+    fill(
+      element,
+      problem(error, () => loading(element, load, signal)),
+    );
+    goOn(error, () => loading(element, load, signal), signal);
   } finally {
     element.removeAttribute("aria-busy");
   }
+}
+
+/** After an error of a server that is away, do something again once it is back. */
+export function goOn(error, again, signal) {
+  if (passes(error)) serverIsBack(signal).then(again, () => {}); // left meanwhile
 }
 
 /** Names and figures beside each other. */

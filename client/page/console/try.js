@@ -3,7 +3,7 @@
 import { call, get, path, storedKey, url } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
-import { coordinates, decimal, t } from "../shared/text.js";
+import { coordinates, decimal, heard, t } from "../shared/text.js";
 import { inPlainWords, mostTrusted, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { length } from "./format.js";
 import { cameraFrames, readPicture, videoFrames } from "./frame_sources.js";
@@ -307,7 +307,7 @@ class Trial {
 
 /** Why an answer has no pose. */
 const reasons = ({ reason, diagnosis }) =>
-  h("p", {}, diagnosis ? `${diagnosis.message} ${diagnosis.hint}` : (WHY[reason] ?? reason));
+  h("p", {}, diagnosis ? heard(`${diagnosis.message} ${diagnosis.hint}`) : (WHY[reason] ?? reason));
 
 const doubt = (text) => h("p", { class: "notice warn small" }, text);
 
@@ -545,7 +545,9 @@ async function film(trial, framesOf) {
       await step(frame, () => rate(times));
     }
   } catch (error) {
-    if (!signal.aborted) trial.fail(error);
+    const failed = !signal.aborted;
+    trial.stop();
+    if (failed) trial.fail(error);
   }
   if (!stopping.signal.aborted) trial.stop();
 }

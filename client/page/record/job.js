@@ -1,6 +1,6 @@
 // A mapping job, followed until it ends.
 
-import { ApiError, call, get, path } from "../shared/api.js";
+import { ApiError, call, get, passes, path } from "../shared/api.js";
 import { events } from "../shared/events.js";
 
 const ENDED = new Set(["published", "failed", "cancelled"]);
@@ -22,8 +22,7 @@ export async function followJob(id, hear, signal, lost = (_error) => {}) {
       hear(job);
       if (ENDED.has(job.state)) return job;
     } catch (error) {
-      if (!(error instanceof ApiError || error instanceof TypeError)) throw error;
-      if (error instanceof ApiError && error.code !== "unreachable" && error.status < 500) throw error;
+      if (!(error instanceof TypeError || (error instanceof ApiError && passes(error)))) throw error;
       if (error instanceof ApiError) lost(error);
     }
     await new Promise((resolve) => setTimeout(resolve, PAUSE_MS));

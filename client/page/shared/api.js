@@ -1,14 +1,17 @@
 // The service over HTTP: one function per kind of call, errors in one shape, and the API key where one is asked for.
 
 import { ask, h } from "./dom.js";
-import { t } from "./text.js";
+import { heard, t } from "./text.js";
 
 const BASE = new URL("../../", import.meta.url);
 const KEY = "rholoc-api-key";
+const LOOK_MS = 2000;
 
 /** What the service, or the way to it, answered instead of what was asked for. */
 export class ApiError extends Error {
   constructor({ code, message, hint = "", request_id = "" }, status = 0) {
+    message = heard(message);
+    hint = heard(hint);
     super([message, hint].filter(Boolean).join(" "));
     this.code = code;
     this.hint = hint;
@@ -107,6 +110,23 @@ export async function download(where, name, options) {
   const address = await objectUrl(where, options);
   h("a", { href: address, download: name }).click();
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}
+
+/** Whether an error is of a server that will be back. */
+export const passes = (error) => error.code === "unreachable" || error.status >= 500;
+
+/** Wait until the server answers again. */
+export async function serverIsBack(signal) {
+  for (;;) {
+    await new Promise((resolve) => setTimeout(resolve, LOOK_MS));
+    signal.throwIfAborted();
+    try {
+      const response = await send(url("v1/maps"), { headers: authorization(), signal });
+      if (response.status < 500) return;
+    } catch (error) {
+      if (!passes(error)) throw error;
+    }
+  }
 }
 
 async function send(address, options) {

@@ -774,3 +774,55 @@ export const GERMAN = {
   "Only these frames": "Nur diese Bilder",
   "From and to, by number; empty for all": "Von und bis, nach Nummer; leer für alle",
 };
+
+// Sentences of the server, as it says them in English; tests/page looks whether it still does.
+export const GERMAN_OF_SERVER = {
+  "This picture does not show this map: nothing in it looks like anything there.":
+    "Dieses Bild zeigt diese Karte nicht: Nichts darin gleicht etwas von dort.",
+  "This picture does not show this map: {0} of {1} matches agree, no better than chance.":
+    "Dieses Bild zeigt diese Karte nicht: {0} von {1} Zuordnungen stimmen überein, nicht mehr als durch Zufall.",
+  "Too little in this picture shows this map to be sure of the place: {0} of {1} matches agree.":
+    "Zu wenig in diesem Bild zeigt diese Karte, um des Ortes sicher zu sein: {0} von {1} Zuordnungen stimmen überein.",
+  "Check that it is the right map, and look where the recording looked; or extend the map by a walk from here.":
+    "Prüfen, ob es die richtige Karte ist, und dorthin sehen, wohin die Aufnahme sah; oder die Karte um einen Rundgang von hier erweitern.",
+  "The picture is nearly black: its mean grey level is {0} of 255.":
+    "Das Bild ist fast schwarz: Sein mittlerer Grauwert ist {0} von 255.",
+  "Switch on a light, or let the camera expose longer while it stands still.":
+    "Licht einschalten oder die Kamera länger belichten lassen, während sie still steht.",
+  "The picture is blurred.": "Das Bild ist unscharf.",
+  "Hold the camera still for the next picture, or shorten its exposure.":
+    "Die Kamera beim nächsten Bild still halten oder kürzer belichten.",
+  "Its light is unlike that of the map's recording (mean grey level {0}, the recording's {1}).":
+    "Das Licht ist anders als in der Aufnahme der Karte (mittlerer Grauwert {0}, in der Aufnahme {1}).",
+  "Its light is unlike that of the map's recording.": "Das Licht ist anders als in der Aufnahme der Karte.",
+  "Check that it is the right map; if it is, extend it by a walk in this light.":
+    "Prüfen, ob es die richtige Karte ist; wenn ja, sie um einen Rundgang bei diesem Licht erweitern.",
+  "The picture shows hardly anything but a bare surface.": "Das Bild zeigt kaum mehr als eine kahle Fläche.",
+  "Turn the camera towards furniture, pictures or shelves.": "Die Kamera auf Möbel, Bilder oder Regale richten.",
+  "The place was recognized, but the pose is only known to {0} (1σ); at most {1} was asked for.":
+    "Der Ort wurde erkannt, aber die Pose ist nur auf {0} (1σ) bekannt; verlangt waren höchstens {1}.",
+  "The place was found, but the map itself may be off by more than half a metre there.":
+    "Der Ort wurde gefunden, aber die Karte selbst kann dort um mehr als einen halben Meter danebenliegen.",
+  "The camera's focal length looks wrong: about {0} px fits better than {1} px.":
+    "Die Brennweite der Kamera sieht falsch aus: Etwa {0} px passen besser als {1} px.",
+  "Send the intrinsics of the picture as it is sent, after scaling and cropping; or ask with intrinsics unknown.":
+    "Die intrinsischen Parameter des Bildes angeben, wie es nach dem Verkleinern und Zuschneiden ist; oder die Kamera als unbekannt angeben.",
+  "The waypoint {0} is missed by {1} m.": "Der Wegpunkt {0} wird um {1} m verfehlt.",
+  "This server requires an API key.": "Dieser Server verlangt einen API-Schlüssel.",
+  "This API key is unknown, or was revoked.": "Dieser API-Schlüssel ist unbekannt oder wurde widerrufen.",
+  "This API key was revoked.": "Dieser API-Schlüssel wurde widerrufen.",
+  "This API key has expired.": "Dieser API-Schlüssel ist abgelaufen.",
+  "This API key may not do that: its scope is {0}, and {1} is needed.":
+    "Dieser API-Schlüssel darf das nicht: Er erlaubt {0}, nötig ist {1}.",
+  "Turn slower: a tenth of the walk was above {0}°/s; above {1} pictures blur.":
+    "Langsamer drehen: Ein Zehntel des Rundgangs lag über {0}°/s; über {1} werden Bilder unscharf.",
+  "Switch on more light: the mean grey is {0} of 255; at least {1} is needed.":
+    "Mehr Licht einschalten: Der mittlere Grauwert ist {0} von 255; nötig sind {1}.",
+  "Keep more texture in view: {0} of the frames show hardly any corners (bare walls, or blur).":
+    "Mehr Strukturen im Bild behalten: {0} der Bilder zeigen kaum Ecken (kahle Wände oder Unschärfe).",
+  "reading the recording": "Aufnahme wird gelesen",
+  "{0} of {1} frames looked at": "{0} von {1} Bildern angesehen",
+  "{0} of {1} pairs of keyframes matched": "{0} von {1} Paaren von Schlüsselbildern verglichen",
+  "{0} of {1} keyframes placed": "{0} von {1} Schlüsselbildern eingeordnet",
+  "features of {0} of {1} frames": "Merkmale von {0} von {1} Bildern",
+};

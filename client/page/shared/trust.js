@@ -1,6 +1,6 @@
 // Whether a map can be relied on, why, and what to do where it cannot.
 
-import { t } from "./text.js";
+import { heard, t } from "./text.js";
 
 const EXPECTED = /Its poses are expected to be right to [\d.]+ cm\.\s*/; // the page says it in a place of its own
 
@@ -35,7 +35,7 @@ export function inPlainWords(why) {
   const unchecked = /Only \d+ of \d+ keyframes could be checked\./;
   if (disagree.test(why))
     return {
-      plain: why.replace(
+      plain: heard(why).replace(
         disagree,
         t`Reconstructed twice from different pictures, the walk came out in two different shapes: somewhere the map is wrong.`,
       ),
@@ -43,15 +43,21 @@ export function inPlainWords(why) {
     };
   if (agree.test(why))
     return {
-      plain: why.replace(agree, t`Reconstructed twice from different pictures, the walk came out in the same shape.`),
+      plain: heard(why).replace(
+        agree,
+        t`Reconstructed twice from different pictures, the walk came out in the same shape.`,
+      ),
       technical: why,
     };
   if (unchecked.test(why))
     return {
-      plain: why.replace(unchecked, t`Too little of the walk could be reconstructed a second time to check its shape.`),
+      plain: heard(why).replace(
+        unchecked,
+        t`Too little of the walk could be reconstructed a second time to check its shape.`,
+      ),
       technical: why,
     };
-  return { plain: why, technical: null };
+  return { plain: heard(why), technical: null };
 }
 
 /** Whether what speaks against a map, or is to be corrected in it, are its measured points. */

@@ -3,7 +3,7 @@
 import { get, path } from "../../shared/api.js";
 import { action, fill, h } from "../../shared/dom.js";
 import { Existing } from "../../shared/name_choice.js";
-import { percent, t } from "../../shared/text.js";
+import { heard, percent, t } from "../../shared/text.js";
 import { blamesPoints, inPlainWords, mistakesIn, Trust, whatToDo } from "../../shared/trust.js";
 import { cancelJob, followJob } from "../job.js";
 import { mapNames } from "../map_names.js";
@@ -143,7 +143,7 @@ class SendPage {
     this.notice.hidden = true;
     if (!this.actions.children.length) this.actions.append(action(t`Cancel`, () => cancelJob(id), "danger"));
     this.bar.value = progress;
-    this.text.textContent = state === "queued" ? t`Waiting for a worker` : message || STAGES[stage];
+    this.text.textContent = state === "queued" ? t`Waiting for a worker` : heard(message) || STAGES[stage];
     const items = [...this.stages.children];
     const now = items.findIndex((item) => item.dataset.stage === stage);
     items.forEach((item, i) => {
