@@ -228,6 +228,8 @@ def test_a_refused_key_keeps_the_recording_and_another_sends_it(serve, phone):
     page.get_by_role("textbox", name="Key").fill(new)
     page.get_by_role("button", name="Use this key").click()
     expect(page.get_by_role("heading", name="The server makes the map")).to_be_visible()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.get_by_role("heading", name="The job was cancelled")).to_be_visible()
 
 
 def test_a_camera_that_is_refused_is_reported_with_what_to_do(running, phone):

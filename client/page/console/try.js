@@ -274,16 +274,16 @@ class Trial {
         "div",
         { class: "row" },
         h("span", { class: ["badge", found.localized ? "good" : "warn"] }, found.localized ? t`localized` : t`no pose`),
-        confidenceOf(found, known),
+        found.localized && confidenceOf(found, known),
       ),
       !found.localized && reasons(found),
       doubts(found, known, this.map).map(doubt),
       facts([
-        [t`Position`, pose ? coordinates(pose.position) + (metric ? " m" : t` units`) : "–"],
+        [t`Position`, pose && coordinates(pose.position) + (metric ? " m" : t` units`)],
         [t`In the area`, found.areas.join(", ") || null],
         [t`Near the point`, found.near.join(", ") || null],
-        [t`Heading`, pose ? coordinates(pose.heading) : "–"],
-        [t`Off by about`, offBy(found, known, metric)],
+        [t`Heading`, pose && coordinates(pose.heading)],
+        [t`Off by about`, pose && offBy(found, known, metric)],
         [
           t`Focal length`,
           found.camera && t`${decimal(found.camera.fx)} px, estimated to ${decimal(found.camera.focal_sigma_px)} px`,
@@ -351,7 +351,7 @@ function doubts(found, known, map) {
 
 /** What the pose may be off by: the spread of the optimum, of which the map's own uncertainty is a part. */
 function offBy(found, known, metric) {
-  if (!found.localized || known === Known.TYPED) return t`unknown`;
+  if (known === Known.TYPED) return t`unknown`;
   const { covariance } = found;
   const spread = covariance && Math.sqrt(covariance[0][0] + covariance[1][1] + covariance[2][2]);
   return Number.isFinite(spread) ? length(spread, metric) : t`unknown`;
