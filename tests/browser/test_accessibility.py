@@ -129,7 +129,7 @@ def test_the_room_is_looked_at_by_keyboard(desk_browser, service, opened, settle
 
 def test_a_dialog_gives_the_focus_back(desk_browser, service, opened, settled):
     with opened(desk_browser, service.url, "maps/room", failures=-1) as page:
-        settled(page)
+        settled(page).get_by_text("More", exact=True).press("Enter")
         for name in ("Rename", "Delete", "Share", "Site, floor, tags"):
             button = page.get_by_role("button", name=name)
             button.press("Enter")

@@ -13,6 +13,9 @@ from rholoc.mapping.build.self_report import map_statistics
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.settings import KeyPolicy
 
+AS_OVER_HTTPS = """Object.defineProperty(window, "isSecureContext", {value: true});
+    Object.defineProperty(navigator, "mediaDevices", {value: {getUserMedia() {}}});"""
+
 
 @pytest.fixture(scope="module")
 def locked(serve, picture_world):
@@ -55,6 +58,7 @@ def test_the_recorder_goes_on_with_a_phone(fake_camera, locked, store, opened):
     at = locked.url.replace("127.0.0.1", "rholoc.test")  # a name that another device could know
     with browser.new_context(viewport={"width": 1280, "height": 850}) as context:
         page = context.new_page()
+        page.add_init_script(AS_OVER_HTTPS)
         page.goto(f"{at}/record#/key/{mine}/next/room/1.0,2.0,90")
         expect(page.get_by_role("heading", name="Go on with a phone")).to_be_visible()
         with page.expect_request("**/v1/qr") as asked:

@@ -34,6 +34,7 @@ def test_those_who_ask_are_in_the_room_and_in_the_table(desk_browser, shown, pic
         blank = cv2.imencode(".png", np.full_like(picture_world.image, 128))[1].tobytes()
         client.localize("room", blank, prior=Prior(position=(1.0, 2.0, 1.5), heading=(1.0, 0.0, 0.0)))
         expect(row.locator(".badge")).to_have_text("none")
+        expect(page.locator(".scene-robot")).to_have_count(0)  # nobody knows where it is
         assert Axe().run(page).violations_count == 0
         button.click()
         expect(live).to_be_hidden()

@@ -259,7 +259,7 @@ SQUARE = [[0, 0, 1.5], [2, 0, 1.5], [2, 3, 1.5], [0, 3, 1.5]]
         (SQUARE, None),
         (SQUARE[:3], None),
         (SQUARE[:2], "2 of at least 3"),
-        ([], "frame of its own"),
+        ([], None),
         ([[0, 0, 0], [1, 1, 1], [2, 2, 2.01]], "one line"),
         ([[0, 0, 0], [0, 0, 0], [0, 0, 0]], "one line"),
         ([*SQUARE, [None, 1, 1]], None),

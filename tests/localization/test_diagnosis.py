@@ -81,6 +81,7 @@ def test_a_bare_wall_is_named(room_map: Map) -> None:
     rng = np.random.default_rng(0)
     wall = rng.normal(150, 6, (480, 640, 3)).clip(0, 255).astype(np.uint8)
     assert _cause(wall, room_map, features=12) is Cause.TOO_LITTLE_TEXTURE
+    assert _cause(np.full_like(wall, 128), room_map, features=0) is Cause.TOO_LITTLE_TEXTURE
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3), (5, 700, 3), (9, 9), (3000, 20, 3)])
@@ -126,4 +127,5 @@ def test_a_tint_is_the_distance_from_grey() -> None:
     assert sight_of(half).tint < 0.5 * sight_of(colour).tint
     small = np.random.default_rng(0).integers(0, 255, (8, 80), np.uint8)
     assert sight_of(small).sharpness == 1.0  # nothing is eight rows apart
-    assert sight_of(np.full((9, 9), 77, np.uint8)).sharpness < 1.0
+    assert sight_of(np.full((9, 9), 77, np.uint8)).sharpness == 1.0  # nothing there to be blurred
+    assert sight_of(np.tile(np.arange(0, 180, 20, dtype=np.uint8), (9, 1))).sharpness < 0.5

@@ -108,6 +108,11 @@ def test_each_correction_does_what_it_is_called(room):
     assert set_up(room, np.array([0.0, 0.0, -1.0])).info.upright
 
 
+def test_a_version_has_its_own_time(room):
+    named = set_names(replace(room, info=replace(room.info, created="2020-01-01T00:00:00+00:00")), MapNames())
+    assert named.info.created == named.info.corrections[-1].created > "2020-01-01"
+
+
 def test_a_plan_of_another_scale_is_missed_and_says_so(room):
     laid = lay_over_plan(room, np.array([[0.0, 0, 0], [2.0, 0, 0]]), np.array([[0.0, 0], [2.2, 0]]), scaled=False)
     assert laid.info.corrections[-1].residual_m == pytest.approx(0.1)

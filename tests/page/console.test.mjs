@@ -7,6 +7,7 @@ import { summary as landscapeInWords, heights } from "../../client/page/console/
 import { learningText } from "../../client/page/console/learning.js";
 import { grouped, matches } from "../../client/page/console/list_tools.js";
 import { Motions } from "../../client/page/console/motions.js";
+import { fittingDistance, lookAt, multiply, perspective, project } from "../../client/page/console/matrix.js";
 import { clipped } from "../../client/page/console/plain_painter.js";
 import { strokes } from "../../client/page/console/plan_lines.js";
 import { sayPicked } from "../../client/page/console/scene.js";
@@ -142,6 +143,18 @@ const poseAt = (x) => [
   [0, 0, 0, 1],
 ];
 
+test("the whole room just fills the picture, whatever its shape", () => {
+  const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((i) => [i & 1 ? 6 : 0, i & 2 ? 3 : -1, i & 4 ? 2.5 : 0]);
+  const target = [3, 1, 1.25];
+  const away = [0.6, -0.5, Math.sqrt(1 - 0.61)];
+  for (const [aspect, fov] of [[1.6, 0.9], [0.6, 1.2]]) {
+    const far = fittingDistance(corners, target, away, fov, aspect, 0.9);
+    const matrix = multiply(perspective(fov, aspect, 0.1, 100), lookAt(target.map((v, i) => v + far * away[i]), target));
+    const reach = corners.flatMap((corner) => project(matrix, corner).slice(0, 2).map(Math.abs));
+    near(Math.max(...reach), 0.9, 1e-5);
+  }
+});
+
 test("who asks moves smoothly from answer to answer, and fades", () => {
   const motions = new Motions();
   const hear = (x, now) => motions.hear({ asker: "robot", T_map_camera: poseAt(x), localized: true }, now);
@@ -176,7 +189,10 @@ test("on the way a turned camera stays a camera", () => {
 });
 
 test("failures are counted in a sentence", () => {
-  assert.match(sayFailures([{ reason: null }, { reason: "deadline" }]), /without a pose: 1, with an unsure one: 1/);
+  const position = [0, 0, 0];
+  const placed = [{ reason: null, position }, { reason: "deadline", position }];
+  assert.match(sayFailures(placed), /without a pose: 1, with an unsure one: 1\. The drawing glows .* from\.$/);
+  assert.match(sayFailures([{ reason: "deadline", position: null }]), /without a pose: 1, .*: 0\. Of 1 nobody knows where they/);
   assert.match(sayFailures([]), /No request failed/);
 });
 
@@ -194,7 +210,7 @@ test("a landscape is drawn north up, dark to bright", () => {
 
 test("a landscape says how wide it is and how much is gained", () => {
   const seen = { values: [[1, 2], [3, 4]], spacing: 0.5, ways: [{ gain_nats: 3 }, { gain_nats: 17.4 }], scale: "metric" };
-  assert.match(landscapeInWords({ ...seen, localized: true }), /around the pose, 0\.5 m wide.* 2 ascents; .* 17 nats/);
+  assert.match(landscapeInWords({ ...seen, localized: true }), /around the pose, 0\.5 m wide.* 2 ascents\.$/);
   assert.match(landscapeInWords({ ...seen, localized: false }), /^No pose/);
 });
 

@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { mapNameOf } from "../../client/page/shared/name_choice.js";
 import { advice, BAREST, brightness, Flaw, flaws, LEAST_SHARP, sharpness, texture } from "../../client/page/record/coaching.js";
 import { Headings, SECTORS } from "../../client/page/record/headings.js";
 import { agreeing, featuresOf, match, PlaceMemory } from "../../client/page/record/place_memory.js";
@@ -129,4 +130,12 @@ test("directions are counted from the gyroscope, to the right, however the phone
     headings.turn([100, ...row]); // a gap says nothing
     assert.equal(headings.sector, SECTORS / 4);
   }
+});
+
+test("any title becomes a name that the service takes", () => {
+  assert.equal(mapNameOf("Office 2nd floor"), "Office-2nd-floor");
+  assert.equal(mapNameOf(" Büro (Straße é) "), "Buero-Strasse-e");
+  assert.equal(mapNameOf("hall-2.b_"), "hall-2.b_");
+  assert.equal(mapNameOf("会議室"), "");
+  assert.equal(mapNameOf("x".repeat(99)).length, 64);
 });

@@ -3,8 +3,8 @@ import { readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 
-import { key, translated } from "../../client/page/shared/text.js";
-import { GERMAN } from "../../client/page/shared/texts.js";
+import { inGerman, key, translated } from "../../client/page/shared/text.js";
+import { GERMAN, GERMAN_OF_SERVER } from "../../client/page/shared/texts.js";
 
 const ROOT = new URL("../../client/page", import.meta.url).pathname;
 const SPOKEN = ["queued", "running", "published", "failed", "cancelled", "received", "read", "keyframes", "features"];
@@ -67,4 +67,17 @@ test("a translation has the values of its text", () => {
 test("values are put in, in any order, and not looked into", () => {
   assert.equal(key`from ${1} to ${2}`, "from {0} to {1}");
   assert.equal(translated("{1} before {0}", ["a", "{1}"]), "{1} before a");
+});
+
+test("the server still says what is translated of it, and figures get a comma", () => {
+  const server = new URL("../../server/rholoc", import.meta.url).pathname;
+  const files = readdirSync(server, { recursive: true, encoding: "utf8" }).filter((name) => name.endsWith(".py"));
+  const source = files.map((name) => readFileSync(join(server, name), "utf8")).join("\n").replace(/"\s*f?"/g, "");
+  for (const text of Object.keys(GERMAN_OF_SERVER))
+    for (const piece of text.split(/\{\d\}|, | \(|\)?\.$/)) assert.ok(source.includes(piece), `${text}: ${piece}`);
+  const said = "This picture does not show this map: 20 of 459 matches agree, no better than chance. Ask. The waypoint W2 is missed by 0.31 m.";
+  assert.equal(
+    inGerman(said),
+    "Dieses Bild zeigt diese Karte nicht: 20 von 459 Zuordnungen stimmen überein, nicht mehr als durch Zufall. Ask. Der Wegpunkt W2 wird um 0,31 m verfehlt.",
+  );
 });

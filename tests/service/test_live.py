@@ -57,19 +57,20 @@ def test_who_asks_is_seen_by_key_where_and_how_surely(watched, keys, picture_wor
     assert 0 < seen["robot-1"]["sigma_m"] < 0.1
     assert not seen["robot-2"]["localized"]
     assert seen["robot-2"]["reason"]
-    np.testing.assert_allclose(seen["robot-2"]["position"], found.pose.position, atol=1e-6)  # the last one
+    assert seen["robot-2"]["position"] is None  # where it had been says nothing about this picture
 
 
 def test_failures_are_kept_without_names(watched, keys, picture_world):
     client = Client(watched.url, api_key=keys["robot-1"])
-    assert not client.localize("other", blank(picture_world)).localized  # nobody knows where
     prior = Prior(position=(4.0, 5.0, 1.0), heading=(1.0, 0.0, 0.0))
     assert not client.localize("other", blank(picture_world), prior=prior).localized
     assert client.localize("other", picture_world.png()).localized
+    assert not client.localize("other", blank(picture_world)).localized  # nobody knows where
     headers = {"Authorization": f"Bearer {keys['watcher']}"}
-    kept, *_ = httpx.get(f"{watched.url}/v1/maps/other/failures", headers=headers).json()["failures"]
+    kept, unknown = httpx.get(f"{watched.url}/v1/maps/other/failures", headers=headers).json()["failures"]
     assert kept["position"] == [4.0, 5.0, 1.0]
     assert kept["reason"]
+    assert (unknown["position"], unknown["heading"]) == (None, None)
     assert "robot" not in json.dumps(kept)
 
 

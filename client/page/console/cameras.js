@@ -1,10 +1,10 @@
 // Cameras: intrinsics that frames and recordings refer to by name.
 
 import { call, get, path } from "../shared/api.js";
-import { ask, fill, h } from "../shared/dom.js";
+import { action, ask, fill, h } from "../shared/dom.js";
 import { field, nameField } from "../shared/name_choice.js";
-import { t } from "../shared/text.js";
-import { action, empty, loading, page, skeletons } from "./parts.js";
+import { coordinates, decimal, t } from "../shared/text.js";
+import { empty, loading, page, skeletons } from "./parts.js";
 
 const FIGURES = [
   ["width", t`Width, px`],
@@ -62,18 +62,16 @@ function card(camera, reload) {
       { class: "mono" },
       `${camera.width} × ${camera.height}`,
       h("br"),
-      `f ${camera.fx.toFixed(1)}, ${camera.fy.toFixed(1)}`,
+      `f ${coordinates([camera.fx, camera.fy], 1)}`,
       h("br"),
-      `c ${camera.cx.toFixed(1)}, ${camera.cy.toFixed(1)}`,
+      `c ${coordinates([camera.cx, camera.cy], 1)}`,
     ),
     h(
       "p",
       { class: "muted small" },
-      camera.distortion.length
-        ? t`distortion ${camera.distortion.map((v) => v.toPrecision(3)).join(", ")}`
-        : t`no distortion`,
+      camera.distortion.length ? t`distortion ${coordinates(camera.distortion, 3)}` : t`no distortion`,
       camera.lens !== "pinhole" && ` · ${LENSES[camera.lens]}`,
-      typeof rms === "number" && t` · off by ${rms.toFixed(2)} px`,
+      typeof rms === "number" && t` · off by ${decimal(rms, 2)} px`,
     ),
     h(
       "div",

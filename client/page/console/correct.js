@@ -1,12 +1,12 @@
 // A map made right: its frame, its scale, what is to go and what is called what, drawn on the map or typed.
 
 import { call, get, path, request } from "../shared/api.js";
-import { fill, h } from "../shared/dom.js";
+import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { keptPlan } from "./floor_plan.js";
 import { count, length, when } from "./format.js";
-import { action, loading, page, skeletons, tell } from "./parts.js";
+import { loading, page, skeletons } from "./parts.js";
 import { PlanPicture } from "./plan_picture.js";
 import { PlanView, Side } from "./plan_view.js";
 import { readScene } from "./scene_data.js";

@@ -2,7 +2,7 @@
 
 import { resolvedColour } from "../shared/colours.js";
 import { fill, h } from "../shared/dom.js";
-import { t } from "../shared/text.js";
+import { coordinates, t } from "../shared/text.js";
 import { keptPlan } from "./floor_plan.js";
 import { drawFloorPlan } from "./plan_view.js";
 
@@ -104,7 +104,7 @@ function walkNext({ degrees, position: [x, y] }, map, unit) {
       {},
       h("strong", {}, t`Walk here next:`),
       " ",
-      t`around ${place[0]}, ${place[1]} ${unit}, looking to ${place[2]}° (the arrow).`,
+      t`around ${coordinates([x, y], 1)} ${unit}, looking to ${place[2]}° (the arrow).`,
     ),
     h("a", { class: "button", href: `record#/next/${encodeURIComponent(map.name)}/${place.join(",")}` }, t`Record it`),
   );
@@ -118,7 +118,7 @@ export function summary({ share_sufficient: share, positions_sufficient: places,
 
 /** What is said of one place and direction. */
 export function sayPlace(coverage, cell, heading, unit) {
-  const [x, y] = position(coverage, cell).map((value) => value.toFixed(2));
+  const at = coordinates(position(coverage, cell));
   const seen = coverage.counts[cell][heading];
   const degrees = Math.round(coverage.headings_deg[heading]);
   const [, verdict] = [
@@ -126,7 +126,7 @@ export function sayPlace(coverage, cell, heading, unit) {
     [0.5, t`it may fail`],
     [0, t`it will fail`],
   ].find(([share]) => seen >= share * coverage.sufficient);
-  return t`At ${x}, ${y} ${unit}, looking ${degrees}°: ${seen} landmarks in view; ${verdict}.`;
+  return t`At ${at} ${unit}, looking ${degrees}°: ${seen} landmarks in view; ${verdict}.`;
 }
 
 /**
@@ -277,12 +277,20 @@ const colourOf = (share) => LEVELS.find(([least]) => share >= least)[1];
 export function sayFailures(failures) {
   if (!failures.length) return t`No request failed here in the last day, as far as this server knows.`;
   const none = failures.filter(({ reason }) => reason !== null).length;
-  return t`Requests of the last day without a pose: ${none}, with an unsure one: ${failures.length - none}. The drawing glows where they came from.`;
+  const lost = failures.filter(({ position }) => !position).length;
+  return [
+    t`Requests of the last day without a pose: ${none}, with an unsure one: ${failures.length - none}.`,
+    lost < failures.length && t`The drawing glows where they came from.`,
+    lost > 0 && t`Of ${lost} nobody knows where they came from.`,
+  ]
+    .filter(Boolean)
+    .join(" ");
 }
 
 /** A glow where requests failed: the more, the stronger, but what is below stays to be seen. */
 function drawFailures(context, { axes, step }, place, failures, token) {
-  if (!failures.length) return;
+  const placed = failures.filter(({ position }) => position);
+  if (!placed.length) return;
   const { width, height } = context.canvas;
   const glow = Object.assign(document.createElement("canvas"), { width, height });
   const layer = glow.getContext("2d");
@@ -290,7 +298,7 @@ function drawFailures(context, { axes, step }, place, failures, token) {
   layer.fillStyle = token("--bad");
   layer.globalAlpha = GLOW_ALPHA;
   const reach = Math.max(GLOW_PX, (GLOW_M / step) * place.pixels);
-  for (const { position } of failures) {
+  for (const { position } of placed) {
     const [x, y] = place.point(dot(position, axes[0]), dot(position, axes[1]));
     for (const share of [1, 0.66, 0.33]) {
       layer.beginPath();

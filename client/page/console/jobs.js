@@ -1,12 +1,12 @@
 // Mapping jobs: how far they are, why they failed, cancelled and tried again.
 
-import { followJob } from "../record/job.js";
-import { call, get, path } from "../shared/api.js";
-import { fill, h } from "../shared/dom.js";
-import { t, translated } from "../shared/text.js";
+import { cancelJob, followJob } from "../record/job.js";
+import { call, get, passes, path } from "../shared/api.js";
+import { action, fill, h, tell } from "../shared/dom.js";
+import { heard, t, translated } from "../shared/text.js";
 import { inPlainWords, Trust, whatToDo } from "../shared/trust.js";
-import { ago, duration, when } from "./format.js";
-import { action, empty, facts, loading, lostNotice, skeletons, stateBadge, tell } from "./parts.js";
+import { duration, when } from "./format.js";
+import { empty, facts, loading, lostNotice, skeletons, stateBadge } from "./parts.js";
 
 const STAGES = [
   "received",
@@ -52,9 +52,6 @@ async function watchAll(list, lost, signal) {
   }
 }
 
-/** Whether an error is of a server that will be back. */
-const passes = (error) => error.code === "unreachable" || error.status >= 500;
-
 const noJobs = () =>
   empty(
     t`No jobs yet`,
@@ -70,17 +67,23 @@ function row(job) {
       "div",
       { class: "row spread" },
       h("h2", {}, h("a", { href: `#/jobs/${job.id}` }, nameOf(job))),
-      h("span", { class: "row" }, stateBadge(job), h("span", { class: "muted small" }, ago(job.created))),
+      h("span", { class: "row" }, stateBadge(job), h("span", { class: "muted small" }, when(job.created))),
     ),
     bar(job),
-    h("p", { class: "muted small" }, job.error?.message ?? job.message),
+    h("p", { class: "muted small" }, heard(job.error?.message ?? job.message)),
     job.warnings.map((warning) => h("p", { class: "small reason" }, inPlainWords(warning).plain)),
   );
 }
 
 const nameOf = (job) => (job.site ? t`Site ${job.site}` : job.map);
 
-const bar = (job) => h("progress", { max: 1, value: job.progress, "aria-label": t`Progress of ${nameOf(job)}` });
+const bar = (job) =>
+  h("progress", {
+    max: 1,
+    value: job.progress,
+    class: job.state === "failed" && "failed",
+    "aria-label": t`Progress of ${nameOf(job)}`,
+  });
 
 export async function showJob(main, id, signal) {
   const lost = lostNotice();
@@ -106,7 +109,7 @@ function overview(job) {
       h(
         "div",
         { class: "row" },
-        !ENDED.includes(job.state) && action(t`Cancel`, () => call("DELETE", path`v1/jobs/${job.id}`), "danger"),
+        !ENDED.includes(job.state) && action(t`Cancel`, () => cancelJob(job.id), "danger"),
         ["failed", "cancelled"].includes(job.state) &&
           action(t`Try again`, async () => {
             await call("POST", path`v1/jobs/${job.id}/retry`);
@@ -128,7 +131,7 @@ function overview(job) {
     h(
       "div",
       { class: "card stack" },
-      h("div", { class: "row" }, stateBadge(job), h("span", { role: "status" }, job.message)),
+      h("div", { class: "row" }, stateBadge(job), h("span", { role: "status" }, heard(job.message))),
       bar(job),
       stages(job),
     ),
@@ -139,7 +142,9 @@ function overview(job) {
       [t`Priority`, job.state === "queued" ? priorityField(job) : translated(job.priority)],
       [
         t`Recording`,
-        job.recording ? h("a", { href: `#/recordings/${job.recording}` }, h("code", {}, job.recording)) : null,
+        job.recording
+          ? h("a", { href: `#/recordings/${job.recording}` }, h("code", {}, job.recording.slice(0, 8)))
+          : null,
       ],
     ]),
     h("h2", {}, t`Log`),

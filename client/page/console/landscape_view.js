@@ -1,8 +1,7 @@
 // The landscape around a pose: what the densities say of positions near it, from above, and the ways that ascents climb.
 
-import { h } from "../shared/dom.js";
-import { t } from "../shared/text.js";
-import { action } from "./parts.js";
+import { action, h } from "../shared/dom.js";
+import { decimal, t } from "../shared/text.js";
 
 const SIZE = 480; // px, of the drawing's sides
 const STEP_MS = 90; // between two steps of an ascent
@@ -59,12 +58,11 @@ export function landscapeView(seen, signal) {
 
 /** What the drawing shows, in a sentence. */
 export function summary({ values, spacing, ways, scale, localized }) {
-  const wide = ((values.length - 1) * spacing).toFixed(1);
+  const wide = decimal((values.length - 1) * spacing, 1);
   const unit = scale === "metric" ? "m" : t`units`;
-  const best = ways.at(-1).gain_nats.toFixed(0);
   return localized
-    ? t`Positions around the pose, ${wide} ${unit} wide, from above: the brighter, the better they explain the picture. ${ways.length} ascents; the best gains ${best} nats.`
-    : t`No pose, but the best optimum: positions around it, ${wide} ${unit} wide, from above. ${ways.length} ascents; the best gains ${best} nats.`;
+    ? t`Positions around the pose, ${wide} ${unit} wide, from above: the brighter, the better they explain the picture. ${ways.length} ascents.`
+    : t`No pose, but the best optimum: positions around it, ${wide} ${unit} wide, from above. ${ways.length} ascents.`;
 }
 
 /** The values (rows of increasing y) as a picture, a pixel each, north up. */

@@ -1,9 +1,7 @@
 // What a map learns from those who use it, in a few sentences.
 
-import { t } from "../shared/text.js";
+import { percent, t } from "../shared/text.js";
 import { count, when } from "./format.js";
-
-const percent = (share) => `${Math.round(100 * share)} %`;
 
 /** From how many queries a map learns, when it last did, and what came of it; null where nobody lets it learn. */
 export function learningText({ learns, queries, fewest, last, latest, job }) {

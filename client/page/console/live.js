@@ -3,7 +3,7 @@
 import { path } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { events } from "../shared/events.js";
-import { t } from "../shared/text.js";
+import { coordinates, decimal, percent, t } from "../shared/text.js";
 import { length } from "./format.js";
 import { Motions } from "./motions.js";
 
@@ -96,12 +96,12 @@ export function liveView(map, scene, signal) {
             h(
               "span",
               { class: ["badge", answer.localized ? "good" : "bad"] },
-              answer.localized ? `${Math.round(100 * Math.min(answer.confidence, 0.99))} %` : t`none`,
+              answer.localized ? percent(Math.min(answer.confidence, 0.99)) : t`none`,
             ),
           ),
-          h("td", { class: "mono" }, answer.position?.map((value) => value.toFixed(2)).join(", ") ?? "–"),
+          h("td", { class: "mono" }, answer.position ? coordinates(answer.position) : "–"),
           h("td", {}, answer.sigma_m === null ? "–" : length(answer.sigma_m, map.scale === "metric")),
-          h("td", {}, age > STALE_S ? t`${Math.round(age)} s ago` : t`${hertz.toFixed(1)} a second`),
+          h("td", {}, age > STALE_S ? t`${Math.round(age)} s ago` : t`${decimal(hertz, 1)} a second`),
         ),
       ),
     );

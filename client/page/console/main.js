@@ -8,7 +8,7 @@ import { showCorrections } from "./correct.js";
 import { showJob, showJobs } from "./jobs.js";
 import { showMap } from "./map.js";
 import { showMaps } from "./maps.js";
-import { problem } from "./parts.js";
+import { goOn, problem } from "./parts.js";
 import { showRecording } from "./recording.js";
 import { showRecordings } from "./recordings.js";
 import { showTry } from "./try.js";
@@ -55,6 +55,7 @@ async function show() {
   } catch (error) {
     if (signal.aborted) return;
     fill(main, problem(error, show));
+    goOn(error, show, signal);
   }
 }
 

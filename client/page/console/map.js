@@ -1,26 +1,26 @@
 // One map: whether it can be relied on, where it works, in 3-D, what it knows of itself, and what can be done with it.
 
 import { call, download, get, objectUrl, path, request } from "../shared/api.js";
-import { ask, fill, h } from "../shared/dom.js";
-import { field, nameChoice, nameField } from "../shared/name_choice.js";
-import { t } from "../shared/text.js";
-import { inPlainWords, mistakesIn, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
+import { action, ask, fill, h, tell } from "../shared/dom.js";
+import { field, mapNameOf, nameChoice, nameField } from "../shared/name_choice.js";
+import { coordinates, decimal, heard, t } from "../shared/text.js";
+import { inPlainWords, mistakesIn, mostTrusted, restsOnGivenPoses, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { coverageView } from "./coverage_view.js";
 import { keptPlan } from "./floor_plan.js";
 import { bytes, count, fileNames, length, when } from "./format.js";
 import { learningText } from "./learning.js";
 import { liveView } from "./live.js";
 import { expectedError, placeOf } from "./maps.js";
-import { action, facts, loading, page, skeletons, tell } from "./parts.js";
+import { facts, loading, page, skeletons } from "./parts.js";
 import { SceneView } from "./scene.js";
 import { readPoints, readScene } from "./scene_data.js";
 import { share } from "./share.js";
 
 const FORMATS = [
   ["rho", t`the map itself (.rho)`, "rho"],
-  ["csv", t`densities, Table 5 (.csv)`, "csv"],
-  ["observations", t`observations, Table 4 (.csv)`, "csv"],
-  ["trajectory", t`walk, Table 6 (.csv)`, "csv"],
+  ["csv", t`densities (.csv)`, "csv"],
+  ["observations", t`observations (.csv)`, "csv"],
+  ["trajectory", t`walk (.csv)`, "csv"],
   ["ply", t`landmarks (.ply)`, "ply"],
   ["vtp", t`landmarks (.vtp)`, "vtp"],
   ["gltf", t`landmarks in colour, for Blender and the web (.glb)`, "glb"],
@@ -48,11 +48,11 @@ export async function showMap(main, name, signal) {
         h(
           "div",
           { class: "stack" },
-          h("h2", {}, t`Where it works`),
-          works,
           h("div", { class: "row spread" }, h("h2", {}, t`The room`), watching),
           scene.element,
           live,
+          h("h2", {}, t`Where it works`),
+          works,
         ),
         about,
       ),
@@ -104,12 +104,12 @@ function trustNotice(map, report) {
     [Trust.UNKNOWN]: ["warn", t`Nothing has checked this map.`],
   }[trust];
   const reason = inPlainWords(map.trust_reason);
-  const given = trust === Trust.YES && restsOnGivenPoses(map.trust_reason);
+  const given = restsOnGivenPoses(map);
   const mistakes = mistakesIn(report);
   const next = whatToDo(trust, mistakes, map.trust_reason);
   return h(
     "section",
-    { class: ["notice stack", kind], "aria-label": t`Trust` },
+    { class: ["notice stack", !given && kind], "aria-label": t`Trust` },
     h(
       "p",
       {},
@@ -130,7 +130,7 @@ function fillAbout(place, map, report, learning) {
   const advice = [report.coaching ?? []]
     .flat()
     .flatMap((section) => section.advice ?? [])
-    .map(({ text }) => text);
+    .map(({ text }) => heard(text));
   fill(
     place,
     !metric &&
@@ -156,12 +156,21 @@ function fillAbout(place, map, report, learning) {
         [t`Tags`, map.labels.tags.join(", ") || null],
         [t`Landmarks`, count(map.landmarks)],
         [t`Views`, count(map.views)],
-        [t`Features`, t`${map.features}, ${map.density} densities`],
         [t`File`, bytes(map.size_bytes)],
         [t`Made`, when(map.created)],
-        [t`Version`, t`${map.version}, of map ${map.id.slice(0, 8)}`],
-        [t`Camera`, `${map.camera.width} × ${map.camera.height}, f ${map.camera.fx.toFixed(0)} px`],
+        [t`Version`, map.version],
       ]),
+      h(
+        "details",
+        {},
+        h("summary", { class: "small" }, t`For developers`),
+        facts([
+          ["ID", h("code", {}, map.id)],
+          [t`Features`, map.features],
+          [t`Densities`, map.density],
+          [t`Camera`, `${map.camera.width} × ${map.camera.height}, f ${decimal(map.camera.fx)} px`],
+        ]),
+      ),
       h(
         "div",
         { class: "row" },
@@ -198,7 +207,7 @@ function errorsCard(map, report, metric) {
           facts([
             [t`Held out`, t`${heldOut.localized} of ${heldOut.frames} frames localized`],
             [t`Median`, measured(heldOut.median_m, inLength)],
-            [t`Median turn`, measured(heldOut.median_deg, (value) => `${value.toFixed(2)}°`)],
+            [t`Median turn`, measured(heldOut.median_deg, (value) => `${decimal(value, 2)}°`)],
             [t`90 % within`, measured(heldOut.p90_m, inLength)],
           ]),
           h(
@@ -292,7 +301,7 @@ function waypoints(map, metric) {
             "tr",
             {},
             h("td", {}, name),
-            h("td", { class: "mono" }, position.map((v) => v.toFixed(2)).join(", ")),
+            h("td", { class: "mono" }, coordinates(position)),
             h("td", {}, residual === null ? "–" : length(residual, metric)),
           ),
         ),
@@ -325,11 +334,21 @@ function actions(name) {
     { class: "row" },
     h("a", { class: "button primary", href: `#/try/${encodeURIComponent(name)}` }, t`Try it`),
     h("a", { class: "button", href: `#/maps/${encodeURIComponent(name)}/correct` }, t`Make it right`),
-    action(t`Update`, () => update(name)),
-    action(t`Merge`, () => merge(name)),
     action(t`Share`, () => share(name)),
-    action(t`Rename`, () => rename(name)),
-    action(t`Delete`, () => remove(name), "danger"),
+    h(
+      "details",
+      { class: "menu" },
+      h("summary", { class: "button" }, t`More`),
+      h(
+        "div",
+        { class: "card stack" },
+        action(t`Update`, () => update(name)),
+        action(t`Merge`, () => merge(name)),
+        action(t`Rename`, () => rename(name)),
+        h("hr", {}),
+        action(t`Delete`, () => remove(name), "danger"),
+      ),
+    ),
   );
 }
 
@@ -341,9 +360,9 @@ const go = (name) => (location.hash = `#/maps/${encodeURIComponent(name)}`);
 async function rename(name) {
   const input = nameField(name);
   const done = await ask(t`Rename the map`, field(t`Name`, input), h("button", { class: "primary" }, t`Rename`), () =>
-    call("PATCH", path`v1/maps/${name}`, { body: { name: input.value } }),
+    call("PATCH", path`v1/maps/${name}`, { body: { name: mapNameOf(input.value) } }),
   );
-  if (done) go(input.value);
+  if (done) go(mapNameOf(input.value));
 }
 
 async function remove(name) {
@@ -388,7 +407,7 @@ async function merge(name) {
   const other = h(
     "select",
     { name: "other" },
-    others.map((map) => h("option", { value: map.name }, trusted(map))),
+    others.map((map) => h("option", { value: map.name, selected: map === mostTrusted(others) }, trusted(map))),
   );
   const into = nameChoice({ names: [name, ...others.map((map) => map.name)], learns: false });
   into.suggest(`${name}-merged`);

@@ -1,13 +1,13 @@
 // The maps that are served.
 
 import { call, get, path, request } from "../shared/api.js";
-import { ask, fill, h } from "../shared/dom.js";
+import { action, ask, fill, h, tell } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { inPlainWords, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { bytes, count, length, when } from "./format.js";
 import { listTools } from "./list_tools.js";
-import { action, empty, facts, loading, page, skeletons, tell, trustBadge } from "./parts.js";
+import { empty, facts, loading, page, skeletons, trustBadge } from "./parts.js";
 import { readScene } from "./scene_data.js";
 import { drawFromAbove } from "./thumbnail.js";
 
@@ -95,7 +95,7 @@ function card(map, signal) {
     h(
       "div",
       { class: "row" },
-      trustBadge(trust),
+      trustBadge(map),
       map.scale === "arbitrary" && h("span", { class: "badge warn" }, t`no unit of length`),
       !map.upright && h("span", { class: "badge warn" }, t`not upright`),
       map.labels.tags.map((tag) => h("span", { class: "badge" }, tag)),
@@ -107,7 +107,7 @@ function card(map, signal) {
       [t`Expected error`, expectedError(map)],
       [t`Size`, t`${count(map.landmarks)} landmarks, ${bytes(map.size_bytes)}`],
       [t`Made`, when(map.created)],
-      [t`Version`, `${map.version}, ${map.features}`],
+      [t`Version`, map.version],
     ]),
   );
 }

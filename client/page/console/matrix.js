@@ -24,6 +24,20 @@ export function lookAt(eye, target) {
   return [0, 1, 2].flatMap((i) => [right[i], up[i], back[i], 0]).concat(shift, 1);
 }
 
+/** Distance from `target`, seen along the unit vector `away`, at which `points` just fill `share` of the picture. */
+export function fittingDistance(points, target, away, fov, aspect, share = 0.94) {
+  const view = lookAt(
+    target.map((value, i) => value + away[i]),
+    target,
+  );
+  const high = share * Math.tan(fov / 2);
+  const needed = points.map(([x, y, z]) => {
+    const [right, up, back] = [0, 1, 2].map((i) => view[i] * x + view[4 + i] * y + view[8 + i] * z + view[12 + i]);
+    return back + 1 + Math.max(Math.abs(right) / aspect, Math.abs(up)) / high;
+  });
+  return Math.max(...needed);
+}
+
 /** A rotation of three rows as a matrix. */
 export function rotation(R) {
   return [0, 1, 2].flatMap((column) => [R[0][column], R[1][column], R[2][column], 0]).concat(0, 0, 0, 1);

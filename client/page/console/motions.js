@@ -32,14 +32,13 @@ export class Motions {
     return [...this.#askers.values()].some(({ since, span }) => now - since < span + SETTLED_S);
   }
 
-  /** Where everyone is at a moment whose pose is known: `{asker, T, localized, stale}`. */
+  /** Where everyone is at a moment whose pose is known: `{asker, T, stale}`. */
   now(now, stale, within) {
     return [...this.#askers]
       .filter(([, { answer, since }]) => answer.T_map_camera && now - since < within)
       .map(([asker, known]) => ({
         asker,
         T: between(known, now),
-        localized: known.answer.localized,
         stale: now - known.since > stale,
       }));
   }

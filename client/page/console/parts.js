@@ -1,8 +1,9 @@
 // What several parts of the console show.
 
-import { busy, fill, h } from "../shared/dom.js";
+import { passes, serverIsBack } from "../shared/api.js";
+import { fill, h } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
-import { Trust } from "../shared/trust.js";
+import { restsOnGivenPoses, Trust, trustOf } from "../shared/trust.js";
 
 const STATES = { published: "good", failed: "bad", cancelled: "warn" };
 const TRUST_BADGES = {
@@ -23,6 +24,7 @@ export function problem(error, again) {
     { class: "notice bad stack", role: "alert" },
     h("p", {}, h("strong", {}, error.summary ?? error.message)),
     error.hint && h("p", {}, error.hint),
+    error.code === "unreachable" && h("p", {}, t`This page continues by itself when it is back.`),
     h(
       "div",
       { class: "row" },
@@ -43,14 +45,20 @@ export async function loading(element, load, signal) {
   try {
     await load();
   } catch (error) {
-    if (!signal.aborted)
-      fill(
-        element,
-        problem(error, () => loading(element, load, signal)),
-      );
+    if (signal.aborted) return;
+    fill(
+      element,
+      problem(error, () => loading(element, load, signal)),
+    );
+    goOn(error, () => loading(element, load, signal), signal);
   } finally {
     element.removeAttribute("aria-busy");
   }
+}
+
+/** After an error of a server that is away, do something again once it is back. */
+export function goOn(error, again, signal) {
+  if (passes(error)) serverIsBack(signal).then(again, () => {}); // left meanwhile
 }
 
 /** Names and figures beside each other. */
@@ -80,9 +88,9 @@ export function stateBadge({ state, trusted }) {
   return h("span", { class: ["badge", STATES[state]] }, translated(state));
 }
 
-/** Whether a map can be relied on, as a badge. */
-export function trustBadge(trust) {
-  const [kind, text] = TRUST_BADGES[trust];
+/** Whether a map can be relied on, as a badge; green only where something has checked it. */
+export function trustBadge(map) {
+  const [kind, text] = restsOnGivenPoses(map) ? ["", t`poses given`] : TRUST_BADGES[trustOf(map)];
   return h("span", { class: ["badge", kind] }, text);
 }
 
@@ -102,27 +110,4 @@ export function lostNotice() {
     },
     hide: () => (element.hidden = true),
   };
-}
-
-/** A line at the bottom of the window that says what was done, and goes away. */
-export function tell(text, kind = "good") {
-  document.querySelector(".toast")?.remove();
-  const toast = h("div", { class: ["toast notice", kind], role: "status" }, text);
-  document.body.append(toast);
-  setTimeout(() => toast.remove(), 6000);
-}
-
-/** A button that works on something: it waits, keeping the focus, and shows an error. */
-export function action(text, work, kind = "") {
-  const button = h("button", { type: "button", class: kind }, text);
-  button.addEventListener("click", () =>
-    busy(button, async () => {
-      try {
-        await work();
-      } catch (error) {
-        if (error.name !== "AbortError") tell(error.message, "bad");
-      }
-    }),
-  );
-  return button;
 }

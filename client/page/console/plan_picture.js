@@ -1,11 +1,10 @@
 // A floor plan beside a map: opened from this device, points of it clicked, and kept with the map once it lies there.
 
 import { resolvedColour } from "../shared/colours.js";
-import { h } from "../shared/dom.js";
+import { h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { GEOJSON, metresPerPixel, readPlan } from "./floor_plan.js";
-import { tell } from "./parts.js";
 import { drawPin } from "./plan_view.js";
 
 const KEPT_AS_IT_IS = ["image/png", "image/jpeg", "image/webp"];

@@ -1,7 +1,7 @@
 // Plays a trajectory in a scene: its path as a line, the camera moving along it in its own time.
 
 import { fill, h } from "../shared/dom.js";
-import { t } from "../shared/text.js";
+import { decimal, t } from "../shared/text.js";
 
 /** Fill `place` with the buttons, and play; gives a function that ends it. `show(pose)` hears of each pose. */
 export function play(place, poses, show) {
@@ -13,7 +13,7 @@ export function play(place, poses, show) {
   let since = performance.now();
   const showNow = () => {
     const time = Number(slider.value);
-    clock.textContent = `${(time - first).toFixed(1)} s`;
+    clock.textContent = `${decimal(time - first, 1)} s`;
     show(
       poses[
         Math.max(

@@ -1,11 +1,11 @@
 // One recording: what it is, its waypoints, which can be corrected, and mapping it again.
 
 import { call, get, objectUrl, path } from "../shared/api.js";
-import { busy, fill, h } from "../shared/dom.js";
+import { action, busy, fill, h, tell } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { bytes, count, duration, fileNames, when } from "./format.js";
-import { action, facts, loading, page, skeletons, stateBadge, tell } from "./parts.js";
+import { facts, loading, page, skeletons, stateBadge } from "./parts.js";
 
 const USUAL_SIGMA_M = 0.02;
 

@@ -2,12 +2,12 @@
 
 import { upload } from "../record/upload.js";
 import { call, get, path } from "../shared/api.js";
-import { ask, busy, fill, h } from "../shared/dom.js";
-import { field, nameChoice } from "../shared/name_choice.js";
+import { action, ask, busy, fill, h, tell } from "../shared/dom.js";
+import { field, mapNameOf, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { bytes, duration, fileNames, when } from "./format.js";
 import { listTools } from "./list_tools.js";
-import { action, empty, loading, page, skeletons, stateBadge, tell } from "./parts.js";
+import { empty, loading, page, skeletons, stateBadge } from "./parts.js";
 import { thumbnail } from "./recording.js";
 
 const FILES_SHOWN = 3;
@@ -63,7 +63,10 @@ const jobsOf = (recording, jobs) => jobs.filter((job) => job.recording === recor
 function uploadForm(signal) {
   const file = h("input", { type: "file", name: "file", required: true, accept: "video/*,.zip,.mkv" });
   const name = nameChoice({});
-  file.addEventListener("change", () => name.value || name.suggest(mapNameOf(file.files[0]?.name ?? "")));
+  file.addEventListener(
+    "change",
+    () => name.value || name.suggest(mapNameOf((file.files[0]?.name ?? "").replace(/\.[^.]*$/, ""))),
+  );
   const names = get("v1/maps", { signal }).then(({ maps }) => name.know(maps.map((map) => map.name)));
   names.catch(() => {}); // the list below says so
   const bar = h("progress", { max: 1, value: 0, "aria-label": t`Upload` });
@@ -100,12 +103,6 @@ function uploadForm(signal) {
     bar,
     standing,
   );
-}
-
-/** A map's name that a file's name suggests. */
-function mapNameOf(name) {
-  const plain = name.replace(/\.[^.]*$/, "").replace(/[^A-Za-z0-9._-]+/g, "-");
-  return plain.replace(/^[^A-Za-z0-9_]+/, "").slice(0, 64);
 }
 
 function fillList(place, { recordings, jobs }, tools, reload, signal) {

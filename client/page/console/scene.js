@@ -3,9 +3,9 @@
 
 import { resolvedColour } from "../shared/colours.js";
 import { busy, fill, h } from "../shared/dom.js";
-import { t } from "../shared/text.js";
+import { coordinates, t } from "../shared/text.js";
 import { count, length } from "./format.js";
-import { lookAt, multiply, perspective, project, rotation } from "./matrix.js";
+import { fittingDistance, lookAt, multiply, perspective, project, rotation } from "./matrix.js";
 import { painterOf } from "./painter.js";
 import { planLines } from "./plan_lines.js";
 import { presenceLines } from "./presence_lines.js";
@@ -15,14 +15,16 @@ import { band, cross, ellipsoid, floor, floorOf, frustum, headings, outlines, se
 import { Status } from "./track.js";
 
 const FIELD_OF_VIEW = 0.9; // rad
-const ROOM = 1.15; // how far away the whole room is looked at, in its diagonals
+const FRAMED = [0.05, 0.95]; // quantiles of landmarks along each axis that the whole room is made to hold
 const MAX_TILT = 1.55; // rad, nearly straight down
 const EXTENTS = [0.6, 0.45]; // of a camera of which nothing is known
 const SMOOTH_MS = [20, 33]; // how far apart pictures may be while the map moves; fewer points are drawn, or more
 const LEAST_DRAWN = 2000; // points, while the map moves
 const REST_MS = 150; // after which a map that was moved rests, and all of it is drawn
+const MIN_DISTANCE = 0.2; // map units
 const MAX_RAYS = 150; // the most lines from the camera to landmarks
-const POINT_SIZE = 0.025; // m, as wide as a point is drawn
+const POINT_SIZE = 0.025; // m, as wide as a point is drawn at least
+const SPREAD = 0.4; // width of a point as a share of how far points would be apart in a plane: fewer are larger
 
 const AXIS = 0.5; // m, of the axes at the origin
 const PICK_PX = 14; // how near a click must be to its target
@@ -34,6 +36,7 @@ const AXES = [
   ["y", [0, 1, 0], [0.15, 0.55, 0.2]],
   ["z", [0, 0, 1], [0.2, 0.4, 0.9]],
 ];
+const HOME = { turn: -0.9, tilt: 0.6 }; // rad, where the whole room is looked at from
 const RAMP = [
   [41, 120, 219],
   [168, 133, 168],
@@ -95,8 +98,12 @@ export class SceneView {
     this.cloud = null;
     this.pictureOf = null; // gives the address of a view's picture, where pictures are kept
     this.featureOf = null; // gives where a landmark may be seen from, and the views that saw it
-    this.view = { target: [0, 0, 0], distance: 5, turn: -0.9, tilt: 0.6 };
-    this.home = this.view;
+    this.view = { target: [0, 0, 0], distance: 5, ...HOME };
+    this.corners = [
+      [-1, -1, -1],
+      [1, 1, 1],
+    ];
+    this.pointSize = POINT_SIZE;
     this.painter = painterOf(this.canvas);
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.canvas);
@@ -213,8 +220,7 @@ export class SceneView {
 
   /** Look straight down on the whole of it, north up. */
   lookDown() {
-    this.view = { ...this.home, turn: -Math.PI / 2, tilt: MAX_TILT };
-    this.redraw();
+    this.showWhole({ turn: -Math.PI / 2, tilt: MAX_TILT });
   }
 
   /** Say what is within so many pixels of a place of the canvas, and mark it. */
@@ -309,18 +315,13 @@ export class SceneView {
     this.setLines("rays", "--accent", at ? seen.flatMap((landmark) => [...at, ...landmark]) : [], 0.2);
   }
 
-  /** Show those who ask for poses: `{asker, T, localized, stale}`. */
+  /** Show those who ask for poses: `{asker, T, stale}`. */
   showRobots(robots) {
     const some = (chosen) => robots.filter(chosen).flatMap(({ T }) => frustum(T, EXTENTS));
     this.setLines(
       "robots",
       "--accent",
-      some(({ localized, stale }) => localized && !stale),
-    );
-    this.setLines(
-      "robots lost",
-      "--bad",
-      some(({ localized, stale }) => !localized && !stale),
+      some(({ stale }) => !stale),
     );
     this.setLines(
       "robots gone",
@@ -370,16 +371,25 @@ export class SceneView {
   lookAtAll(landmarks, views) {
     const spans = [0, 1, 2].map((axis) => {
       const ends = views.length ? quantiles(views, axis, [0, 1], STRIDE_VIEW) : [];
-      if (landmarks.length) ends.push(...quantiles(landmarks, axis, SHOWN));
+      if (landmarks.length) ends.push(...quantiles(landmarks, axis, FRAMED));
       return ends.length ? [Math.min(...ends), Math.max(...ends)] : [-1, 1];
     });
-    const extent = Math.hypot(...spans.map(([low, high]) => high - low)) || 1;
-    this.home = { ...this.home, target: spans.map(([low, high]) => (low + high) / 2), distance: ROOM * extent };
+    this.corners = Array.from({ length: 8 }, (_, i) => spans.map((span, axis) => span[(i >> axis) & 1]));
+    this.pointSize = Math.max(POINT_SIZE, (SPREAD * diagonal(spans)) / Math.sqrt(landmarks.length / STRIDE_LANDMARK));
     this.reset();
   }
 
   reset() {
-    this.view = { ...this.home };
+    this.showWhole(HOME);
+  }
+
+  /** Look at the whole room from a direction, from as near as its bulk fills the picture. */
+  showWhole({ turn, tilt }) {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    const aspect = width / height || 1;
+    const target = [0, 1, 2].map((axis) => (this.corners[0][axis] + this.corners.at(-1)[axis]) / 2);
+    const fitting = fittingDistance(this.corners, target, backwards(turn, tilt), fieldOfView(aspect), aspect);
+    this.view = { target, distance: Math.max(MIN_DISTANCE, fitting), turn, tilt };
     this.redraw();
   }
 
@@ -390,7 +400,7 @@ export class SceneView {
   }
 
   zoom(factor) {
-    this.view.distance = Math.min(500, Math.max(0.2, this.view.distance * factor));
+    this.view.distance = Math.min(500, Math.max(MIN_DISTANCE, this.view.distance * factor));
     this.move();
   }
 
@@ -448,7 +458,7 @@ export class SceneView {
       matrix,
       background: this.colour("--surface"),
       count: this.restless ? this.budget : this.count,
-      size: POINT_SIZE * height,
+      size: this.pointSize * height,
       styles: [...this.styles].map(([name, { token, alpha }]) => [name, [...this.colour(token), alpha]]),
     });
     this.placeLabels(matrix);
@@ -481,13 +491,21 @@ export class SceneView {
 
   matrix(aspect) {
     const { target, distance, turn, tilt } = this.view;
-    const away = [Math.cos(turn) * Math.cos(tilt), Math.sin(turn) * Math.cos(tilt), Math.sin(tilt)];
+    const away = backwards(turn, tilt);
     const eye = target.map((value, i) => value + distance * away[i]);
-    const fov = aspect < 1 ? 2 * Math.atan(Math.tan(FIELD_OF_VIEW / 2) / aspect) : FIELD_OF_VIEW;
+    const fov = fieldOfView(aspect);
     const level = multiply(lookAt(eye, target), rotation(this.levelling));
     return multiply(perspective(fov, aspect, distance / 100, distance * 20), level);
   }
 }
+
+/** Unit vector from what is looked at to the eye. */
+const backwards = (turn, tilt) => [Math.cos(turn) * Math.cos(tilt), Math.sin(turn) * Math.cos(tilt), Math.sin(tilt)];
+
+/** Height of the picture [rad]; in a picture that stands, its width is the usual one. */
+const fieldOfView = (aspect) => (aspect < 1 ? 2 * Math.atan(Math.tan(FIELD_OF_VIEW / 2) / aspect) : FIELD_OF_VIEW);
+
+const diagonal = (spans) => Math.hypot(...spans.map(([low, high]) => high - low));
 
 function listen(scene) {
   const { canvas } = scene;
@@ -583,7 +601,7 @@ function viewAt(views, view) {
  * @param {boolean} metric
  */
 export function sayPicked({ view, position, heading, deviation }, metric) {
-  const at = position.map((value) => value.toFixed(2)).join(", ");
+  const at = coordinates(position);
   const unit = metric ? "m" : t`units`;
   if (view === undefined) return t`Landmark at ${at} ${unit}, known to ${length(deviation, metric)}`;
   const degrees = (Math.round((Math.atan2(heading[1], heading[0]) * 180) / Math.PI) + 360) % 360;

@@ -1,11 +1,10 @@
 // A link to a map for somebody without a key: to look at it, for a while.
 
-import { ask, fill, h } from "../shared/dom.js";
+import { action, ask, fill, h, tell } from "../shared/dom.js";
 import { isReachable, linkWithKey, Purpose, qrCode } from "../shared/handover.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { when } from "./format.js";
-import { action, tell } from "./parts.js";
 
 const DAY_S = 86400;
 

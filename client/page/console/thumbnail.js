@@ -5,6 +5,8 @@ import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 
 const MARGIN = 0.06; // of the picture, on each side
 const SHOWN = [0.01, 0.99]; // the quantiles of landmarks that the picture is made to hold
+const POINT_SIZE = 0.06; // map units, as wide as a landmark is drawn, within
+const POINT_PX = [1.5, 4];
 const MIN_EXTENT = 1; // map units
 
 /** Draw landmarks, walk and waypoints of a scene (of `readScene`) onto a canvas, as large as it is shown. */
@@ -53,7 +55,8 @@ const every = (numbers, stride, at) =>
   Float32Array.from({ length: numbers.length / stride }, (_, i) => numbers[i * stride + at]);
 
 function drawLandmarks(context, { landmarks, colours }, place, ink, ratio) {
-  const size = 1.5 * ratio;
+  const perUnit = place(1, 0)[0] - place(0, 0)[0];
+  const size = ratio * Math.min(POINT_PX[1], Math.max(POINT_PX[0], (POINT_SIZE * perUnit) / ratio));
   context.globalAlpha = colours ? 1 : 0.6;
   context.fillStyle = ink;
   for (let i = 0; i * STRIDE_LANDMARK < landmarks.length; i++) {

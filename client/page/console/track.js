@@ -1,7 +1,7 @@
 // A track as it is shown: the way so far, where it was lost, where it jumped, and how far each pose can be relied on.
 
 import { h } from "../shared/dom.js";
-import { t } from "../shared/text.js";
+import { coordinates, decimal, t } from "../shared/text.js";
 import { length } from "./format.js";
 import { facts } from "./parts.js";
 
@@ -24,6 +24,7 @@ export class Track {
   marks = [];
   jumps = [];
   now = null;
+  ended = false; // nobody follows it any more
   refused = null; // the last answer, while it has no pose
 
   take(message) {
@@ -56,7 +57,7 @@ const distance = (a, b) => Math.hypot(...a.map((value, i) => value - b[i]));
 /** Status, pose and history of a track, for people. `why` says what an answer without a pose means; `rate` is a text. */
 export function trackReport(track, why, rate) {
   const { status, pose, answers, rejected, since_answer_s: since } = track.now;
-  const [kind, text] = BADGES[status];
+  const [kind, text] = track.ended ? ["", t`stopped`] : BADGES[status];
   return [
     h("div", { class: "row" }, h("span", { class: ["badge", kind] }, text)),
     status === Status.LOST &&
@@ -69,11 +70,11 @@ export function trackReport(track, why, rate) {
         t`The pose jumped by ${length(track.jumps.at(-1))}. The track before it may be wrong.`,
       ),
     facts([
-      [t`Position`, pose ? `${pose.position.map((value) => value.toFixed(2)).join(", ")} m` : "–"],
-      [t`Heading`, pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
+      [t`Position`, pose ? `${coordinates(pose.position)} m` : "–"],
+      [t`Heading`, pose ? coordinates(pose.heading) : "–"],
       [t`Off by about`, track.sigma === null ? t`unknown` : length(track.sigma)],
       [t`Answers`, t`${answers} of use, ${rejected} left aside`],
-      [t`Last answer`, since === null ? null : t`${since.toFixed(1)} s ago`],
+      [t`Last answer`, since === null || track.ended ? null : t`${decimal(since, 1)} s ago`],
       [t`Jumps`, track.jumps.length],
       [t`Rate`, rate],
     ]),

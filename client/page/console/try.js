@@ -1,16 +1,16 @@
 // Try it: a picture, a camera, a video or a trajectory, and where it is in the map.
 
 import { call, get, path, storedKey, url } from "../shared/api.js";
-import { fill, h } from "../shared/dom.js";
+import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
-import { t } from "../shared/text.js";
-import { inPlainWords, Trust, trustOf, whatToDo } from "../shared/trust.js";
+import { coordinates, decimal, heard, t } from "../shared/text.js";
+import { inPlainWords, mostTrusted, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { length } from "./format.js";
 import { cameraFrames, readPicture, videoFrames } from "./frame_sources.js";
 import { asQuery, halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "./intrinsics.js";
 import { landscapeView } from "./landscape_view.js";
 import { showScene, trusted } from "./map.js";
-import { action, empty, facts, page, problem, tell, trustBadge } from "./parts.js";
+import { empty, facts, page, problem, trustBadge } from "./parts.js";
 import { play } from "./player.js";
 import { SceneView } from "./scene.js";
 import { LANGUAGES, snippet } from "./snippets.js";
@@ -49,7 +49,7 @@ export async function showTry(main, name, signal) {
     return;
   }
   const { cameras } = await get("v1/cameras", { signal });
-  const map = await get(path`v1/maps/${name ?? maps[0].name}`, { signal });
+  const map = await get(path`v1/maps/${name ?? mostTrusted(maps).name}`, { signal });
   const trial = new Trial(map, cameras, maps.length > 1, signal);
   fill(main, layout(trial, maps));
   await showScene(trial.scene, map, signal);
@@ -274,26 +274,22 @@ class Trial {
         "div",
         { class: "row" },
         h("span", { class: ["badge", found.localized ? "good" : "warn"] }, found.localized ? t`localized` : t`no pose`),
-        confidenceOf(found, known),
+        found.localized && confidenceOf(found, known),
       ),
       !found.localized && reasons(found),
       doubts(found, known, this.map).map(doubt),
       facts([
-        [
-          t`Position`,
-          pose ? pose.position.map((value) => value.toFixed(2)).join(", ") + (metric ? " m" : t` units`) : "–",
-        ],
+        [t`Position`, pose && coordinates(pose.position) + (metric ? " m" : t` units`)],
         [t`In the area`, found.areas.join(", ") || null],
         [t`Near the point`, found.near.join(", ") || null],
-        [t`Heading`, pose ? pose.heading.map((value) => value.toFixed(2)).join(", ") : "–"],
-        [t`Off by about`, offBy(found, known, metric)],
+        [t`Heading`, pose && coordinates(pose.heading)],
+        [t`Off by about`, pose && offBy(found, known, metric)],
         [
           t`Focal length`,
-          found.camera &&
-            t`${found.camera.fx.toFixed(0)} px, estimated to ${found.camera.focal_sigma_px.toFixed(0)} px`,
+          found.camera && t`${decimal(found.camera.fx)} px, estimated to ${decimal(found.camera.focal_sigma_px)} px`,
         ],
         [t`Matches`, t`${found.inliers} of ${found.matches} agree`],
-        [t`Took`, [`${found.timings_ms.total.toFixed(0)} ms`, extra].filter(Boolean).join(", ")],
+        [t`Took`, [`${decimal(found.timings_ms.total)} ms`, extra].filter(Boolean).join(", ")],
       ]),
     );
   }
@@ -310,10 +306,8 @@ class Trial {
 }
 
 /** Why an answer has no pose. */
-const reasons = ({ reason, diagnosis }) => [
-  h("p", {}, WHY[reason] ?? reason),
-  diagnosis && h("p", {}, `${diagnosis.message} ${diagnosis.hint}`),
-];
+const reasons = ({ reason, diagnosis }) =>
+  h("p", {}, diagnosis ? heard(`${diagnosis.message} ${diagnosis.hint}`) : (WHY[reason] ?? reason));
 
 const doubt = (text) => h("p", { class: "notice warn small" }, text);
 
@@ -357,7 +351,7 @@ function doubts(found, known, map) {
 
 /** What the pose may be off by: the spread of the optimum, of which the map's own uncertainty is a part. */
 function offBy(found, known, metric) {
-  if (!found.localized || known === Known.TYPED) return t`unknown`;
+  if (known === Known.TYPED) return t`unknown`;
   const { covariance } = found;
   const spread = covariance && Math.sqrt(covariance[0][0] + covariance[1][1] + covariance[2][2]);
   return Number.isFinite(spread) ? length(spread, metric) : t`unknown`;
@@ -387,7 +381,7 @@ function layout(trial, maps) {
   );
   return page(
     t`Try it`,
-    h("div", { class: "row" }, trustBadge(trustOf(trial.map)), field(t`Map`, choice)),
+    h("div", { class: "row" }, trustBadge(trial.map), field(t`Map`, choice)),
     trustOf(trial.map) === Trust.NO && mistrust(trial.map),
     h(
       "div",
@@ -501,6 +495,7 @@ async function takeFile(trial, file) {
     else if (file.type.startsWith("video/")) await film(trial, (_, signal) => videoFrames(file, signal));
     else await trial.tryStill(await readPicture(file));
   } catch (error) {
+    if (!trial.still) trial.picture.closest(".drop").classList.remove("taken"); // nothing is in the frame
     trial.fail(error);
   }
 }
@@ -518,7 +513,7 @@ function playTrajectory(trial, poses) {
     trial.answer,
     facts([
       [t`Trajectory`, t`${poses.length} poses`],
-      [t`Lasts`, `${(poses.at(-1).time - poses[0].time).toFixed(1)} s`],
+      [t`Lasts`, `${decimal(poses.at(-1).time - poses[0].time, 1)} s`],
     ]),
   );
 }
@@ -550,7 +545,9 @@ async function film(trial, framesOf) {
       await step(frame, () => rate(times));
     }
   } catch (error) {
-    if (!signal.aborted) trial.fail(error);
+    const failed = !signal.aborted;
+    trial.stop();
+    if (failed) trial.fail(error);
   }
   if (!stopping.signal.aborted) trial.stop();
 }
@@ -583,6 +580,10 @@ function tracked(trial, signal) {
       const { known, extents, camera } = trial.intrinsicsOf(frame.source.width, frame.source.height);
       if (!found || (known === Known.ESTIMATED && !found.localized)) return;
       const track = new Track();
+      trial.ends.push(() => {
+        track.ended = true;
+        if (track.now) fill(trial.answer, trackReport(track, reasons, null));
+      });
       const show = (message) => {
         track.take(message);
         trial.showTrack(shown, track, known, extents, rateShown);
@@ -603,7 +604,7 @@ function rate(times) {
   times.push(performance.now());
   if (times.length > RATE_OVER) times.shift();
   const hertz = times.length > 1 ? (1000 * (times.length - 1)) / (times.at(-1) - times[0]) : 0;
-  return t`${hertz.toFixed(1)} frames a second`;
+  return t`${decimal(hertz, 1)} frames a second`;
 }
 
 function priorOf({ position, heading }) {

@@ -1,6 +1,6 @@
 // A mapping job, followed until it ends.
 
-import { ApiError, get, path } from "../shared/api.js";
+import { ApiError, call, get, passes, path } from "../shared/api.js";
 import { events } from "../shared/events.js";
 
 const ENDED = new Set(["published", "failed", "cancelled"]);
@@ -22,14 +22,16 @@ export async function followJob(id, hear, signal, lost = (_error) => {}) {
       hear(job);
       if (ENDED.has(job.state)) return job;
     } catch (error) {
-      if (!(error instanceof ApiError || error instanceof TypeError)) throw error;
-      if (error instanceof ApiError && error.code !== "unreachable" && error.status < 500) throw error;
+      if (!(error instanceof TypeError || (error instanceof ApiError && passes(error)))) throw error;
       if (error instanceof ApiError) lost(error);
     }
     await new Promise((resolve) => setTimeout(resolve, PAUSE_MS));
     signal?.throwIfAborted();
   }
 }
+
+/** End a job; whoever follows it hears of that. */
+export const cancelJob = (id) => call("DELETE", path`v1/jobs/${id}`);
 
 /** What the server says of a job as it changes, until the connection ends. */
 async function* jobEvents(id, signal) {

@@ -18,7 +18,7 @@ export function missing() {
     return new Problem(
       "insecure",
       t`Browsers give the camera to pages over HTTPS only.`,
-      t`Start the server with rholoc serve --tls, and open the address that it prints.`,
+      t`Film the walk with the phone's camera app and upload the video. Or start the server with rholoc serve --tls, and open the address that it prints.`,
     );
   if (!navigator.mediaDevices?.getUserMedia || !window.MediaRecorder)
     return new Problem("unsupported", t`This browser cannot record video.`, t`Use a recent Chrome, Safari or Firefox.`);

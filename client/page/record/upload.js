@@ -40,6 +40,16 @@ export async function upload(blob, { metadata, location, hear, signal }) {
   }
 }
 
+/** Whether this browser may upload. A key is asked for where one is needed; a server that is away is no obstacle yet. */
+export async function mayUpload() {
+  try {
+    await request("v1/recordings", { method: "OPTIONS" });
+  } catch (error) {
+    return error.status !== 401 && error.status !== 403;
+  }
+  return true;
+}
+
 async function create(blob, metadata, hear, signal) {
   const response = await request("v1/recordings", {
     method: "POST",

@@ -65,9 +65,9 @@ export function problem(waypoints) {
   const twice = named.find((name, i) => named.indexOf(name) !== i);
   if (twice) return t`Two waypoints are called ${twice}.`;
   const usable = complete(waypoints);
-  if (usable.length === 0) return t`No waypoint is both marked and measured. The map gets a frame of its own.`;
+  if (!waypoints.some(({ position }) => position.every(Number.isFinite))) return null; // they are optional
   if (usable.length < FEWEST)
-    return t`${usable.length} of at least ${FEWEST} waypoints are marked and measured. Without more the map gets a frame of its own.`;
+    return t`${usable.length} of at least ${FEWEST} points are marked and measured. Without more the map gets axes of its own.`;
   if (onOneLine(usable.map(({ position }) => position)))
     return t`The waypoints lie on one line, so the rotation about it is not determined. Measure one more off that line, or clear their coordinates.`;
   return null;

@@ -1,14 +1,17 @@
 // The service over HTTP: one function per kind of call, errors in one shape, and the API key where one is asked for.
 
 import { ask, h } from "./dom.js";
-import { t } from "./text.js";
+import { heard, t } from "./text.js";
 
 const BASE = new URL("../../", import.meta.url);
 const KEY = "rholoc-api-key";
+const LOOK_MS = 2000;
 
 /** What the service, or the way to it, answered instead of what was asked for. */
 export class ApiError extends Error {
   constructor({ code, message, hint = "", request_id = "" }, status = 0) {
+    message = heard(message);
+    hint = heard(hint);
     super([message, hint].filter(Boolean).join(" "));
     this.code = code;
     this.hint = hint;
@@ -109,6 +112,23 @@ export async function download(where, name, options) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
+/** Whether an error is of a server that will be back. */
+export const passes = (error) => error.code === "unreachable" || error.status >= 500;
+
+/** Wait until the server answers again. */
+export async function serverIsBack(signal) {
+  for (;;) {
+    await new Promise((resolve) => setTimeout(resolve, LOOK_MS));
+    signal.throwIfAborted();
+    try {
+      const response = await send(url("v1/maps"), { headers: authorization(), signal });
+      if (response.status < 500) return;
+    } catch (error) {
+      if (!passes(error)) throw error;
+    }
+  }
+}
+
 async function send(address, options) {
   try {
     return await fetch(address, { credentials: "omit", ...options });
@@ -143,7 +163,7 @@ export function askForKey(error) {
     const answer = await ask(
       t`API key`,
       [
-        h("p", {}, error.message),
+        h("p", {}, error.summary),
         h("label", {}, t`Key`, field),
         h(
           "p",
@@ -181,7 +201,7 @@ export async function changeKey() {
 
 /** A button of the page's head that changes the key; hidden while there is none. */
 export function keyButton() {
-  const button = h("button", { type: "button", class: "key", "aria-label": t`API key`, onclick: changeKey }, "⚿");
+  const button = h("button", { type: "button", class: "key", "aria-label": t`API key`, onclick: changeKey }, t`Key`);
   const show = () => (button.hidden = !storedKey());
   addEventListener("keychange", show);
   show();

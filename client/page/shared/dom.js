@@ -89,3 +89,26 @@ export function ask(title, content, buttons, check = async () => {}) {
     dialog.showModal();
   });
 }
+
+/** A line at the bottom of the window that says what was done, and goes away. */
+export function tell(text, kind = "good") {
+  document.querySelector(".toast")?.remove();
+  const toast = h("div", { class: ["toast notice", kind], role: "status" }, text);
+  document.body.append(toast);
+  setTimeout(() => toast.remove(), 6000);
+}
+
+/** A button that works on something: it waits, keeping the focus, and shows an error. */
+export function action(text, work, kind = "") {
+  const button = h("button", { type: "button", class: kind }, text);
+  button.addEventListener("click", () =>
+    busy(button, async () => {
+      try {
+        await work();
+      } catch (error) {
+        if (error.name !== "AbortError") tell(error.message, "bad");
+      }
+    }),
+  );
+  return button;
+}

@@ -3,6 +3,9 @@
 import { h } from "./dom.js";
 import { t } from "./text.js";
 
+const MOST_LETTERS = 64; // of a name
+const SPELT = { ä: "ae", ö: "oe", ü: "ue", ß: "ss", Ä: "Ae", Ö: "Oe", Ü: "Ue" };
+
 /** What becomes of a map that has the name already. */
 export const Existing = Object.freeze({ LEARN: "update", REPLACE: "build" });
 
@@ -29,7 +32,7 @@ export function nameChoice({ names = [], learns = true, value = "", kind = null,
     });
     return { radio, label: h("label", { class: "check" }, radio, text) };
   });
-  const free = h("button", { type: "button", onclick: () => suggest(name.value) }, t`Use another name`);
+  const free = h("button", { type: "button", onclick: () => suggest(chosen()) }, t`Use another name`);
   const legend = h("legend", {});
   const question = h(
     "fieldset",
@@ -39,10 +42,12 @@ export function nameChoice({ names = [], learns = true, value = "", kind = null,
     free,
   );
 
+  const chosen = () => mapNameOf(name.value);
+
   function show() {
-    const exists = names.includes(name.value);
+    const exists = names.includes(chosen());
     question.hidden = !exists;
-    legend.textContent = t`There is a map ${name.value}. What is to be done?`;
+    legend.textContent = t`There is a map ${chosen()}. What is to be done?`;
     for (const { radio } of radios) radio.required = exists;
   }
 
@@ -65,16 +70,16 @@ export function nameChoice({ names = [], learns = true, value = "", kind = null,
     element: h("div", { class: "stack" }, field(t`Name of the map`, name), question),
     input: name,
     get value() {
-      return name.value;
+      return chosen();
     },
     /** What was chosen where there is such a map, else that a new one is built. */
     get kind() {
-      if (!names.includes(name.value)) return Existing.REPLACE;
+      if (!names.includes(chosen())) return Existing.REPLACE;
       return radios.find(({ radio }) => radio.checked)?.radio.value ?? null;
     },
     /** Whether there is such a map, so that a choice was needed. */
     get asked() {
-      return names.includes(name.value);
+      return names.includes(chosen());
     },
     suggest,
     know(all) {
@@ -89,16 +94,29 @@ export function field(text, input, note) {
   return h("label", {}, text, input, note && h("span", { class: "small muted" }, note));
 }
 
-/** The field of a map's name. */
-export const nameField = (value = "") =>
-  h("input", {
+/** A title as a name that the service takes: "Büro, 2. Stock" → "Buero-2.-Stock". */
+export function mapNameOf(title) {
+  const plain = title
+    .replace(/[äöüß]/gi, (one) => SPELT[one] ?? one)
+    .normalize("NFKD")
+    .replace(/\p{M}/gu, "");
+  const joined = plain.replace(/[^A-Za-z0-9._-]+/g, "-").replace(/^[^A-Za-z0-9_]+|-+$/g, "");
+  return joined.slice(0, MOST_LETTERS);
+}
+
+/** The field of a name: any title may be typed, and becomes a name once it is left. */
+export function nameField(value = "") {
+  const input = h("input", {
     name: "name",
     value,
     required: true,
-    maxlength: 64,
-    pattern: "[A-Za-z0-9_][A-Za-z0-9._\\-]*",
     autocomplete: "off",
     autocapitalize: "none",
     spellcheck: "false",
-    title: t`Letters, digits, . _ and -, the first a letter, a digit or _`,
+    onchange: () => {
+      input.value = mapNameOf(input.value);
+      input.dispatchEvent(new Event("input"));
+    },
   });
+  return input;
+}

@@ -47,6 +47,7 @@ export const GERMAN = {
   trusted: "vertrauenswürdig",
   "not trusted": "nicht vertrauenswürdig",
   "not checked": "nicht geprüft",
+  "poses given": "Posen vorgegeben",
   "published, not trusted": "fertig, nicht vertrauenswürdig",
   "{0} (not trusted)": "{0} (nicht vertrauenswürdig)",
   Trust: "Vertrauenswürdigkeit",
@@ -101,8 +102,6 @@ export const GERMAN = {
   "The map is replaced; the one before can be restored":
     "Die Karte wird ersetzt; die vorige lässt sich wiederherstellen",
   "Use another name": "Anderen Namen verwenden",
-  "Letters, digits, . _ and -, the first a letter, a digit or _":
-    "Buchstaben, Ziffern, . _ und -, zuerst ein Buchstabe, eine Ziffer oder _",
 
   // One map
   "Landmarks and walk of the map {0}": "Landmarken und Rundgang der Karte {0}",
@@ -115,9 +114,9 @@ export const GERMAN = {
   Landmarks: "Landmarken",
   Views: "Ansichten",
   Features: "Merkmale",
-  "{0}, {1} densities": "{0}, Dichten {1}",
+  Densities: "Dichten",
+  "For developers": "Für Entwickler",
   File: "Datei",
-  "{0}, of map {1}": "{0}, der Karte {1}",
   Camera: "Kamera",
   "Learned from": "Gelernt aus",
   "It learns from those who use it: {0} queries are kept.":
@@ -163,13 +162,14 @@ export const GERMAN = {
   "the map itself (.rho)": "die Karte selbst (.rho)",
   "cameras and points for COLMAP and Gaussian splatting (.zip)":
     "Kameras und Punkte für COLMAP und Gaussian Splatting (.zip)",
+  "densities (.csv)": "Dichten (.csv)",
+  "observations (.csv)": "Beobachtungen (.csv)",
+  "walk (.csv)": "Rundgang (.csv)",
   "cameras for nerfstudio (.json)": "Kameras für nerfstudio (.json)",
-  "densities, Table 5 (.csv)": "Dichten, Tabelle 5 (.csv)",
-  "observations, Table 4 (.csv)": "Beobachtungen, Tabelle 4 (.csv)",
-  "walk, Table 6 (.csv)": "Rundgang, Tabelle 6 (.csv)",
   "landmarks (.ply)": "Landmarken (.ply)",
   "landmarks (.vtp)": "Landmarken (.vtp)",
   "landmarks in colour, for Blender and the web (.glb)": "farbige Landmarken, für Blender und das Web (.glb)",
+  More: "Mehr",
   Update: "Aktualisieren",
   Merge: "Zusammenführen",
   Rename: "Umbenennen",
@@ -201,10 +201,10 @@ export const GERMAN = {
   "it works": "es funktioniert",
   "it may fail": "es kann fehlschlagen",
   "it will fail": "es schlägt fehl",
-  "At {0}, {1} {2}, looking {3}°: {4} landmarks in view; {5}.":
-    "Bei {0}, {1} {2}, Blickrichtung {3}°: {4} Landmarken im Bild; {5}.",
+  "At {0} {1}, looking {2}°: {3} landmarks in view; {4}.":
+    "Bei {0} {1}, Blickrichtung {2}°: {3} Landmarken im Bild; {4}.",
   "Walk here next:": "Als Nächstes hier entlanggehen:",
-  "around {0}, {1} {2}, looking to {3}° (the arrow).": "bei {0}, {1} {2}, Blickrichtung {3}° (der Pfeil).",
+  "around {0} {1}, looking to {2}° (the arrow).": "bei {0} {1}, Blickrichtung {2}° (der Pfeil).",
   "Record it": "Aufnehmen",
   fewer: "weniger",
   units: "Einheiten",
@@ -321,10 +321,10 @@ export const GERMAN = {
   Landscape: "Landschaft",
   "Play the ascents": "Aufstiege abspielen",
   "Too little in the picture matches to climb by.": "Im Bild passt zu wenig zur Karte, um daran aufzusteigen.",
-  "Positions around the pose, {0} {1} wide, from above: the brighter, the better they explain the picture. {2} ascents; the best gains {3} nats.":
-    "Positionen um die Pose, {0} {1} breit, von oben: je heller, desto besser erklären sie das Bild. {2} Aufstiege; der beste gewinnt {3} Nat.",
-  "No pose, but the best optimum: positions around it, {0} {1} wide, from above. {2} ascents; the best gains {3} nats.":
-    "Keine Pose, aber das beste Optimum: Positionen darum herum, {0} {1} breit, von oben. {2} Aufstiege; der beste gewinnt {3} Nat.",
+  "Positions around the pose, {0} {1} wide, from above: the brighter, the better they explain the picture. {2} ascents.":
+    "Positionen um die Pose, {0} {1} breit, von oben: je heller, desto besser erklären sie das Bild. {2} Aufstiege.",
+  "No pose, but the best optimum: positions around it, {0} {1} wide, from above. {2} ascents.":
+    "Keine Pose, aber das beste Optimum: Positionen darum herum, {0} {1} breit, von oben. {2} Aufstiege.",
   "Localizing …": "Wird lokalisiert …",
   "Type the picture's horizontal field of view, or choose a camera.":
     "Das waagrechte Blickfeld des Bildes eingeben oder eine Kamera wählen.",
@@ -387,6 +387,7 @@ export const GERMAN = {
   searching: "sucht noch",
   tracking: "verfolgt",
   lost: "verloren",
+  stopped: "angehalten",
   "Too long without an answer of use: the pose is a guess.":
     "Zu lange keine brauchbare Antwort: Die Pose ist nur geschätzt.",
   "The pose jumped by {0}. The track before it may be wrong.":
@@ -421,17 +422,14 @@ export const GERMAN = {
   "Got it": "Verstanden",
   "For the map {0}: begin where it works, walk to about {1}, {2}, look to {3}°, and come back. Before sending, choose that the map learns it.":
     "Für die Karte {0}: dort beginnen, wo sie funktioniert, bis etwa {1}, {2} gehen, in Richtung {3}° blicken und zurückkommen. Vor dem Senden wählen, dass die Karte die Aufnahme dazulernt.",
-  "Measure three points or more, not on one line, and where they are: with a tape, from a corner of the room.":
-    "Drei oder mehr Punkte, die nicht auf einer Geraden liegen, ausmessen: mit dem Maßband, von einer Ecke des Raums aus.",
-  "At each point stand still for two seconds, the phone upright, and mark it.":
-    "An jedem Punkt zwei Sekunden still stehen, das Telefon aufrecht halten und den Punkt markieren.",
   "Walk slowly, and sideways where you can; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.":
     "Langsam und möglichst seitwärts gehen, sich nicht auf der Stelle drehen. Dinge im Bild behalten: Möbel, Plakate, Regale, keine kahlen Wände.",
   "Come back to where you began, and look at it again as you did then: the loop shows the map its own errors.":
     "Zum Anfang zurückkommen und ihn wieder so ansehen wie zu Beginn: Die Schleife zeigt der Karte ihre eigenen Fehler.",
+  "Optional: measure three points or more, not on one line. Stand still at each for two seconds, and mark it.":
+    "Wer mag: drei oder mehr Punkte ausmessen, die nicht auf einer Geraden liegen. An jedem zwei Sekunden still stehen und ihn markieren.",
+  "Measured points (optional)": "Gemessene Punkte (freiwillig)",
   "Open the camera": "Kamera öffnen",
-  "Walk slowly, keep texture in view, and come back to where you began.":
-    "Langsam gehen, Strukturen im Bild behalten und zum Anfang zurückkommen.",
   "On this phone": "Auf diesem Telefon",
   "This phone's storage is almost full: {0} left. A minute takes about 60 MB.":
     "Der Speicher dieses Telefons ist fast voll: {0} frei. Eine Minute braucht etwa 60 MB.",
@@ -458,8 +456,8 @@ export const GERMAN = {
   "Leave private browsing and try again. ({0})":
     "Bitte den privaten Modus verlassen und es noch einmal versuchen. ({0})",
   "Browsers give the camera to pages over HTTPS only.": "Browser geben die Kamera nur für Seiten über HTTPS frei.",
-  "Start the server with rholoc serve --tls, and open the address that it prints.":
-    "Den Server mit rholoc serve --tls starten und die Adresse öffnen, die er ausgibt.",
+  "Film the walk with the phone's camera app and upload the video. Or start the server with rholoc serve --tls, and open the address that it prints.":
+    "Den Rundgang mit der Kamera-App des Telefons filmen und das Video hochladen. Oder den Server mit rholoc serve --tls starten und die Adresse öffnen, die er ausgibt.",
   "This browser cannot record video.": "Dieser Browser kann kein Video aufnehmen.",
   "Use a recent Chrome, Safari or Firefox.": "Bitte eine aktuelle Version von Chrome, Safari oder Firefox verwenden.",
   "The motion sensors were refused.": "Der Zugriff auf die Bewegungssensoren wurde verweigert.",
@@ -477,8 +475,7 @@ export const GERMAN = {
   gyroscope: "Gyroskop",
   "No motion sensors: video only": "Keine Bewegungssensoren: nur Video",
   Stop: "Anhalten",
-  "coordinates may follow later": "Koordinaten können später folgen",
-  "Mark points while recording": "Punkte beim Aufnehmen markieren",
+  "Mark a point:": "Punkt markieren:",
   "Points ({0})": "Punkte ({0})",
   Light: "Licht",
   Texture: "Struktur",
@@ -509,14 +506,12 @@ export const GERMAN = {
   "Remove {0}": "{0} entfernen",
   Remove: "Entfernen",
   "{0} of {1} in metres": "{0} von {1} in Metern",
-  "Where the camera is at a point, in metres, z up. Three or more that are not on one line give the map your frame; without them it gets one of its own.":
-    "Wo die Kamera an einem Punkt ist, in Metern, z nach oben. Drei oder mehr, die nicht auf einer Geraden liegen, geben der Karte Ihr Koordinatensystem; ohne sie bekommt sie ein eigenes.",
   "Add a point": "Punkt hinzufügen",
+  "{0} of at least {1} points are marked and measured. Without more the map gets axes of its own.":
+    "{0} von mindestens {1} Punkten sind markiert und gemessen. Mit so wenigen bekommt die Karte eigene Achsen.",
+  "Where the camera is at a point, in metres, z up. Three or more that are not on one line give the map your axes; without them it has its own.":
+    "Wo die Kamera an einem Punkt ist, in Metern, z nach oben. Drei oder mehr, die nicht auf einer Geraden liegen, geben der Karte Ihre Achsen; ohne sie hat sie eigene.",
   "Two waypoints are called {0}.": "Zwei Wegpunkte heißen {0}.",
-  "No waypoint is both marked and measured. The map gets a frame of its own.":
-    "Kein Wegpunkt ist zugleich markiert und gemessen. Die Karte bekommt ein eigenes Koordinatensystem.",
-  "{0} of at least {1} waypoints are marked and measured. Without more the map gets a frame of its own.":
-    "{0} von mindestens {1} Wegpunkten sind markiert und gemessen. Mit so wenigen bekommt die Karte ein eigenes Koordinatensystem.",
   "The waypoints lie on one line, so the rotation about it is not determined. Measure one more off that line, or clear their coordinates.":
     "Die Wegpunkte liegen auf einer Geraden; die Drehung um sie bleibt offen. Bitte einen weiteren abseits davon messen oder ihre Koordinaten löschen.",
 
@@ -555,6 +550,8 @@ export const GERMAN = {
   "Getting ready …": "Wird vorbereitet …",
   "You may close this page: sending continues when you open it again.":
     "Sie können diese Seite schließen: Das Senden geht weiter, wenn Sie sie wieder öffnen.",
+  "You may close this page: the server goes on by itself.":
+    "Sie können diese Seite schließen: Der Server macht von selbst weiter.",
   "For the map {0}": "Für die Karte {0}",
   "{0} of {1}, {2}": "{0} von {1}, {2}",
   "The server cannot be reached.": "Der Server ist nicht erreichbar.",
@@ -689,8 +686,10 @@ export const GERMAN = {
   "{0} a second": "{0} pro Sekunde",
   "No request failed here in the last day, as far as this server knows.":
     "In den letzten 24 Stunden schlug hier keine Anfrage fehl, soweit dieser Server weiß.",
-  "Requests of the last day without a pose: {0}, with an unsure one: {1}. The drawing glows where they came from.":
-    "Anfragen der letzten 24 Stunden ohne Pose: {0}, mit unsicherer Pose: {1}. Wo sie herkamen, leuchtet die Zeichnung.",
+  "Requests of the last day without a pose: {0}, with an unsure one: {1}.":
+    "Anfragen der letzten 24 Stunden ohne Pose: {0}, mit unsicherer Pose: {1}.",
+  "The drawing glows where they came from.": "Wo sie herkamen, leuchtet die Zeichnung.",
+  "Of {0} nobody knows where they came from.": "Bei {0} weiß niemand, woher sie kamen.",
 
   // Links with a key
   Share: "Teilen",
@@ -713,11 +712,13 @@ export const GERMAN = {
   "A walk is recorded with a phone: this computer's camera does not walk.":
     "Ein Rundgang wird mit einem Telefon aufgenommen: Mit diesem Rechner geht niemand herum.",
   "Show a QR code": "QR-Code zeigen",
+  "Film the walk with the phone's camera app, and upload the video here.":
+    "Den Rundgang mit der Kamera-App des Telefons filmen und das Video hier hochladen.",
+  "To record in the phone's browser, with its motion sensors, start the server with rholoc serve --tls, and open the address that it prints.":
+    "Um im Browser des Telefons aufzunehmen, mit dessen Bewegungssensoren, den Server mit rholoc serve --tls starten und die Adresse öffnen, die er ausgibt.",
   "Point the phone's camera at it.": "Die Kamera des Telefons darauf richten.",
   "Point the phone's camera at it. The key in it is valid for two hours.":
     "Die Kamera des Telefons darauf richten. Der Schlüssel darin gilt zwei Stunden.",
-  "No phone reaches this address: start the server with rholoc serve --tls, and open the address that it shows.":
-    "Kein Telefon erreicht diese Adresse: Den Server mit rholoc serve --tls starten und die Adresse öffnen, die er zeigt.",
 
   // While walking
   "{0} of {1} directions seen, different views: {2}, loops closed: {3}":
@@ -772,4 +773,56 @@ export const GERMAN = {
   "Map it again": "Noch einmal kartieren",
   "Only these frames": "Nur diese Bilder",
   "From and to, by number; empty for all": "Von und bis, nach Nummer; leer für alle",
+};
+
+// Sentences of the server, as it says them in English; tests/page looks whether it still does.
+export const GERMAN_OF_SERVER = {
+  "This picture does not show this map: nothing in it looks like anything there.":
+    "Dieses Bild zeigt diese Karte nicht: Nichts darin gleicht etwas von dort.",
+  "This picture does not show this map: {0} of {1} matches agree, no better than chance.":
+    "Dieses Bild zeigt diese Karte nicht: {0} von {1} Zuordnungen stimmen überein, nicht mehr als durch Zufall.",
+  "Too little in this picture shows this map to be sure of the place: {0} of {1} matches agree.":
+    "Zu wenig in diesem Bild zeigt diese Karte, um des Ortes sicher zu sein: {0} von {1} Zuordnungen stimmen überein.",
+  "Check that it is the right map, and look where the recording looked; or extend the map by a walk from here.":
+    "Prüfen, ob es die richtige Karte ist, und dorthin sehen, wohin die Aufnahme sah; oder die Karte um einen Rundgang von hier erweitern.",
+  "The picture is nearly black: its mean grey level is {0} of 255.":
+    "Das Bild ist fast schwarz: Sein mittlerer Grauwert ist {0} von 255.",
+  "Switch on a light, or let the camera expose longer while it stands still.":
+    "Licht einschalten oder die Kamera länger belichten lassen, während sie still steht.",
+  "The picture is blurred.": "Das Bild ist unscharf.",
+  "Hold the camera still for the next picture, or shorten its exposure.":
+    "Die Kamera beim nächsten Bild still halten oder kürzer belichten.",
+  "Its light is unlike that of the map's recording (mean grey level {0}, the recording's {1}).":
+    "Das Licht ist anders als in der Aufnahme der Karte (mittlerer Grauwert {0}, in der Aufnahme {1}).",
+  "Its light is unlike that of the map's recording.": "Das Licht ist anders als in der Aufnahme der Karte.",
+  "Check that it is the right map; if it is, extend it by a walk in this light.":
+    "Prüfen, ob es die richtige Karte ist; wenn ja, sie um einen Rundgang bei diesem Licht erweitern.",
+  "The picture shows hardly anything but a bare surface.": "Das Bild zeigt kaum mehr als eine kahle Fläche.",
+  "Turn the camera towards furniture, pictures or shelves.": "Die Kamera auf Möbel, Bilder oder Regale richten.",
+  "The place was recognized, but the pose is only known to {0} (1σ); at most {1} was asked for.":
+    "Der Ort wurde erkannt, aber die Pose ist nur auf {0} (1σ) bekannt; verlangt waren höchstens {1}.",
+  "The place was found, but the map itself may be off by more than half a metre there.":
+    "Der Ort wurde gefunden, aber die Karte selbst kann dort um mehr als einen halben Meter danebenliegen.",
+  "The camera's focal length looks wrong: about {0} px fits better than {1} px.":
+    "Die Brennweite der Kamera sieht falsch aus: Etwa {0} px passen besser als {1} px.",
+  "Send the intrinsics of the picture as it is sent, after scaling and cropping; or ask with intrinsics unknown.":
+    "Die intrinsischen Parameter des Bildes angeben, wie es nach dem Verkleinern und Zuschneiden ist; oder die Kamera als unbekannt angeben.",
+  "The waypoint {0} is missed by {1} m.": "Der Wegpunkt {0} wird um {1} m verfehlt.",
+  "This server requires an API key.": "Dieser Server verlangt einen API-Schlüssel.",
+  "This API key is unknown, or was revoked.": "Dieser API-Schlüssel ist unbekannt oder wurde widerrufen.",
+  "This API key was revoked.": "Dieser API-Schlüssel wurde widerrufen.",
+  "This API key has expired.": "Dieser API-Schlüssel ist abgelaufen.",
+  "This API key may not do that: its scope is {0}, and {1} is needed.":
+    "Dieser API-Schlüssel darf das nicht: Er erlaubt {0}, nötig ist {1}.",
+  "Turn slower: a tenth of the walk was above {0}°/s; above {1} pictures blur.":
+    "Langsamer drehen: Ein Zehntel des Rundgangs lag über {0}°/s; über {1} werden Bilder unscharf.",
+  "Switch on more light: the mean grey is {0} of 255; at least {1} is needed.":
+    "Mehr Licht einschalten: Der mittlere Grauwert ist {0} von 255; nötig sind {1}.",
+  "Keep more texture in view: {0} of the frames show hardly any corners (bare walls, or blur).":
+    "Mehr Strukturen im Bild behalten: {0} der Bilder zeigen kaum Ecken (kahle Wände oder Unschärfe).",
+  "reading the recording": "Aufnahme wird gelesen",
+  "{0} of {1} frames looked at": "{0} von {1} Bildern angesehen",
+  "{0} of {1} pairs of keyframes matched": "{0} von {1} Paaren von Schlüsselbildern verglichen",
+  "{0} of {1} keyframes placed": "{0} von {1} Schlüsselbildern eingeordnet",
+  "features of {0} of {1} frames": "Merkmale von {0} von {1} Bildern",
 };

@@ -1,6 +1,8 @@
 // Whether a map can be relied on, why, and what to do where it cannot.
 
-import { t } from "./text.js";
+import { heard, t } from "./text.js";
+
+const EXPECTED = /Its poses are expected to be right to [\d.]+ cm\.\s*/; // the page says it in a place of its own
 
 /** How far a map may be relied on. */
 export const Trust = Object.freeze({ YES: "yes", NO: "no", UNKNOWN: "unknown" });
@@ -15,17 +17,25 @@ export function mistakesIn(report) {
 }
 
 /** Whether a map is trusted only because nobody doubted the poses that came with its recording. */
-export const restsOnGivenPoses = (why) => why === "The poses were given.";
+export const restsOnGivenPoses = ({ trusted, trust_reason: why }) =>
+  trusted === true && why === "The poses were given.";
+
+/** The one of several maps that is shown first where nobody chose: a checked one before others, as listed. */
+export const mostTrusted = (maps) =>
+  maps.find((map) => map.trusted === true && !restsOnGivenPoses(map)) ??
+  maps.find((map) => map.trusted !== false) ??
+  maps[0];
 
 /** A reason as the server gives it, and where it is full of figures, what they mean. */
 export function inPlainWords(why) {
-  if (typeof why !== "string" || !why) return null;
+  if (typeof why !== "string" || !why.replace(EXPECTED, "")) return null;
+  why = why.replace(EXPECTED, "");
   const disagree = /Two reconstructions disagree[^.]*(\.\d[^.]*)*\./;
   const agree = /Two reconstructions agree[^.]*(\.\d[^.]*)*\./;
   const unchecked = /Only \d+ of \d+ keyframes could be checked\./;
   if (disagree.test(why))
     return {
-      plain: why.replace(
+      plain: heard(why).replace(
         disagree,
         t`Reconstructed twice from different pictures, the walk came out in two different shapes: somewhere the map is wrong.`,
       ),
@@ -33,15 +43,21 @@ export function inPlainWords(why) {
     };
   if (agree.test(why))
     return {
-      plain: why.replace(agree, t`Reconstructed twice from different pictures, the walk came out in the same shape.`),
+      plain: heard(why).replace(
+        agree,
+        t`Reconstructed twice from different pictures, the walk came out in the same shape.`,
+      ),
       technical: why,
     };
   if (unchecked.test(why))
     return {
-      plain: why.replace(unchecked, t`Too little of the walk could be reconstructed a second time to check its shape.`),
+      plain: heard(why).replace(
+        unchecked,
+        t`Too little of the walk could be reconstructed a second time to check its shape.`,
+      ),
       technical: why,
     };
-  return { plain: why, technical: null };
+  return { plain: heard(why), technical: null };
 }
 
 /** Whether what speaks against a map, or is to be corrected in it, are its measured points. */

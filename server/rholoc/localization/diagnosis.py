@@ -17,6 +17,7 @@ _TINT = 30.0  # of LAB's A and B together: beyond what lamps that are called whi
 _PERHAPS = 0.1  # the probability of the right place from which a picture may show the map after all
 _WORK_WIDTH_PX = 640
 _COARSE_PX = 8
+_FLAT = 1.0  # grey levels of coarse contrast: below it there is nothing to be sharp or blurred
 _BLUR_RATIO = 0.15  # fine against coarse contrast; a sharp picture of a room has more
 
 
@@ -130,7 +131,7 @@ def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: 
     if features < fewest:
         return Diagnosis(
             Cause.TOO_LITTLE_TEXTURE,
-            f"The picture has {features} features: it shows hardly anything but a bare surface.",
+            "The picture shows hardly anything but a bare surface.",
             "Turn the camera towards furniture, pictures or shelves.",
         )
     return Diagnosis(
@@ -195,11 +196,15 @@ def _brightness_of(map_: Map) -> float:
 
 
 def _sharpness(grey: FloatArray) -> float:
-    """Fine contrast divided by coarse contrast, in the blurrier of the two directions (motion blurs along one)."""
+    """Fine contrast divided by coarse contrast, in the blurrier of the two directions (motion blurs along one).
+
+    A direction without coarse contrast, as of a bare wall, counts as sharp.
+    """
     if min(grey.shape) <= _COARSE_PX:
         return 1.0
     across = (grey, grey.T)
-    return min(_contrast(plane, 1) / max(_contrast(plane, _COARSE_PX), 1e-6) for plane in across)
+    contrasts = [(_contrast(plane, 1), _contrast(plane, _COARSE_PX)) for plane in across]
+    return min((fine / coarse for fine, coarse in contrasts if coarse > _FLAT), default=1.0)
 
 
 def _contrast(plane: FloatArray, apart: int) -> float:

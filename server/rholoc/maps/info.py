@@ -70,7 +70,7 @@ class MapInfo:
         features: the extractor's name.
         metric: False where the unit of length is arbitrary; every answer then says so.
         upright: whether z points up.
-        created: ISO 8601 time, UTC.
+        created: when this version was made, ISO 8601, UTC.
         camera: the intrinsics of the first recording.
         sources: what it was made from.
         waypoints: measured points.

@@ -1,4 +1,4 @@
-// Four pictures to look at before the first walk: what makes a good map.
+// Three pictures to look at before the first walk: what makes a good map.
 
 import { h } from "../../shared/dom.js";
 import { t } from "../../shared/text.js";
@@ -8,24 +8,6 @@ const SEEN = "rholoc-recorder-guide-seen";
 
 // Lines of each picture in a field of 120 × 72: [class, path]. "strong" is the subject, "faint" its surroundings.
 const PICTURES = [
-  [
-    t`Measure three points or more, not on one line, and where they are: with a tape, from a corner of the room.`,
-    [
-      ["faint", "M10 62V12H110V62"],
-      ["strong", "M24 52h.1M62 26h.1M96 52h.1"],
-      ["dashed", "M24 52L62 26L96 52"],
-      ["faint", "M24 60v4M96 60v4M24 62h72"],
-    ],
-  ],
-  [
-    t`At each point stand still for two seconds, the phone upright, and mark it.`,
-    [
-      ["faint", "M20 64h80"],
-      ["strong thin", "M60 26m-7 0a7 7 0 1 0 14 0a7 7 0 1 0-14 0M60 33v18M60 51l-8 13M60 51l8 13M60 39l14-4"],
-      ["strong thin", "M74 26h7v14h-7z"],
-      ["faint", "M96 16v10l6 4M96 26m-12 0a12 12 0 1 0 24 0a12 12 0 1 0-24 0"],
-    ],
-  ],
   [
     t`Walk slowly, and sideways where you can; do not turn on the spot. Keep things in view: furniture, posters, shelves, no bare walls.`,
     [
@@ -42,9 +24,18 @@ const PICTURES = [
       ["strong thin", "M34 54m-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0"],
     ],
   ],
+  [
+    t`Optional: measure three points or more, not on one line. Stand still at each for two seconds, and mark it.`,
+    [
+      ["faint", "M10 62V12H110V62"],
+      ["strong", "M24 52h.1M62 26h.1M96 52h.1"],
+      ["dashed", "M24 52L62 26L96 52"],
+      ["faint", "M24 60v4M96 60v4M24 62h72"],
+    ],
+  ],
 ];
 
-/** The four pictures, open until someone has seen them. */
+/** The pictures, open until someone has seen them. */
 export function guide() {
   const details = h(
     "details",

@@ -1,16 +1,17 @@
 // What there is on this phone, and the way to a new recording.
 
-import { ask, fill, h } from "../../shared/dom.js";
-import { field, nameField } from "../../shared/name_choice.js";
-import { t } from "../../shared/text.js";
+import { ask, busy, fill, h } from "../../shared/dom.js";
+import { field, mapNameOf, nameField } from "../../shared/name_choice.js";
+import { t, when } from "../../shared/text.js";
 import { draft, keepDraft } from "../draft.js";
 import { missing } from "../problem.js";
 import { askForSensors } from "../sensors.js";
 import { State } from "../store.js";
+import { mayUpload } from "../upload.js";
 import { guide } from "./guide.js";
 import { onPhone } from "./on_phone.js";
 import { waypointList } from "./waypoint_list.js";
-import { duration, moment, size } from "./words.js";
+import { duration, size } from "./words.js";
 
 const LITTLE_ROOM_BYTES = 300e6;
 
@@ -21,7 +22,8 @@ export async function homeView({ content, store, id, place }) {
   const { map, waypoints } = draft();
   const lack = missing();
   const name = nameField(map);
-  name.addEventListener("input", () => name.checkValidity() && keepDraft({ map: name.value }));
+  name.addEventListener("input", () => name.checkValidity() && keepDraft({ map: mapNameOf(name.value) }));
+  const open = h("button", { class: "primary", disabled: lack !== null }, t`Open the camera`);
   const form = h(
     "form",
     {
@@ -29,7 +31,9 @@ export async function homeView({ content, store, id, place }) {
       onsubmit: (event) => {
         event.preventDefault();
         askForSensors(); // now, in answer to the tap
-        location.hash = "#/live";
+        busy(open, async () => {
+          if (await mayUpload()) location.hash = "#/live";
+        });
       },
     },
     h("h2", {}, t`New recording`),
@@ -37,11 +41,10 @@ export async function homeView({ content, store, id, place }) {
     h(
       "details",
       {},
-      h("summary", {}, t`Measured points`),
+      h("summary", {}, t`Measured points (optional)`),
       waypointList(waypoints, (changed) => keepDraft({ waypoints: changed })),
     ),
-    h("button", { class: "primary", disabled: lack !== null }, t`Open the camera`),
-    h("p", { class: "small muted" }, t`Walk slowly, keep texture in view, and come back to where you began.`),
+    open,
   );
   fill(
     content,
@@ -49,12 +52,18 @@ export async function homeView({ content, store, id, place }) {
       "div",
       { class: "stack narrow" },
       h("h1", {}, t`Record a walk`),
-      lack && h("div", { class: "notice bad", role: "alert" }, h("strong", {}, lack.title), " ", lack.advice),
+      lack &&
+        h(
+          "div",
+          { class: "notice bad stack", role: "alert" },
+          h("p", {}, h("strong", {}, lack.title), " ", lack.advice),
+          h("div", { class: "row" }, h("a", { class: "button", href: "./#/recordings" }, t`Upload a walk`)),
+        ),
       await roomNotice(),
       place && walkHere(draft().map, place),
-      onPhone(),
-      guide(),
+      lack ? null : onPhone(),
       form,
+      guide(),
       recordings.length > 0 && h("h2", {}, t`On this phone`),
       recordings.length > 0 &&
         h(
@@ -101,7 +110,7 @@ function card(recording, store) {
     h(
       "p",
       { class: "muted small" },
-      `${moment(recording.created)} · ${duration(recording.duration)} · ${size(recording.bytes)}`,
+      `${when(recording.created)} · ${duration(recording.duration)} · ${size(recording.bytes)}`,
     ),
     h(
       "div",

@@ -11,7 +11,7 @@ import { Problem } from "../problem.js";
 import { Readings } from "../readings.js";
 import { askForSensors, Sensors } from "../sensors.js";
 import { Take } from "../take.js";
-import { complete, freeName, marked, nextRow } from "../waypoints.js";
+import { freeName, marked, nextRow } from "../waypoints.js";
 import { meters } from "./meters.js";
 import { ring } from "./ring.js";
 import { waypointList } from "./waypoint_list.js";
@@ -81,7 +81,7 @@ class Live {
     this.meters = meters();
     this.ring = ring();
     this.advice = h("p", { class: "advice", role: "status", "aria-live": "polite" });
-    this.waypoint = h("button", { class: "waypoint", disabled: true, onclick: () => this.mark() });
+    this.waypoint = h("button", { class: "waypoint", onclick: () => this.mark() });
     this.record = h("button", {
       class: "shutter",
       "aria-label": t`Record`,
@@ -178,18 +178,10 @@ class Live {
   }
 
   showWaypoint() {
-    const next = this.#marks[nextRow(this.#marks)] ?? { name: freeName(this.#marks), position: [null] };
-    const measured = next.position.every(Number.isFinite);
-    const shown = measured
-      ? next.position.map((value) => value.toFixed(2)).join(", ")
-      : t`coordinates may follow later`;
-    fill(
-      this.waypoint,
-      h("strong", {}, next.name),
-      h("span", { class: "small" }, this.#take ? shown : t`Mark points while recording`),
-    );
-    this.waypoint.disabled = this.#take === null;
-    this.points.textContent = t`Points (${complete(this.#marks).length})`;
+    const next = this.#marks[nextRow(this.#marks)] ?? { name: freeName(this.#marks) };
+    fill(this.waypoint, t`Mark a point:`, " ", h("strong", {}, next.name));
+    this.waypoint.hidden = this.#take === null;
+    this.points.textContent = t`Points (${this.#marks.filter(({ time }) => time !== null).length})`;
   }
 
   editPoints() {

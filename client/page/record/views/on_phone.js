@@ -30,13 +30,17 @@ export function onPhone() {
     { class: "card stack" },
     h("h2", {}, t`Go on with a phone`),
     h("p", {}, t`A walk is recorded with a phone: this computer's camera does not walk.`),
-    isReachable()
+    isReachable() && window.isSecureContext
       ? show
-      : h(
-          "p",
-          { class: "notice warn" },
-          t`No phone reaches this address: start the server with rholoc serve --tls, and open the address that it shows.`,
-        ),
+      : [
+          h("p", {}, t`Film the walk with the phone's camera app, and upload the video here.`),
+          h("div", { class: "row" }, h("a", { class: "button", href: "./#/recordings" }, t`Upload a walk`)),
+          h(
+            "p",
+            { class: "small muted" },
+            t`To record in the phone's browser, with its motion sensors, start the server with rholoc serve --tls, and open the address that it prints.`,
+          ),
+        ],
     place,
   );
 }

@@ -2,7 +2,7 @@
 
 import { fill, h } from "../../shared/dom.js";
 import { nameChoice } from "../../shared/name_choice.js";
-import { t } from "../../shared/text.js";
+import { decimal, percent, t, when } from "../../shared/text.js";
 import { DARKEST, Flaw, LEAST_RATE_HZ } from "../coaching.js";
 import { mapNames } from "../map_names.js";
 import { rate } from "../motion.js";
@@ -13,7 +13,7 @@ import { ENDINGS, Ending } from "../take.js";
 import { problem } from "../waypoints.js";
 import { cameraField } from "./camera_field.js";
 import { waypointList } from "./waypoint_list.js";
-import { duration, moment, percent, size } from "./words.js";
+import { duration, size } from "./words.js";
 
 const FLAWS = {
   [Flaw.TOO_FAST]: t`turned too fast`,
@@ -86,7 +86,7 @@ export async function reviewView({ content, store, id }) {
         h(
           "p",
           { class: "notice bad", role: "alert" },
-          t`${recording.duration.toFixed(0)} s is too short for a map: walk for at least ${SHORTEST_S} s, half a minute or more for a room.`,
+          t`${decimal(recording.duration)} s is too short for a map: walk for at least ${SHORTEST_S} s, half a minute or more for a room.`,
         ),
       doubts,
       video,
@@ -166,7 +166,7 @@ function doubtsOf(recording, imuHz) {
 
 function facts(recording, imuHz) {
   const pairs = [
-    [t`Recorded`, moment(recording.created)],
+    [t`Recorded`, when(recording.created)],
     [t`Length`, duration(recording.duration)],
     [t`Size`, size(recording.bytes)],
     [t`Sensors`, imuHz ? `${Math.round(imuHz)} Hz` : t`none`],

@@ -1,16 +1,16 @@
 // A recording on its way to the server, and its job there.
 
 import { get, path } from "../../shared/api.js";
-import { fill, h } from "../../shared/dom.js";
+import { action, fill, h } from "../../shared/dom.js";
 import { Existing } from "../../shared/name_choice.js";
-import { t } from "../../shared/text.js";
+import { heard, percent, t } from "../../shared/text.js";
 import { blamesPoints, inPlainWords, mistakesIn, Trust, whatToDo } from "../../shared/trust.js";
-import { followJob } from "../job.js";
+import { cancelJob, followJob } from "../job.js";
 import { mapNames } from "../map_names.js";
 import { archive } from "../recording.js";
 import { State } from "../store.js";
 import { upload } from "../upload.js";
-import { percent, size } from "./words.js";
+import { size } from "./words.js";
 
 const STAGES = {
   received: t`Received`,
@@ -133,16 +133,17 @@ class SendPage {
   sent() {
     this.title.textContent = t`The server makes the map`;
     this.notice.hidden = true;
-    this.closing.hidden = true;
+    this.closing.textContent = t`You may close this page: the server goes on by itself.`;
     this.stages.hidden = false;
     this.text.textContent = t`Sent. It is no longer needed on this phone.`;
     this.bar.removeAttribute("value");
   }
 
-  jobChanged({ stage, progress, message, state }) {
+  jobChanged({ id, stage, progress, message, state }) {
     this.notice.hidden = true;
+    if (!this.actions.children.length) this.actions.append(action(t`Cancel`, () => cancelJob(id), "danger"));
     this.bar.value = progress;
-    this.text.textContent = state === "queued" ? t`Waiting for a worker` : message || STAGES[stage];
+    this.text.textContent = state === "queued" ? t`Waiting for a worker` : heard(message) || STAGES[stage];
     const items = [...this.stages.children];
     const now = items.findIndex((item) => item.dataset.stage === stage);
     items.forEach((item, i) => {
@@ -155,6 +156,7 @@ class SendPage {
   /** `mistakes` are of measured points, which a map may have left out and be good without. */
   ended(job, mistakes) {
     const { state, error } = job;
+    this.closing.hidden = true;
     const again = h("a", { class: "button", href: "#/" }, t`Record another`);
     if (state === "published") {
       this.published(job, mistakes, again);

@@ -80,7 +80,7 @@ export function waypointList(waypoints, changed, started = 0) {
     h(
       "p",
       { class: "small muted" },
-      t`Where the camera is at a point, in metres, z up. Three or more that are not on one line give the map your frame; without them it gets one of its own.`,
+      t`Where the camera is at a point, in metres, z up. Three or more that are not on one line give the map your axes; without them it has its own.`,
     ),
     list,
     h("div", {}, h("button", { type: "button", onclick: () => set(added(waypoints)) }, t`Add a point`)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 from rholoc.mapping.build.density_fitting import fit_densities
 from rholoc.mapping.build.recursive_densities import with_learned_densities
@@ -31,7 +32,8 @@ def as_learned(
     """
     report = _brought_up(after, before.info.report)
     report = replace(report, learned=_without_old_lessons((*report.learned, learned)))
-    after = replace(after, info=replace(after.info, version=learned.version, report=report))
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    after = replace(after, info=replace(after.info, version=learned.version, created=created, report=report))
     if forgetting is not None:
         return with_learned_densities(before, after, forgetting)
     return fit_densities(after, before.info.density, before.densities.degree, progress)
@@ -54,7 +56,7 @@ def as_corrected(before: Map, after: Map, correction: Correction) -> Map:
 def noted(info: MapInfo, correction: Correction) -> MapInfo:
     """Description of a map with one more correction."""
     kept = (*info.corrections, correction)[-_MAX_CORRECTIONS:]
-    return replace(info, version=correction.version, corrections=kept)
+    return replace(info, version=correction.version, created=correction.created, corrections=kept)
 
 
 def _brought_up(map_: Map, report: MapReport) -> MapReport:

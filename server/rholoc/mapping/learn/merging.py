@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import uuid
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -65,9 +64,8 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
         features_new=int((same < 0).sum()),
     )
     merged = as_learned(a, merged, report, progress)
-    created = datetime.now(UTC).isoformat(timespec="seconds")
     version = max(a.info.version, b.info.version) + 1
-    return replace(merged, info=replace(merged.info, id=uuid.uuid4().hex, version=version, created=created))
+    return replace(merged, info=replace(merged.info, id=uuid.uuid4().hex, version=version))
 
 
 def _placed_in(a: Map, b: Map) -> Map:

@@ -17,7 +17,6 @@ LIVE_S = 10.0  # how long a client is shown after its last request
 DAY_S = 24 * 3600.0
 _MAX_ASKERS = 1000
 _MAX_FAILURES = 20_000
-_LAST_KNOWN_S = 30.0  # how long a client's last pose says where a request without a pose was
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +28,9 @@ class Sighting:
         asker: who asked.
         map: its name.
         time: seconds since the epoch.
-        position, heading: of the pose, or of the last one where this answer has none; None where none is known.
+        position, heading: of the pose; None without a pose.
         T_map_camera: 4 × 4, likewise.
-        localized: whether the answer has a pose of its own.
+        localized: whether the answer has a pose.
         reason: why it has none.
         confidence: 0 to 1.
         sigma_m: the pose's standard deviation along its worst axis.
@@ -52,19 +51,19 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Failure:
-    """Where a request found no pose, or an unsure one; without who asked.
+    """A request that found no pose, or an unsure one; without who asked.
 
     Attributes:
         map: its name.
         time: seconds since the epoch.
-        position, heading: of the unsure pose; else where the request expected to be, or the same asker's last pose.
+        position, heading: of the unsure pose, else of the request's prior; None where there is neither.
         confidence: 0 to 1.
         reason: why there is no pose; None where there is an unsure one.
     """
 
     map: str
     time: float
-    position: list[float]
+    position: list[float] | None
     heading: list[float] | None
     confidence: float
     reason: str | None
@@ -91,18 +90,17 @@ class Live:
         if not (self._shown or self._keeps_failures):
             return
         now, asker = time.time(), ASKER.get()
-        before = self._latest.pop((answer.map, asker), None)
+        self._latest.pop((answer.map, asker), None)
         self.number += 1
         pose = answer.pose
-        known = before if pose is None and before is not None and now - before.time < _LAST_KNOWN_S else None
         sighting = Sighting(
             number=self.number,
             asker=asker,
             map=answer.map,
             time=now,
-            position=pose.position if pose else known.position if known else None,
-            heading=pose.heading if pose else known.heading if known else None,
-            T_map_camera=pose.T_map_camera if pose else known.T_map_camera if known else None,
+            position=pose.position if pose else None,
+            heading=pose.heading if pose else None,
+            T_map_camera=pose.T_map_camera if pose else None,
             localized=pose is not None,
             reason=answer.reason,
             confidence=answer.confidence,
@@ -119,12 +117,10 @@ class Live:
     def _keep(self, sighting: Sighting, expected: Sequence[float] | None) -> None:
         if sighting.localized and sighting.confidence >= UNSURE_BELOW:
             return
-        position, heading = sighting.position, sighting.heading
+        position = sighting.position
         if not sighting.localized and expected is not None:
-            position, heading = list(expected), None
-        if position is None:
-            return
-        failure = Failure(sighting.map, sighting.time, position, heading, sighting.confidence, sighting.reason)
+            position = list(expected)
+        failure = Failure(sighting.map, sighting.time, position, sighting.heading, sighting.confidence, sighting.reason)
         self._failures.append(failure)
 
     def after(self, map_name: str, number: int) -> list[Sighting]:

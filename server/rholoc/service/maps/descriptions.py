@@ -37,7 +37,7 @@ class MapSummary(AnswerModel):
     features: str = Field(description="the extractor's name")
     scale: Scale
     upright: bool = Field(description="whether z points up")
-    created: str = Field(description="ISO 8601, UTC")
+    created: str = Field(description="when this version was made, ISO 8601, UTC")
     landmarks: int = Field(description="how many features it holds")
     views: int = Field(description="how many keyframes it was seen from")
     size_bytes: int

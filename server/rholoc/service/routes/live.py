@@ -21,10 +21,10 @@ from rholoc.service.state import Service, State
 
 
 class FailureOut(AnswerModel):
-    """Where a request found no pose, or an unsure one."""
+    """A request that found no pose, or an unsure one."""
 
     time: float = Field(description="s since the epoch")
-    position: list[float] = Field(description="m")
+    position: list[float] | None = Field(description="m; null where it is not known")
     heading: list[float] | None = Field(description="where the camera looked; null where that is not known")
     confidence: float
     reason: str | None = Field(description="why there is no pose; null where there is an unsure one")
@@ -61,7 +61,7 @@ _EVENT = (
 async def watch_poses(map_name: str, request: Request, service: Service) -> Response:
     """Server-sent events `poses`, at most ten a second, each with the last answer to every client that was answered in
     this map since the event before: by the name of its key, or its address where no key is required. An answer without
-    a pose has the client's last one, and `localized` false. Only if the setting `live` is on; nothing is stored."""
+    a pose has no position, and `localized` false. Only if the setting `live` is on; nothing is stored."""
     await service.maps.stat(map_name)
     first = service.frames.live.after(map_name, 0)
     stream = service.streams.admit(StreamKind.EVENTS, request.scope)
@@ -101,7 +101,7 @@ def _shown(sighting: Sighting) -> dict[str, object]:
 )
 async def list_failures(map_name: str, service: Service) -> FailuresOut:
     """The requests that found no pose, or one of a confidence below 0.8: where that was, and nothing else. Without a
-    pose, that is the position of the request's prior, or the client's last pose. Only if the setting `keep_failures` is
-    on, and only since this server started."""
+    pose, that is the position of the request's prior, or null. Only if the setting `keep_failures` is on, and only
+    since this server started."""
     await service.maps.stat(map_name)
     return FailuresOut.model_validate({"failures": service.frames.live.failures(map_name)})

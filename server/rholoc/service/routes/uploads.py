@@ -25,7 +25,7 @@ _PIECE_BYTES = 2**20  # written at once
 _FILE_NAME = "filename"
 
 
-@router.options("", status_code=204, **declared(NEEDS_READ, "What resumable uploads can do here"))
+@router.options("", status_code=204, **declared(NEEDS_MAP, "What resumable uploads can do here"))
 @router.options("/{recording}", dependencies=[NEEDS_READ], status_code=204, include_in_schema=False)
 async def upload_abilities(service: Service) -> Response:
     """tus 1.0: version, extensions, checksums, and the largest upload, in headers."""
