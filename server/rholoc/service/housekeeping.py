@@ -13,7 +13,7 @@ import structlog
 
 from rholoc.errors import InvalidMap, RholocError, StorageUnavailable, UnknownMap
 from rholoc.jobs import JobKind, JobOptions, JobPriority
-from rholoc.mapping import FEWEST_QUERIES
+from rholoc.mapping import MIN_QUERIES
 from rholoc.service.state import State
 from rholoc.service.threads.storage import StorageThreads
 
@@ -66,7 +66,7 @@ def learn_tonight(state: State, now: datetime) -> None:
     for name in state.maps.sync.names():
         try:
             map_id = state.maps.sync.map_id(name)
-            if state.learning.store.newer_than(map_id, time.time() - _DAY_S) < FEWEST_QUERIES:
+            if state.learning.store.newer_than(map_id, time.time() - _DAY_S) < MIN_QUERIES:
                 continue
             night = hashlib.blake2b(f"{map_id} {now:%Y-%m-%d}".encode(), digest_size=16).hexdigest()
             if state.jobs.sync.learning(name) is None:

@@ -30,7 +30,7 @@ from rholoc.jobs import (
     read_notes,
     waypoints_file,
 )
-from rholoc.mapping import FEWEST_QUERIES, set_floor_plan, too_few_queries
+from rholoc.mapping import MIN_QUERIES, set_floor_plan, too_few_queries
 from rholoc.maps import CameraLibrary, FloorPlan, Map, MapInfo, MapLibrary, SiteLibrary, check_memory
 from rholoc.service.access.audit import AuditLog
 from rholoc.service.access.keys import ApiKey, KeyStore
@@ -295,7 +295,7 @@ class AsyncLearning:
         map_ = self._library.get(name)
         check_memory(map_, f"The map {name}")
         kept = self.store.kept(map_.info.id).queries
-        if kept < FEWEST_QUERIES:
+        if kept < MIN_QUERIES:
             raise too_few_queries(kept)
         if (running := self._jobs.learning(name)) is not None:
             raise Conflict(f"The map {name} is learning already.", f"Wait for the job {running.id}.")

@@ -21,7 +21,7 @@ from rholoc.storage.replica import MapRow
 
 _SUFFIX = ".rho"
 _BROKEN_OFF_AFTER_S = 3600.0
-_FREE_SHARE, _MOST_FREE_BYTES = 0.1, 2**30  # of the disk, which copies leave for what else is written there
+_FREE_SHARE, _MAX_FREE_BYTES = 0.1, 2**30  # of the disk, which copies leave for what else is written there
 
 
 class Copies:
@@ -157,7 +157,7 @@ class Copies:
         """
         found = self._found()
         disk = shutil.disk_usage(self.folder)
-        lacking = min(_FREE_SHARE * disk.total, _MOST_FREE_BYTES) - disk.free
+        lacking = min(_FREE_SHARE * disk.total, _MAX_FREE_BYTES) - disk.free
         surplus = max(sum(size for _, size, _ in found) - self._most_bytes, lacking, size_bytes)
         for _, size, path in sorted(found):
             if surplus <= 0:

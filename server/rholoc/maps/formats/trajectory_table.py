@@ -21,10 +21,10 @@ PAPER_COLUMNS = ("timestamp", "x", "y", "z", "hx", "hy", "hz")
 FURTHER_COLUMNS = ("frame", "roll", "qx", "qy", "qz", "qw", "confidence", "inliers", "map_trusted", "expected_error_m")
 TRAJECTORY_COLUMNS = PAPER_COLUMNS + FURTHER_COLUMNS
 
-_MOST_SHOWN = 80  # characters of a wrong value
+_MAX_SHOWN = 80  # characters of a wrong value
 _HINT = f"The first row must be {','.join(PAPER_COLUMNS)}, with or without {','.join(FURTHER_COLUMNS)} after it."
 _NORM_TOLERANCE = 1e-2
-_MOST_WHOLE = 2.0**53  # above which not every whole number is a float
+_MAX_WHOLE = 2.0**53  # above which not every whole number is a float
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,7 @@ def _parse(row: Sequence[str], line: int, header: Sequence[str], path: Path) -> 
         return [float(value) for _, value in known]
     except ValueError as error:
         name, value = next((name, value) for name, value in known if not _is_number(value))
-        shown = value[:_MOST_SHOWN]
+        shown = value[:_MAX_SHOWN]
         raise InvalidTrajectory(f"{path.name}, row {line}: '{shown}' under {name} is not a number.") from error
 
 
@@ -195,7 +195,7 @@ def _is_number(text: str) -> bool:
 
 
 def _whole(values: FloatArray, name: str, path: Path) -> IntArray:
-    if not (np.abs(values) < _MOST_WHOLE).all() or np.any(values != np.floor(values)):
+    if not (np.abs(values) < _MAX_WHOLE).all() or np.any(values != np.floor(values)):
         raise InvalidTrajectory(f"{path.name}: a value under {name} is not a whole number, or too large.")
     return values.astype(np.int64)
 

@@ -27,7 +27,7 @@ MAX_JPEG_SCANS = 100  # cameras write 1 or 3, progressive encoders 6 to 12; an e
 MAX_SCANNED_IMAGES = 10  # pixels times scans, as a multiple of the pixels allowed
 _SCANS_OF_AN_IMAGE = 4  # this many scans take as long to decode as everything else
 _PIECES = 256  # in which a file is decoded; before each, ``still_wanted`` is called
-_LEAST_PIECE_BYTES, _MOST_PIECE_BYTES = 64, 2**16
+_MIN_PIECE_BYTES, _MAX_PIECE_BYTES = 64, 2**16
 _JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # in coded data: the end of it
 _JPEG_SCAN, _JPEG_END = 0xDA, 0xD9
 _ORIENTATION_TAG = 0x0112  # EXIF
@@ -67,7 +67,7 @@ def decode_image(
     with _opened(_Watched(data, still_wanted), max_pixels, formats) as image:
         _check_scans(data, image, max_pixels)
         if isinstance(image, ImageFile.ImageFile):
-            image.decodermaxblock = min(max(len(data) // _PIECES, _LEAST_PIECE_BYTES), _MOST_PIECE_BYTES)
+            image.decodermaxblock = min(max(len(data) // _PIECES, _MIN_PIECE_BYTES), _MAX_PIECE_BYTES)
         upright = ImageOps.exif_transpose(image)
         if upright.mode.startswith("I"):  # 16-bit grey
             grey = (np.asarray(upright).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)

@@ -20,7 +20,7 @@ _SUBFOLDERS = (".", "frames", "images")
 _LAST_DIGITS = re.compile(r"(\d+)\D*$")
 _SAME_FOCAL = 1.02  # ratio of focal lengths up to which pictures are of one lens
 _MAX_FRAME_NUMBER = 2**63 - 1
-_MOST_DIGITS = 25  # including leading zeros; Python refuses to parse thousands of digits
+_MAX_DIGITS = 25  # including leading zeros; Python refuses to parse thousands of digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
 def number_in_name(path: Path) -> int | None:
     """The last digits of a file's name as a number; None if there are none, or far too many."""
     match = _LAST_DIGITS.search(path.stem)
-    number = int(match[1]) if match and len(match[1]) <= _MOST_DIGITS else -1
+    number = int(match[1]) if match and len(match[1]) <= _MAX_DIGITS else -1
     return number if 0 <= number <= _MAX_FRAME_NUMBER else None
 
 

@@ -19,7 +19,7 @@ from rholoc.geometry import FloatArray
 MAX_TABLE_BYTES = 2**29
 MAX_TABLE_ROWS = 3_000_000  # four hours at 200 Hz
 MAX_JSON_BYTES = 2**26
-_MOST_DIGITS = 300  # of an integer: more are no float
+_MAX_DIGITS = 300  # of an integer: more are no float
 _PAPER_GROUPS = {
     "the time mark, n": {"": "timestamp"},
     "linear acceleration, m/s2": {"x": "ax", "y": "ay", "z": "az"},
@@ -31,7 +31,7 @@ _PAPER_GROUPS = {
 }
 """Tables 3 and 4 under the paper's own header: a column by its group, and by its name in the row below."""
 _PAPER_HINT = "Write one header row, as maps/README.md shows, or both rows as in the paper."
-_MOST_SHOWN = 200  # characters of a table in a message
+_MAX_SHOWN = 200  # characters of a table in a message
 
 
 def read_text(path: Path, error: type[InvalidInput] = InvalidRecording, max_bytes: int = MAX_TABLE_BYTES) -> str:
@@ -70,7 +70,7 @@ def parse_json(text: str) -> Any:
 
 
 def _integer(digits: str) -> int:
-    if len(digits) > _MOST_DIGITS:
+    if len(digits) > _MAX_DIGITS:
         raise ValueError(f"it has a number of {len(digits)} digits")
     return int(digits)
 
@@ -204,7 +204,7 @@ def parse_number(text: str, path: Path, line: int, column: str, error: type[Inva
 
 def shortened(text: str) -> str:
     """Text for a message: its first 200 characters."""
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}…"
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}…"
 
 
 def require_increasing(times: FloatArray, path: Path, error: type[InvalidInput] = InvalidRecording) -> None:

@@ -19,7 +19,7 @@ _CORNER_CONTRAST = 20  # grey levels
 _FEW_CORNERS = 100
 _TURN_PERCENTILE = 90.0
 _TURN_INTERVAL_S = 0.1  # poses nearer in time have more noise than turn between them
-_MOST_POSES = 400
+_MAX_POSES = 400
 _SAME_WAY_DEG = 60.0
 _PAUSE_TOLERANCE_S = 0.5
 
@@ -75,7 +75,7 @@ def nearest_return(T_map_camera: FloatArray) -> float | None:
     Only pairs of poses count that are at least half of the walk apart and look the same way within 60°; 1 if there are
     none. None for fewer than three poses, or if the camera does not move. Independent of the unit of length.
     """
-    T = T_map_camera[:: max(1, len(T_map_camera) // _MOST_POSES)]
+    T = T_map_camera[:: max(1, len(T_map_camera) // _MAX_POSES)]
     if len(T) < 3:
         return None
     positions = T[:, :3, 3]

@@ -13,7 +13,7 @@ from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.access.scopes import request_key
 from rholoc.service.errors import TooManyRequests
 
-_MOST_BUCKETS = 10_000  # beyond, those of keys that have not asked for long are forgotten
+_MAX_BUCKETS = 10_000  # beyond, those of keys that have not asked for long are forgotten
 _LONG_S = 3600.0
 
 
@@ -58,7 +58,7 @@ class Rates:
     def _filled(self, key: ApiKey) -> _Bucket:
         """The key's bucket with what has come into it since it was last looked at."""
         now_s = self._clock()
-        if len(self._buckets) >= _MOST_BUCKETS:
+        if len(self._buckets) >= _MAX_BUCKETS:
             self._buckets = {name: one for name, one in self._buckets.items() if now_s - one.counted_s < _LONG_S}
         bucket = self._buckets.setdefault(key.name, _Bucket(_burst(key), now_s))
         bucket.tokens = min(_burst(key), bucket.tokens + (now_s - bucket.counted_s) * _rate(key))

@@ -25,7 +25,7 @@ from rholoc.service.settings import Settings
 from rholoc.service.threads.compute import lower_priority
 
 TEACHES_FROM = 0.8  # a confidence
-_MOST_WAITING = 8
+_MAX_WAITING = 8
 _STOP_S = 5.0
 _SALT_FILE = "askers.salt"
 _SALT_BYTES = 16
@@ -66,7 +66,7 @@ class Learner:
     def __init__(self, store: QueryStore, settings: Settings, salts: Documents) -> None:
         self.store, self._settings, self._salts = store, settings, salts
         self._barred = {name.strip() for name in settings.learn_not_from.split(",")} - {""}
-        self._waiting: queue.Queue[tuple[Lesson, str] | None] = queue.Queue(_MOST_WAITING)
+        self._waiting: queue.Queue[tuple[Lesson, str] | None] = queue.Queue(_MAX_WAITING)
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from rholoc.features import Extractor, FeatureSet
 from rholoc.localization import MapFinder
 
-MOST_ASKED = 5
+MAX_ASKED = 5
 """Maps that a frame is localized in; of more, the index over all views chooses."""
 
 _ASKED_AT_FIRST = 2
@@ -44,17 +44,17 @@ class MapChoice:
     def candidates(self, features_by: Callable[[Extractor], FeatureSet]) -> Candidates:
         """The maps to ask, the likeliest first; ``features_by`` gives a frame's features by an extractor.
 
-        A map whose views are not known yet is asked where fewer than ``MOST_ASKED`` are known to be likely.
+        A map whose views are not known yet is asked where fewer than ``MAX_ASKED`` are known to be likely.
         """
         finder = self.finder
-        if finder is None or len(self.names) <= MOST_ASKED:
+        if finder is None or len(self.names) <= MAX_ASKED:
             return Candidates(tuple(self.names), passing_over=not self.named)
-        likely = finder.likeliest(features_by, MOST_ASKED, None if self.is_all else self.names)
+        likely = finder.likeliest(features_by, MAX_ASKED, None if self.is_all else self.names)
         if not likely:
             return Candidates(tuple(self.names), passing_over=True)
         wanted = None if self.is_all else set(self.names)
         others = [name for name in finder.unknown if wanted is None or name in wanted]
-        names = (*(one.name for one in likely), *others)[:MOST_ASKED]
+        names = (*(one.name for one in likely), *others)[:MAX_ASKED]
         scores = tuple(one.score for one in likely) + (1.0,) * (len(names) - len(likely))
         return Candidates(names, passing_over=True, scores=scores)
 
@@ -86,7 +86,7 @@ class Candidates:
     def besides(self, asked: Candidates) -> Candidates:
         """Those that have not been asked; as many as may be, with those that have."""
         new = [row for row, name in enumerate(self.names) if name not in asked.names]
-        return self._take(new[: MOST_ASKED - len(asked.names)])
+        return self._take(new[: MAX_ASKED - len(asked.names)])
 
     def _take(self, rows: Sequence[int]) -> Candidates:
         return replace(

@@ -12,8 +12,8 @@ import numpy as np
 from rholoc.errors import InvalidImage, InvalidInput
 from rholoc.geometry import Camera, Pose
 from rholoc.localization import (
-    FEWEST_FRAMES,
-    MOST_FRAMES,
+    MAX_FRAMES,
+    MIN_FRAMES,
     AnyLocalizer,
     JointLocalization,
     Query,
@@ -47,9 +47,9 @@ class Frames:
             InvalidImage: a picture is not base64.
         """
         count = len(query.frames)
-        if not FEWEST_FRAMES <= count <= MOST_FRAMES:
+        if not MIN_FRAMES <= count <= MAX_FRAMES:
             raise InvalidInput(
-                f"{count} frames; {FEWEST_FRAMES} to {MOST_FRAMES} can be localized together.",
+                f"{count} frames; {MIN_FRAMES} to {MAX_FRAMES} can be localized together.",
                 "Send a single frame by itself, and long sequences in parts.",
             )
         strange = sorted(set(images) - set(range(count)))

@@ -16,7 +16,7 @@ from rholoc.service.access.scopes import client_of
 from rholoc.service.errors import RequestTimeout, TooManyRequests
 
 _HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
-_LEAST_BYTES_PER_S = 500.0  # of a body, on average
+_MIN_BYTES_PER_S = 500.0  # of a body, on average
 _LEFTOVER_BYTES_PER_S = 4e6  # of a body that was refused before it arrived: reading it slows the others down
 _RETRY_AFTER_S = 5.0
 _STALLED_READER_S = 30.0
@@ -232,7 +232,7 @@ class SlowBodies:
             waited_s += time.monotonic() - begun
             received += len(message.get("body", b""))
             whole = not message.get("more_body", False)
-            if not whole and waited_s > self._silence_s + received / _LEAST_BYTES_PER_S:
+            if not whole and waited_s > self._silence_s + received / _MIN_BYTES_PER_S:
                 raise RequestTimeout(
                     "The request's body arrives too slowly.", "Send it again over a better connection."
                 )

@@ -18,7 +18,7 @@ from rholoc.service.access.scopes import found_route
 _log = structlog.get_logger("rholoc.service")
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _KEPT_S = 0.5
-_MOST_MAPS = 200  # that have counters of their own: each has one for every outcome
+_MAX_MAPS = 200  # that have counters of their own: each has one for every outcome
 _OTHER_MAPS = "other maps"  # no map can be called so
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
 
@@ -62,7 +62,7 @@ class Metrics:
     def localization(self, map_name: str, reason: str | None, timings_ms: Mapping[str, float]) -> None:
         """Count a frame: the map that answered, why it has no pose, if it has none, and how long each stage took."""
         self._localizations.labels(reason or "localized").inc()
-        if len(self._maps) < _MOST_MAPS:
+        if len(self._maps) < _MAX_MAPS:
             self._maps.add(map_name)
         self._of_maps.labels(map_name if map_name in self._maps else _OTHER_MAPS, reason or "localized").inc()
         for stage, duration_ms in timings_ms.items():

@@ -24,7 +24,7 @@ from rholoc.recordings.frames.video import read_video
 from rholoc.service.access.keys import KeyStore
 from rholoc.service.settings import KeyPolicy, Settings, keys_needed
 
-_LEAST_FREE_BYTES, _LITTLE_FREE_BYTES = 2**28, 2**32
+_MIN_FREE_BYTES, _LITTLE_FREE_BYTES = 2**28, 2**32
 _CLOCK_TOLERANCE_S = 5.0
 _EARLIEST_S = 1_767_225_600.0  # 2026-01-01: no clock that runs right is before
 _GREY, _GREY_TOLERANCE = 128, 12  # of the clips' frames
@@ -92,7 +92,7 @@ def _storage(settings: Settings) -> _Found:
             continue
         free = shutil.disk_usage(folder).free
         space = f"{folder} can be written to; {free / _GIB:.1f} GiB are free"
-        if free < _LEAST_FREE_BYTES:
+        if free < _MIN_FREE_BYTES:
             yield Level.ERROR, f"{space}, which is too little for a map.", "Free some space."
         elif free < _LITTLE_FREE_BYTES:
             yield Level.WARNING, f"{space}, which a few recordings fill.", "Free some space."
