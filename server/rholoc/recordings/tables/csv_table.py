@@ -19,7 +19,7 @@ from rholoc.geometry import FloatArray
 MAX_TABLE_BYTES = 2**29
 MAX_TABLE_ROWS = 3_000_000  # four hours at 200 Hz
 MAX_JSON_BYTES = 2**26
-_MAX_DIGITS = 300  # of an integer: more are no float
+_MAX_DIGITS = 300  # of an integer that a float can hold
 _PAPER_GROUPS = {
     "the time mark, n": {"": "timestamp"},
     "linear acceleration, m/s2": {"x": "ax", "y": "ay", "z": "az"},
@@ -113,7 +113,7 @@ def read_numbers(
 
 @contextmanager
 def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator[tuple[list[str], Iterator[list[str]]]]:
-    """A CSV file's header, and its rows as they are read; what is wrong with it is raised inside the block."""
+    """A CSV file's header and an iterator over its rows; errors in the file are raised inside the block."""
     with _raising(error, path):
         _check_size(path, error, MAX_TABLE_BYTES)
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -128,7 +128,7 @@ def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator
 
 
 def _paper_columns(groups: list[str], second: list[str], path: Path, error: type[InvalidInput]) -> list[str]:
-    """The columns of a table under the paper's header of two rows: groups, each above its first column, and parts."""
+    """Column names from the paper's two header rows: groups, each above its first column, and parts."""
     parts = [part.strip().lower().strip("$").replace("_", "") for part in second]
     columns, group = [], ""
     for above, part in zip_longest(groups, parts, fillvalue=""):
