@@ -1,4 +1,4 @@
-"""How good poses are: errors against the truth, recall, plots."""
+"""Evaluation of poses: errors against the truth, recall, comparisons."""
 
 from rholoc.evaluation.errors import (
     RECALL_THRESHOLDS,

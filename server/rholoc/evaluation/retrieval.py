@@ -1,4 +1,4 @@
-"""Localization as hierarchical pipelines do it, without a GPU: SIFT, image retrieval by VLAD, LO-RANSAC.
+"""Hierarchical localization without a GPU: SIFT, image retrieval by VLAD, LO-RANSAC.
 
 It stands for hloc (Sarlin et al., CVPR 2019) with classical parts: the most similar views are retrieved by a global
 descriptor, the query is matched with each of them alone, and the 2D–3D matches of all give one pose by poselib. The
@@ -27,7 +27,7 @@ OPTIONS = RansacOptions(threshold_px=12.0)
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """What one view offers: the features that observe landmarks."""
+    """The features of one view that observe landmarks."""
 
     features: FeatureSet
     landmarks: IntArray
@@ -53,7 +53,7 @@ class VladPipeline:
 
     @property
     def bytes(self) -> int:
-        """What has to be stored: descriptors with their landmarks, landmarks, VLAD vectors as float32, words."""
+        """Stored bytes: descriptors with their landmarks, landmarks, VLAD vectors as float32, words."""
         views = sum(view.features.descriptors.nbytes + 4 * len(view.landmarks) for view in self._views)
         return views + 4 * (self._landmarks.size + self._vectors.size + self._vlad.words.size)
 

@@ -42,7 +42,7 @@ class TimedFrames:
 
 
 def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
-    """Combine a video with times (N,) [s] from the file ``table``, one per frame; drops surplus frames or rows at the end.
+    """Combine a video with times (N,) [s] from the file ``table``; drops surplus frames or rows at the end.
 
     Raises:
         InvalidRecording: the video cannot be read, the numbers of frames differ by more than

@@ -1,4 +1,4 @@
-"""Who is asking for poses, and where requests failed: only if the settings enable it, and in memory only."""
+"""Live askers and failed requests, in memory only, if the settings enable it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rholoc.service.caller import ASKER
 from rholoc.service.frames.answers import LocalizationOut
 
 UNSURE_BELOW = 0.8  # a confidence
-LIVE_S = 10.0  # how long a client is shown after its last request
+LIVE_S = 10.0  # time for which a client is shown after its last request
 DAY_S = 24 * 3600.0
 _MAX_ASKERS = 1000
 _MAX_FAILURES = 20_000
-_LAST_KNOWN_S = 30.0  # how long a client's last pose says where a request without a pose was
+_LAST_KNOWN_S = 30.0  # maximum age of a client's last pose to locate a request without a pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +26,13 @@ class Sighting:
 
     Attributes:
         number: increases with every answer of this server.
-        asker: who asked.
-        map: its name.
+        asker: name of a key, or an address.
+        map: name of the map.
         time: seconds since the epoch.
-        position, heading: of the pose, or of the last one where this answer has none; None where none is known.
+        position, heading: of the pose, or of the asker's last pose if there is none; None if unknown.
         T_map_camera: 4 × 4, likewise.
-        localized: whether the answer has a pose of its own.
-        reason: why it has none.
+        localized: whether this answer has a pose.
+        reason: why it has no pose.
         confidence: 0 to 1.
         sigma_m: the pose's standard deviation along its worst axis.
     """
@@ -52,14 +52,14 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Failure:
-    """Where a request found no pose, or an unsure one; without who asked.
+    """A request without a confident pose. The asker is not stored.
 
     Attributes:
-        map: its name.
+        map: name of the map.
         time: seconds since the epoch.
-        position, heading: of the unsure pose; else where the request expected to be, or the same asker's last pose.
+        position, heading: of the unsure pose, else of the request's prior or the asker's last pose.
         confidence: 0 to 1.
-        reason: why there is no pose; None where there is an unsure one.
+        reason: why there is no pose; None for an unsure one.
     """
 
     map: str
@@ -74,7 +74,7 @@ class Live:
     """The last answer for each asker, and the failures of a day. Use it from the event loop's thread only.
 
     Args:
-        shown: whether it is shown who asks.
+        shown: whether askers are shown.
         keeps_failures: whether failures are kept.
     """
 
@@ -128,10 +128,10 @@ class Live:
         self._failures.append(failure)
 
     def after(self, map_name: str, number: int) -> list[Sighting]:
-        """The last answer in a map to everyone who asked recently, if it came after answer ``number``.
+        """The last answer in a map to each recent asker, if it came after answer ``number``.
 
         Raises:
-            Conflict: this server does not show it.
+            Conflict: this server does not show askers.
         """
         if not self._shown:
             raise Conflict("This server does not show who asks for poses.", "Set RHOLOC_LIVE=true to enable it.")
@@ -143,7 +143,7 @@ class Live:
         """The failures of the last day in a map, the oldest first.
 
         Raises:
-            Conflict: this server does not keep them.
+            Conflict: this server does not keep failures.
         """
         if not self._keeps_failures:
             raise Conflict(

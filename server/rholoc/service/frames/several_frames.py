@@ -1,4 +1,4 @@
-"""Several frames → one answer. Runs in a thread of the compute pool."""
+"""Localize several frames together. Runs in a compute thread."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def localize_frames(
     clock: Stopwatch,
     deadline_s: float,
 ) -> LocalizationOut:
-    """The best answer of some maps for several frames; of many, those are asked that the first frame is most like.
+    """The best answer of some maps for several frames; of many maps, only those most similar to the first frame.
 
     Raises:
         As :func:`rholoc.service.frames.single_frame.localize_frame`.

@@ -1,4 +1,4 @@
-"""Follows the library: a thread of low priority that keeps the index of all maps' views up to date."""
+"""A low-priority thread that keeps the index of all maps' views up to date."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _log = structlog.get_logger("rholoc.service")
 
 
 class MapWatch:
-    """A thread that refreshes a finder whenever the folder of maps has changed, by whomever.
+    """A thread that refreshes a finder whenever the folder of maps has changed.
 
     Args:
-        finder: what is refreshed.
-        every_s: how often the folder is looked at.
+        finder: to refresh.
+        every_s: interval of checks.
     """
 
     def __init__(self, finder: MapFinder, every_s: float = _EVERY_S) -> None:

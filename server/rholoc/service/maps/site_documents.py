@@ -1,4 +1,4 @@
-"""Sites as they are sent, and as they are shown."""
+"""Models of sites in requests and answers."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class SiteOut(AnswerModel):
 
 
 def site_of(given: SiteIn) -> Site:
-    """The site that was sent, its poses not found yet.
+    """The sent site, before poses are solved from links.
 
     Raises:
         InvalidInput, InvalidName: it cannot be one.
