@@ -23,6 +23,7 @@ from rholoc.localization.index.map_index import MapIndex
 _OBSERVED_PX = 3.0
 _RATIO = 0.85
 OPTIONS = RansacOptions(threshold_px=12.0)
+_RETRIEVED = 20  # views to match a query with
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +41,10 @@ class VladPipeline:
     Args:
         index: a map of SIFT features.
         view_features: the features of the map's views, in their order, by the map's extractor.
-        retrieved: how many views a query is matched with.
     """
 
-    def __init__(self, index: MapIndex, view_features: Sequence[FeatureSet], retrieved: int = 20) -> None:
+    def __init__(self, index: MapIndex, view_features: Sequence[FeatureSet]) -> None:
         self._landmarks = index.landmarks
-        self._retrieved = retrieved
         self._views = [_view(index, k, features) for k, features in enumerate(view_features)]
         descriptors = [features.descriptors for features in view_features]
         self._vlad = Vlad(descriptors)
@@ -61,7 +60,7 @@ class VladPipeline:
         """T_map_camera (4, 4) or None, and the milliseconds of ``retrieve``, ``match`` and ``solve``."""
         laps = [time.perf_counter()]
         likeness = self._vectors @ self._vlad.vector(features.descriptors)
-        views = np.argsort(-likeness, kind="stable")[: self._retrieved]
+        views = np.argsort(-likeness, kind="stable")[:_RETRIEVED]
         laps.append(time.perf_counter())
         detections, landmarks = self._match(features, views)
         laps.append(time.perf_counter())

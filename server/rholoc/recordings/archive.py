@@ -47,13 +47,13 @@ def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_
     return _recording_folder(folder)
 
 
-def check_archive(archive: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> None:
+def check_archive(archive: Path, max_files: int = MAX_FILES) -> None:
     """Check a ZIP file's directory and the first bytes of its videos as :func:`unpack` would, without unpacking.
 
     Raises: as :func:`unpack` does.
     """
     with _opened(archive, max_files) as packed:
-        for entry in _checked_entries(packed, archive, max_bytes):
+        for entry in _checked_entries(packed, archive, DEFAULT_MAX_BYTES):
             if PurePosixPath(entry.filename).suffix.lower() in VIDEO_SUFFIXES and not entry.is_dir():
                 with packed.open(entry) as source:
                     check_file_start(entry.filename, source.read(START_BYTES))

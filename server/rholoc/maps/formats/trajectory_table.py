@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.disk import replace_file
 from rholoc.errors import InvalidTrajectory
-from rholoc.geometry import FloatArray, IntArray, pose_matrix, rotation_from_heading
+from rholoc.geometry import FloatArray, IntArray, PosedCameras, pose_matrix, rotation_from_heading
 from rholoc.maps.map import Map
 from rholoc.maps.trust import trust_of
 
@@ -28,7 +28,7 @@ _MAX_WHOLE = 2.0**53  # above which not every whole number is a float
 
 
 @dataclass(frozen=True, eq=False)
-class TrajectoryTable:
+class TrajectoryTable(PosedCameras):
     """N localized frames; frames without a pose have no row.
 
     Attributes:
@@ -53,16 +53,6 @@ class TrajectoryTable:
 
     def __len__(self) -> int:
         return len(self.times)
-
-    @property
-    def positions(self) -> FloatArray:
-        """(N, 3), metres, map frame."""
-        return self.T_map_camera[:, :3, 3]
-
-    @property
-    def headings(self) -> FloatArray:
-        """(N, 3), the optical axes in the map frame, unit length."""
-        return self.T_map_camera[:, :3, 2]
 
     @property
     def rolls(self) -> FloatArray:

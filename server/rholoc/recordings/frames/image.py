@@ -88,13 +88,13 @@ def read_image(path: Path | str, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteAr
     return decode_image(data, max_pixels)
 
 
-def read_grey(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> IntArray:
+def read_grey(path: Path) -> IntArray:
     """An image file of one channel → its values (H, W), all of their up to 16 bits.
 
     Raises:
         InvalidImage: the file cannot be read or decoded, or has several channels.
     """
-    with _opened(path, max_pixels) as image:
+    with _opened(path, DEFAULT_MAX_PIXELS) as image:
         if not (image.mode == "L" or image.mode.startswith("I")):
             raise InvalidImage(f"{path.name} is not an image of one channel.")
         return np.asarray(image).astype(np.int64)

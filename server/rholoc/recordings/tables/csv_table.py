@@ -88,26 +88,24 @@ def read_rows(
         return header, [dict(zip(header, row, strict=True)) for row in rows]
 
 
-def read_numbers(
-    path: Path, columns: Sequence[str], error: type[InvalidInput] = InvalidRecording
-) -> dict[str, FloatArray]:
+def read_numbers(path: Path, columns: Sequence[str]) -> dict[str, FloatArray]:
     """The named columns of a CSV file with a header row, each (N,) float64, N ≥ 1; further columns are ignored.
 
     Row by row: a table takes the memory of its numbers, not of its text.
 
     Raises:
-        error: a column is missing, there are no rows or more than ``MAX_TABLE_ROWS``, or a value is not a finite
-            number.
+        InvalidRecording: a column is missing, there are no rows or more than ``MAX_TABLE_ROWS``, or a value is not a
+            finite number.
     """
     values = {column: array("d") for column in columns}
-    with table_rows(path, error, MAX_TABLE_ROWS) as (header, rows):
-        require_columns(path, header, columns, error)
+    with table_rows(path, InvalidRecording, MAX_TABLE_ROWS) as (header, rows):
+        require_columns(path, header, columns, InvalidRecording)
         places = [(header.index(column), column, values[column]) for column in columns]
         for line, row in enumerate(rows, start=2):
             for place, column, numbers in places:
-                numbers.append(parse_number(row[place], path, line, column, error))
+                numbers.append(parse_number(row[place], path, line, column, InvalidRecording))
     if not values[columns[0]]:
-        raise error(f"{path.name} has a header, but no rows.", "Record again, or leave the file out.")
+        raise InvalidRecording(f"{path.name} has a header, but no rows.", "Record again, or leave the file out.")
     return {column: np.frombuffer(numbers, dtype=np.float64) for column, numbers in values.items()}
 
 
@@ -207,16 +205,16 @@ def shortened(text: str) -> str:
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}…"
 
 
-def require_increasing(times: FloatArray, path: Path, error: type[InvalidInput] = InvalidRecording) -> None:
+def require_increasing(times: FloatArray, path: Path) -> None:
     """Check that times (N,) increase strictly.
 
     Raises:
-        error: a time repeats or goes back; names the first such row.
+        InvalidRecording: a time repeats or goes back; names the first such row.
     """
     steps = np.flatnonzero(np.diff(times) <= 0)
     if len(steps):
         row = int(steps[0])
-        raise error(
+        raise InvalidRecording(
             f"{path.name}, row {row + 3}: time {times[row + 1]:.6f} s does not come after {times[row]:.6f} s.",
             "Times must increase from row to row.",
         )

@@ -20,11 +20,10 @@ class MapWatch:
 
     Args:
         finder: to refresh.
-        every_s: interval of checks.
     """
 
-    def __init__(self, finder: MapFinder, every_s: float = _EVERY_S) -> None:
-        self._finder, self._every_s = finder, every_s
+    def __init__(self, finder: MapFinder) -> None:
+        self._finder = finder
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="map-watch", daemon=True)
 
@@ -51,4 +50,4 @@ class MapWatch:
             if self._finder.trouble not in ("", said):
                 said = self._finder.trouble
                 _log.warning("map_index_not_stored", error=said[:200])
-            self._stopped.wait(self._every_s)
+            self._stopped.wait(_EVERY_S)

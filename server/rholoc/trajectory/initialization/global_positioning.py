@@ -18,18 +18,16 @@ from rholoc.trajectory.visual.sphere import on_sphere, sphere_camera
 _UNIT_PX = 1000.0  # focal length of the ideal pinhole camera passed to pycolmap
 _SIDE_PX = 4000  # of its image: wide enough for any narrow lens
 _CAMERA = 1
+_SEED = 1  # of the random initial positions
 
 
-def global_positions(
-    R_world_camera: FloatArray, keyframes: IntArray, tracks: IntArray, rays: FloatArray, seed: int = 1
-) -> FloatArray:
+def global_positions(R_world_camera: FloatArray, keyframes: IntArray, tracks: IntArray, rays: FloatArray) -> FloatArray:
     """Camera positions (K, 3) in the frame of the rotations, at an arbitrary scale.
 
     Args:
         R_world_camera: (K, 3, 3).
         keyframes, tracks: (N,) camera and point of each sighting.
         rays: (N, 3) of each sighting, in the camera frame.
-        seed: of the random initial positions.
 
     Raises:
         MappingFailed: no positions were found.
@@ -58,7 +56,7 @@ def global_positions(
         model.add_point3D(np.zeros(3), track, np.zeros(3, np.uint8))
     options = pycolmap.GlobalPositionerOptions()
     options.use_gpu = False
-    options.random_seed = seed
+    options.random_seed = _SEED
     if not pycolmap.run_global_positioning(options, pycolmap.PoseGraph(), model):
         raise MappingFailed(
             "No positions of the camera explain what the pictures show.", "Walk slower, keep more texture in view."

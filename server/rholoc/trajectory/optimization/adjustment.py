@@ -19,7 +19,17 @@ import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, angles_between, cross, on_plane, pose_matrix
+from rholoc.geometry import (
+    BoolArray,
+    Camera,
+    FloatArray,
+    IntArray,
+    PosedCameras,
+    angles_between,
+    cross,
+    on_plane,
+    pose_matrix,
+)
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, longest_interval_s
 from rholoc.trajectory.visual.tracks import Observations
@@ -130,7 +140,7 @@ class InertialState:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class State(PosedCameras):
     """The unknowns.
 
     Attributes:
@@ -149,11 +159,6 @@ class State:
     def R_map_camera(self) -> FloatArray:
         """(K, 3, 3)."""
         return self.T_map_camera[:, :3, :3]
-
-    @property
-    def positions(self) -> FloatArray:
-        """(K, 3)."""
-        return self.T_map_camera[:, :3, 3]
 
 
 @dataclass(frozen=True, eq=False)
