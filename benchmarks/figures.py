@@ -14,6 +14,7 @@ the map's views), strangers (pictures of other rooms), pictures (a set without t
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import platform
@@ -26,7 +27,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -37,7 +38,7 @@ from measuring import SHARED_DATA
 from rholoc.evaluation.compare import CompareOptions, SplitResult, compare
 from rholoc.evaluation.errors import trajectory_errors
 from rholoc.evaluation.splits import QuerySet
-from rholoc.geometry import FloatArray, align_poses
+from rholoc.geometry import Camera, FloatArray, align_poses
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.recordings import read_recording
@@ -151,14 +152,38 @@ def _pose(localizer: Localizer, image: np.ndarray, room: rooms.Room) -> FloatArr
     return np.full((4, 4), np.nan) if answer.pose is None else answer.pose.T_map_camera
 
 
+class _Asked(NamedTuple):
+    """Whether a picture has no pose, and the CPU time of its features and of the whole answer [s]."""
+
+    refused: bool
+    extract_s: float
+    whole_s: float
+
+
+def _ask(localizer: Localizer, image: np.ndarray, camera: Camera) -> _Asked:
+    begun = time.thread_time()
+    query = Query.of_picture(image, localizer.extractor, camera)
+    extracted = time.thread_time()
+    refused = localizer.localize(query).pose is None
+    return _Asked(refused, extracted - begun, time.thread_time() - begun)
+
+
+def _kitchen_map(cache: Path) -> tuple[rooms.Room, Localizer]:
+    named = rooms.ROOMS[0]
+    room = named.make(cache)
+    return room, Localizer(rooms.map_of(named, room.mapped, DEFAULT_FEATURES, cache))
+
+
+@functools.cache
+def _asked_strangers(cache: Path) -> list[_Asked]:
+    """Pictures of other rooms asked in the kitchen's map, once for all parts."""
+    _, localizer = _kitchen_map(cache)
+    return [_ask(localizer, image, camera) for image, camera in rooms.strangers(rooms.ROOMS[0].recording, 4)]
+
+
 def strangers(cache: Path) -> Figures:
     """Pictures of other rooms in the kitchen's map."""
-    named = rooms.ROOMS[0]
-    localizer = Localizer(rooms.map_of(named, named.make(cache).mapped, DEFAULT_FEATURES, cache))
-    refused = [
-        localizer.localize(Query.of_picture(image, localizer.extractor, camera)).pose is None
-        for image, camera in rooms.real_strangers(named.recording, 4)
-    ]
+    refused = [one.refused for one in _asked_strangers(cache)]
     return {"strangers.refused_percent": share(refused, 0), "strangers.pictures": Figure(len(refused), 0, True)}
 
 
@@ -183,23 +208,11 @@ def pictures(_: Path) -> Figures:
 
 def request(cache: Path) -> Figures:
     """What an easy frame and a stranger's picture cost, in multiples of what finding an easy frame's features costs."""
-    named = rooms.ROOMS[0]
-    room = named.make(cache)
-    camera = room.asked.camera
-    assert camera is not None
-    localizer = Localizer(rooms.map_of(named, room.mapped, DEFAULT_FEATURES, cache))
-
-    def spent(image: np.ndarray, seen_by: Any) -> tuple[float, float]:
-        begun = time.thread_time()
-        query = Query.of_picture(image, localizer.extractor, seen_by)
-        extracted = time.thread_time()
-        localizer.localize(query)
-        return extracted - begun, time.thread_time() - begun
-
-    easy = [spent(image, camera) for _, image in room.pictures()]
-    other = [spent(image, seen_by) for image, seen_by in rooms.real_strangers(named.recording, 4)]
-    extract_s, answered_s = np.median(easy, axis=0)
-    refused_s = float(np.median([whole for _, whole in other]))
+    room, localizer = _kitchen_map(cache)
+    assert room.asked.camera is not None
+    easy = [_ask(localizer, image, room.asked.camera) for _, image in room.pictures()]
+    extract_s, answered_s = np.median([(one.extract_s, one.whole_s) for one in easy], axis=0)
+    refused_s = float(np.median([one.whole_s for one in _asked_strangers(cache)]))
     return {
         "request.answered_to_extracting_ratio": Figure(round(answered_s / extract_s, 2), AGAIN_RATIO, False),
         "request.refused_to_answered_ratio": Figure(round(refused_s / answered_s, 2), 1.0, False),

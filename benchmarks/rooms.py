@@ -257,16 +257,12 @@ def nearest_views(named: NamedRoom, kept: Path) -> FloatArray:
     return np.array(nearest_m)
 
 
-def strangers(recording: str, each: int, kept: Path) -> Iterator[tuple[np.ndarray, Camera]]:
-    """Pictures of all recordings but one, about ``each`` of every one, as by a camera of a usual focal length."""
-    for name, path in (*_real_paths(), *_simulated_paths(kept)):
-        if name != recording:
-            yield from _pictures(path, each)
+def strangers(recording: str, each: int, kept: Path | None = None) -> Iterator[tuple[np.ndarray, Camera]]:
+    """Pictures of all recordings but one, about ``each`` of every one, with a camera of a usual focal length.
 
-
-def real_strangers(recording: str, each: int) -> Iterator[tuple[np.ndarray, Camera]]:
-    """As :func:`strangers`, but only of real recordings."""
-    for name, path in _real_paths():
+    Simulated recordings are included if their folder ``kept`` is given.
+    """
+    for name, path in (*_real_paths(), *(_simulated_paths(kept) if kept else ())):
         if name != recording:
             yield from _pictures(path, each)
 

@@ -17,7 +17,7 @@ from rholoc_client.tracking.rigid import FloatArray, carried, inverse, motion_be
 _AVERAGED = 4.0  # successive answers have correlated errors, so that none ever weighs less than a fifth of the belief
 _FADING_S = 1.5  # without odometry, the assumed velocity decays over this time
 _FOLLOWING_S = 0.1  # over which the velocity follows odometry's
-_LEARNED, _LEAST_BLIND_S = 0.8, 0.2  # how much of a wrong guess is attributed to the velocity
+_LEARNED, _MIN_BLIND_S = 0.8, 0.2  # how much of a wrong guess is attributed to the velocity
 _WANDER_M_S, _WANDER_RAD_S = 0.4, 0.6  # by how much a hand's velocity changes while there is no odometry
 
 
@@ -151,7 +151,7 @@ class PoseBelief:
         T, velocity = moved(self.T_map_camera, motion), self.velocity
         if self.blind_s > 0:  # what was wrong in that time was the guessed velocity
             missed = np.concatenate([T[:3, :3].T @ motion[:3], T[:3, :3].T @ motion[3:]])
-            velocity = velocity + _LEARNED * missed / max(self.blind_s, _LEAST_BLIND_S)
+            velocity = velocity + _LEARNED * missed / max(self.blind_s, _MIN_BLIND_S)
         return replace(
             self, T_map_camera=T, covariance=posterior, velocity=velocity, travelled_m=0.0, turned_rad=0.0, blind_s=0.0
         )

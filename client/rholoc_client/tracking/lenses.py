@@ -9,7 +9,7 @@ from rholoc_client.models import Camera
 from rholoc_client.tracking.rigid import FloatArray
 
 _STEPS = 12  # of Newton, from a fisheye's radius to the angle
-_LEAST_SLOPE = 0.1
+_MIN_SLOPE = 0.1
 
 
 def image_planes(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -37,6 +37,6 @@ def _rays(camera: Camera, pixels: FloatArray) -> FloatArray:
         s = angle**2
         off = angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4)))) - radius
         slope = 1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4)))
-        angle = np.clip(angle - off / np.maximum(slope, _LEAST_SLOPE), 0.0, np.pi)
+        angle = np.clip(angle - off / np.maximum(slope, _MIN_SLOPE), 0.0, np.pi)
     across = np.where(radius > 0, np.sin(angle) / np.where(radius > 0, radius, 1.0), 1.0)
     return np.column_stack([x * across, y * across, np.cos(angle)])

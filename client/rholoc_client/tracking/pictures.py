@@ -22,13 +22,13 @@ PICTURE_NOISE = OdometryNoise(drift=0.03, turn_drift=0.02, heading_drift_deg_m=0
 """How accurate it is: it does not drift while the same points stay in the picture."""
 
 _FEW_POINTS = 30
-_FEWEST_POINTS = 8  # with fewer there is no pose
-_MOST_POINTS = 250
+_MIN_POINTS = 8  # with fewer there is no pose
+_MAX_POINTS = 250
 _FLOW = {"winSize": (21, 21), "maxLevel": 4}
 _BACK_PX = 1.0  # forward and backward flow must end where it began
 _TOLERANCES_PX = (60.0, 20.0, 8.0, 4.0)
 _ITERATIONS, _SETTLED = 5, 1e-5  # metres or radians
-_LEAST_DEPTH = 0.05  # in front of the camera, metres
+_MIN_DEPTH = 0.05  # in front of the camera, metres
 _SAME_PX = 4.0
 _KEPT_PICTURES = 90  # while an answer is awaited
 
@@ -98,8 +98,8 @@ class PictureMotion:
         asked, *later = self._kept
         self._kept.clear()
         seen = _Points(
-            np.reshape(np.asarray(landmarks, dtype=np.float64), (-1, 3))[:_MOST_POINTS],
-            np.reshape(np.asarray(pixels, dtype=np.float64), (-1, 2))[:_MOST_POINTS],
+            np.reshape(np.asarray(landmarks, dtype=np.float64), (-1, 3))[:_MAX_POINTS],
+            np.reshape(np.asarray(pixels, dtype=np.float64), (-1, 2))[:_MAX_POINTS],
         )
         # The points alone give a pose slightly off the answer's, which weighs them better. Motion is from one such pose
         # to the next, so that both are off by the same amount.
@@ -123,7 +123,7 @@ class PictureMotion:
 
     def _followed(self, last: _FollowedFrame | None, time_s: float, grey: np.ndarray) -> _FollowedFrame:
         nothing = _FollowedFrame(time_s, grey, None, _Points(np.zeros((0, 3)), np.zeros((0, 2))))
-        if last is None or last.T_odom_camera is None or len(last.points.points) < _FEWEST_POINTS:
+        if last is None or last.T_odom_camera is None or len(last.points.points) < _MIN_POINTS:
             return nothing
         if last.grey.shape != grey.shape:
             return nothing
@@ -137,7 +137,7 @@ class PictureMotion:
         Gauss–Newton from a guess, with weights that fall to 0 at a tolerance that narrows: flow has few outliers and
         the guess is the frame before, so that no random sampling is needed.
         """
-        if len(points.points) < _FEWEST_POINTS:
+        if len(points.points) < _MIN_POINTS:
             return None
         R_plane_camera, plane = image_planes(self._camera, points.pixels)
         T, focal_px = inverse(T_guess), float(np.sqrt(self._camera.fx * self._camera.fy))
@@ -146,11 +146,11 @@ class PictureMotion:
             for _ in range(_ITERATIONS):
                 seen = points.points @ T[:3, :3].T + T[:3, 3]
                 there = np.einsum("nij,nj->ni", R_plane_camera, seen)
-                x, y, depth = there[:, 0], there[:, 1], np.maximum(there[:, 2], _LEAST_DEPTH)
+                x, y, depth = there[:, 0], there[:, 1], np.maximum(there[:, 2], _MIN_DEPTH)
                 residual = plane - there[:, :2] / depth[:, None]
                 off_px = focal_px * np.linalg.norm(residual, axis=1)
-                agreeing = (off_px < tolerance_px) & (there[:, 2] > _LEAST_DEPTH)
-                if agreeing.sum() < _FEWEST_POINTS:
+                agreeing = (off_px < tolerance_px) & (there[:, 2] > _MIN_DEPTH)
+                if agreeing.sum() < _MIN_POINTS:
                     return None
                 weight = np.where(agreeing, 1 - (off_px / tolerance_px) ** 2, 0.0)
                 one, none = np.ones_like(x), np.zeros_like(x)
@@ -179,7 +179,7 @@ def _joined(new: _Points, old: _Points) -> _Points:
     if len(new.points) == 0 or len(old.points) == 0:
         return new if len(new.points) else old
     apart_px = np.linalg.norm(old.pixels[:, None] - new.pixels[None], axis=2).min(axis=1)
-    kept = old.take(np.flatnonzero(apart_px > _SAME_PX)[: max(0, _MOST_POINTS - len(new.points))])
+    kept = old.take(np.flatnonzero(apart_px > _SAME_PX)[: max(0, _MAX_POINTS - len(new.points))])
     return _Points(np.concatenate([new.points, kept.points]), np.concatenate([new.pixels, kept.pixels]))
 
 

@@ -30,8 +30,8 @@ from rholoc_client.tracking.rigid import (
 _GATE = 22.5  # of χ² with six degrees of freedom: a right answer is beyond it once in a thousand times
 _UNTENABLE = 6  # after so many answers that contradict a track, and each other, it is given up
 _SURE = 0.8  # the probability of the right place from which one answer begins a track; below, it takes two
-_LEAST_SIGMA_M, _LEAST_SIGMA_RAD = 0.005, math.radians(0.2)  # of an answer: no map is more accurate
-_MOST_READINGS = 20_000  # of an IMU that wait for a frame
+_MIN_SIGMA_M, _MIN_SIGMA_RAD = 0.005, math.radians(0.2)  # of an answer: no map is more accurate
+_MAX_READINGS = 20_000  # of an IMU that wait for a frame
 _PATIENT_FAILURES = 6
 _LONGEST_WAIT_S = 3.0
 _LONGEST_GAP_S = 5.0  # between frames; beyond it a track starts over
@@ -136,7 +136,7 @@ class Answer:
     @property
     def inflated_covariance(self) -> FloatArray:
         """The covariance (6, 6), plus what no map is more accurate than."""
-        least = np.diag([_LEAST_SIGMA_M**2] * 3 + [_LEAST_SIGMA_RAD**2] * 3)
+        least = np.diag([_MIN_SIGMA_M**2] * 3 + [_MIN_SIGMA_RAD**2] * 3)
         return self.covariance + least
 
 
@@ -254,7 +254,7 @@ class Track:
             raise InvalidTrack("An IMU reading must have three finite numbers for each sensor.")
         self._imu_s = time_s
         self._readings.append((time_s, acceleration, rate))
-        if len(self._readings) > _MOST_READINGS:
+        if len(self._readings) > _MAX_READINGS:
             self._readings.popleft()
 
     def frame(self, time_s: float, T_odom_camera: FloatArray | None = None) -> Tracked:

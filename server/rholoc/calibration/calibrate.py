@@ -23,7 +23,7 @@ _MIN_VIEWS = 8
 _OPTICAL_AXIS = np.array([0.0, 0.0, 1.0])
 _MAX_RMS_PX = 2.0  # at a width of 1000 px: beyond, the board is another one, bent, or smeared
 _MAX_FOCAL_SIGMA = 0.01  # relative
-_LEAST_TILT_DEG = 6.0
+_MIN_TILT_DEG = 6.0
 _OUTLIER = 3.0  # times the median error of all views
 _SIGNIFICANT = 3.0  # standard deviations from zero that the sixth-order term must be to be kept
 _PARAMETERS = {
@@ -156,7 +156,7 @@ def _check(calibration: Calibration) -> None:
             "Is the board flat, and of that size? Were focus and zoom unchanged?",
         )
     tilt_deg = calibration.tilt_deg
-    if tilt_deg < _LEAST_TILT_DEG:  # the solver may then stop anywhere, and be sure of it
+    if tilt_deg < _MIN_TILT_DEG:  # the solver may then stop anywhere, and be sure of it
         raise InvalidRecording(f"The views are too similar: the board is tilted by only {tilt_deg:.1f}°.", _MOVE)
     sigma = calibration.sigmas["fx"] / calibration.camera.fx
     if sigma > _MAX_FOCAL_SIGMA:

@@ -14,9 +14,9 @@ from rholoc.recordings import FrameSource
 
 _SEARCHED = 160  # frames; more cost time and add little
 _SCAN_WIDTH_PX = 320
-_MOST_VIEWS = 40
+_MAX_VIEWS = 40
 _BLUR_FACTOR = 1.6  # of the sharpest quarter's edges, beyond which a view is blurred
-_LEAST_DIFFERENCE = 0.03  # of the image's diagonal, between the outlines of two views that are different
+_MIN_DIFFERENCE = 0.03  # of the image's diagonal, between the outlines of two views that are different
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +60,10 @@ def choose_views(found: Sequence[Sighting], board: Board, size: tuple[int, int])
     outlines = np.array([outline(sighting, board) for sighting in sharp]) / np.hypot(*size)
     chosen = [0]
     nearest = np.full(len(sharp), np.inf)
-    while len(chosen) < _MOST_VIEWS:
+    while len(chosen) < _MAX_VIEWS:
         apart = np.linalg.norm(outlines - outlines[chosen[-1]], axis=2).mean(axis=1)
         nearest = np.minimum(nearest, apart)
-        if nearest.max() < _LEAST_DIFFERENCE:
+        if nearest.max() < _MIN_DIFFERENCE:
             break
         chosen.append(int(nearest.argmax()))
     return tuple(sharp[i] for i in chosen)

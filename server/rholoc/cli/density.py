@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rholoc.paper.landscape import Look
 
 _FILM_FPS = 5.0
-_MOST_SHOTS = 40  # of a film along the views that saw a feature
+_MAX_SHOTS = 40  # of a film along the views that saw a feature
 _SHARPENING = (3, 5, 10, 30, 100)
 _BEARING_SIGMA_PX = 1.5
 
@@ -105,7 +105,7 @@ def _feature(
         may_be_seen = seen_from(map_, feature, grid).astype(np.float64)
         fields = {"rho": over_positions(map_, look, grid, width), "may_be_seen": may_be_seen}
         return image_data(grid.origin, (grid.spacing_m,) * 3, fields)
-    chosen = saw[np.unique(np.linspace(0, len(saw) - 1, min(_MOST_SHOTS, len(saw))).astype(np.int64))]
+    chosen = saw[np.unique(np.linspace(0, len(saw) - 1, min(_MAX_SHOTS, len(saw))).astype(np.int64))]
     looks = [_look(map_, feature, int(one), pixel) for one in chosen]
     return film(feature_frames(map_, looks, width, title), ending, _FILM_FPS)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +15,8 @@ from rholoc.cli.options import Json, choice
 from rholoc.cli.serve import Data, service_settings
 
 if TYPE_CHECKING:
-    from rholoc.jobs import Job
+    from rholoc.jobs import Job, JobQueue
+    from rholoc.service import Settings
 
 app = typer.Typer(help="Show the mapping jobs of a server, and say how soon their turn comes.", no_args_is_help=True)
 
@@ -26,15 +29,8 @@ def _group() -> None:
 @app.command("list")
 def list_jobs(data: Data = None, as_json: Json = False) -> None:
     """Show all jobs, the newest first, and whether their maps are to be trusted."""
-    from rholoc.jobs import JobQueue
-
-    settings = service_settings(data_dir=data)
-    queue = JobQueue(settings.data_dir, settings.jobs_database)
-    try:
-        queue.check()
+    with open_queue(service_settings(data_dir=data)) as queue:
         jobs = sorted(queue.list(), key=lambda job: job.created, reverse=True)
-    finally:
-        queue.close()
     if as_json:
         print_json([asdict(job) | {"trusted": job.trusted} for job in jobs])
         return
@@ -51,17 +47,25 @@ def prioritize(
     data: Data = None,
 ) -> None:
     """Change the priority of a job that waits for a worker."""
-    from rholoc.jobs import JobPriority, JobQueue
+    from rholoc.jobs import JobPriority
 
     wanted = choice(JobPriority, priority, "The priority")
-    settings = service_settings(data_dir=data)
+    with open_queue(service_settings(data_dir=data)) as queue:
+        changed = queue.prioritize(job, wanted)
+    print_notice(f"The job for {_subject(changed)} has priority {changed.priority}.")
+
+
+@contextmanager
+def open_queue(settings: Settings) -> Iterator[JobQueue]:
+    """The queue of a server, connected. Raises as :meth:`JobQueue.check`."""
+    from rholoc.jobs import JobQueue
+
     queue = JobQueue(settings.data_dir, settings.jobs_database)
     try:
         queue.check()
-        changed = queue.prioritize(job, wanted)
+        yield queue
     finally:
         queue.close()
-    print_notice(f"The job for {_subject(changed)} has priority {changed.priority}.")
 
 
 def _subject(job: Job) -> str:

@@ -22,7 +22,7 @@ from rholoc.errors import InvalidInput, RholocError
 if TYPE_CHECKING:
     from rholoc.maps import Map
 
-_MOST_SHOWN = 12  # of a list; --json has all
+_MAX_SHOWN = 12  # of a list; --json has all
 
 app = typer.Typer(no_args_is_help=True, help="Build maps, make them learn and forget, inspect and export them.")
 app.command()(density)
@@ -410,7 +410,7 @@ def _shown(value: Any) -> str:
             return "yes" if value else "no"
         case float():
             return f"{value:.4g}"
-        case list() if len(value) > _MOST_SHOWN:
+        case list() if len(value) > _MAX_SHOWN:
             return f"{len(value)} values"
         case list():
             return ", ".join(_shown(item) for item in value)

@@ -9,6 +9,7 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import output, print_error, print_json, print_notice
+from rholoc.cli.jobs import open_queue
 from rholoc.cli.serve import Data, service_settings
 from rholoc.errors import InvalidInput
 
@@ -114,18 +115,13 @@ def place(
 def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from rholoc.jobs import JobQueue
     from rholoc.maps import SiteLibrary
 
     settings = service_settings(data_dir=data)
     if settings.shared_storage is None:
         SiteLibrary(maps).get(name)
-    jobs = JobQueue(settings.data_dir, settings.jobs_database)
-    try:
-        jobs.check()
+    with open_queue(settings) as jobs:
         job = jobs.submit_placing(name)
-    finally:
-        jobs.close()
     if as_json:
         print_json(asdict(job))
     else:

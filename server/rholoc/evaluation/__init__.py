@@ -1,7 +1,6 @@
-"""How good poses are: errors against the truth, recall, plots."""
+"""Evaluation of poses: errors against the truth, recall, comparisons."""
 
 from rholoc.evaluation.errors import (
-    RECALL_THRESHOLDS,
     Evaluation,
     PoseErrors,
     evaluate,
@@ -9,16 +8,13 @@ from rholoc.evaluation.errors import (
     rigid_alignment,
     trajectory_errors,
 )
-from rholoc.evaluation.matching import MATCH_TOLERANCE_S, FramePoses, PosePairs, in_range, pair_poses
+from rholoc.evaluation.matching import FramePoses, in_range, pair_poses
 from rholoc.evaluation.reading import read_frame_poses
 
 __all__ = [
-    "MATCH_TOLERANCE_S",
-    "RECALL_THRESHOLDS",
     "Evaluation",
     "FramePoses",
     "PoseErrors",
-    "PosePairs",
     "evaluate",
     "in_range",
     "pair_poses",

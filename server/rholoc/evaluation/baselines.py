@@ -29,18 +29,18 @@ _ASCENT_PX = (4 * FINAL_TOLERANCE_PX, 2 * FINAL_TOLERANCE_PX, FINAL_TOLERANCE_PX
 
 
 class Solver(StrEnum):
-    """How a pose is found from matches without any density."""
+    """A solver for a pose from matches, without any density."""
 
     CV2 = "cv2"  # P3P RANSAC, then Levenberg–Marquardt over the inliers
     POSELIB = "poselib"  # LO-RANSAC with progressive sampling, then its own non-linear refinement
 
 
 class MatchSet(StrEnum):
-    """Which matches a solver is given."""
+    """Input matches of a solver."""
 
-    EVERYWHERE = "everywhere"  # each feature of the query with its nearest of the whole map
-    DISTINCT = "distinct"  # those of them that stand out against their nearest rival (the ratio test's part)
-    PLACE = "place"  # mutual matches within the place that most matches vote for: with half of our seeding
+    EVERYWHERE = "everywhere"  # each query feature with its nearest neighbour in the whole map
+    DISTINCT = "distinct"  # those that pass the ratio test
+    PLACE = "place"  # mutual matches within the place with most votes: half of our seeding
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class RansacOptions:
     """Settings of a RANSAC.
 
     Attributes:
-        iterations: the most samples.
-        threshold_px: the reprojection error below which a match is an inlier.
+        iterations: maximum number of samples.
+        threshold_px: maximum reprojection error of an inlier.
         confidence: at which sampling stops early.
     """
 
@@ -61,9 +61,9 @@ class RansacOptions:
 def solve(
     solver: Solver, pixels: FloatArray, points: FloatArray, camera: Camera, options: RansacOptions | None = None
 ) -> FloatArray | None:
-    """T_map_camera (4, 4) from pixels (M, 2) and points (M, 3) of the map, the most likely match first, or None.
+    """T_map_camera (4, 4) from pixels (M, 2) and map points (M, 3), the most likely match first; None without a pose.
 
-    OpenCV's solver wants pinholes and finds no pose for other lenses.
+    OpenCV's solver returns None for lenses other than pinholes.
     """
     if len(pixels) < _MIN_MATCHES:
         return None
@@ -73,7 +73,7 @@ def solve(
 
 
 def distinct(matches: Matches) -> Matches:
-    """The matches that are credible by their descriptors alone."""
+    """The matches that pass the ratio test."""
     return matches.take(np.flatnonzero(matches.chances >= _DISTINCT_CHANCE))
 
 

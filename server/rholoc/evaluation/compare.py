@@ -1,4 +1,4 @@
-"""The density beside the baselines: one run, one set of features and matches for each query."""
+"""Compare the density with the baselines in one run, on the same features and matches of each query."""
 
 from __future__ import annotations
 
@@ -42,17 +42,17 @@ THRESHOLDS = ((0.02, 2.0), (0.05, 5.0), (0.10, 5.0), (0.25, 10.0))
 RETRIEVAL = "sift retrieval + poselib"
 _RETRIEVAL_FEATURES = "sift"
 _VIEWS_EACH = 10
-_RADIAN_M = 1.0  # the distance from a map's view that a rotation by a radian counts as, as in choosing views
+_RADIAN_M = 1.0  # distance from a map's view equivalent to a rotation by a radian, as in choosing views
 
 Answer = tuple[FloatArray | None, dict[str, float]]
 
 
 @dataclass(frozen=True)
 class CompareOptions:
-    """What is compared.
+    """Options of a comparison.
 
     Attributes:
-        features: the extractor whose features and matches all but the retrieval pipeline share.
+        features: extractor shared by all methods but the retrieval pipeline.
         dof: what the densities estimate; the baselines always estimate six.
         tensor: whether to fit and run the ``tensor`` density too.
         retrieval: whether to build and run the SIFT retrieval pipeline too.
@@ -72,10 +72,10 @@ class MethodResult:
 
     Attributes:
         name: of the method.
-        T_map_camera: (N, 4, 4), NaN where it gave no pose.
+        T_map_camera: (N, 4, 4), NaN without a pose.
         errors: against the truth.
         timings_ms: for each query, milliseconds by stage.
-        map_bytes: what the method needs stored.
+        map_bytes: size of the method's stored data.
     """
 
     name: str
@@ -85,7 +85,7 @@ class MethodResult:
     map_bytes: int
 
     def stage_ms(self) -> dict[str, float]:
-        """The median milliseconds of each stage, a stage that a query did not reach counting as 0."""
+        """Median time of each stage [ms]; a stage that a query did not reach counts as 0."""
         stages = dict.fromkeys(stage for timings in self.timings_ms for stage in timings)
         return {stage: float(np.median([t.get(stage, 0.0) for t in self.timings_ms])) for stage in stages}
 
@@ -112,7 +112,7 @@ class SplitResult:
     Attributes:
         label: the set's name.
         truth: (N, 4, 4).
-        view_distance: (N,) how far each query is from the map's nearest view, a radian counting as a metre.
+        view_distance: (N,) from each query to the map's nearest view, in metres plus radians.
         methods: in the order of the table.
     """
 
@@ -127,7 +127,7 @@ class Comparison:
     """The result of a run.
 
     Attributes:
-        options: what was compared.
+        options: of the run.
         map_: the map of ``ray`` densities.
         build_s: seconds that building each map took, by its name.
         splits: one for each set of queries.
@@ -208,11 +208,11 @@ class _Bench:
             yield RETRIEVAL, self.retrieval.localize(sift, query.camera)
 
     def bytes_of(self, method: str) -> int:
-        """What a method needs stored; the PnP baselines need the ``ray`` map."""
+        """Size of a method's stored data; the PnP baselines need the ``ray`` map."""
         return self.map_bytes.get(method, self.map_bytes["ray"])
 
     def _match_sets(self, features: FeatureSet) -> dict[MatchSet, tuple[Matches, float]]:
-        """The matches that solvers start from, and the milliseconds that they took."""
+        """Input matches of the solvers, and the time to find them [ms]."""
         index = self.ray.index
         start = time.perf_counter()
         everywhere = index.match_everywhere(features).likeliest_first()

@@ -1,4 +1,4 @@
-"""Errors of poses against the truth, and the figures that summarize them. Independent of files and plots."""
+"""Errors of poses against the truth, and summary figures."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class PoseErrors:
     """Errors of N poses; a frame without a pose has infinite errors.
 
     Attributes:
-        position_m: (N,) the distance between the camera centres, metres.
-        rotation_rad: (N,) the angle of the whole rotation between the two, heading and roll, radians.
+        position_m: (N,) distance between the camera centres.
+        rotation_rad: (N,) angle of the rotation between estimate and truth.
     """
 
     position_m: FloatArray
@@ -30,24 +30,24 @@ class PoseErrors:
 
     @property
     def localized(self) -> BoolArray:
-        """(N,) bool, which frames have a pose at all."""
+        """(N,) bool, frames with a pose."""
         return np.isfinite(self.position_m)
 
     def within(self, position_m: float, rotation_deg: float) -> BoolArray:
-        """(N,) bool, which frames have both errors no larger than these."""
+        """(N,) bool, frames with both errors at most these."""
         return (self.position_m <= position_m) & (self.rotation_rad <= math.radians(rotation_deg))
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A trajectory's figures. Every one is over all ``n`` frames, and a frame without a pose is a failure in all.
+    """A trajectory's figures, all over ``n`` frames.
 
-    A failure counts as infinitely wrong in the medians and 90th percentiles too: leaving failures out would reward a
-    localizer for answering only the easy frames. Where so many fail that a figure is infinite, it is None.
+    A frame without a pose has an infinite error, also in medians and percentiles: leaving it out would reward a
+    localizer for answering only easy frames. An infinite figure is None.
 
     Attributes:
-        n: frames that were to be localized and whose truth is known.
-        localized: how many of them have a pose.
+        n: number of frames with known truth.
+        localized: number of these with a pose.
         median_cm, median_deg: median errors of position (cm) and rotation (degrees).
         p90_cm, p90_deg: their 90th percentiles.
         recall_5cm_5deg, recall_10cm_5deg, recall_25cm_10deg: fractions 0..1 of ``n`` within both.

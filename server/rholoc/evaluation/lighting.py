@@ -43,8 +43,8 @@ class LightPair:
     Attributes:
         features: the extractor's name.
         map_light, query_light: the lights' names.
-        redetection: over all queries, each beside the map's frame that is nearest to it.
-        queries: how many.
+        redetection: over all queries, each compared with the nearest frame of the map.
+        queries: their number.
         recall: the share of them localized within 5 cm and 5°.
         median_cm: their median error, a failure counting as infinite; None where it is.
         landmarks: of the map.
@@ -122,12 +122,12 @@ def compare_lights(
 
 @dataclass(frozen=True, eq=False)
 class _Correspondences:
-    """Where each query frame's pixels are in the map's frame that is nearest to it.
+    """Pixel correspondences of each query frame with its nearest frame of the map.
 
     Attributes:
-        map_rows: (K,) the frames of the map's walk that are nearest to some query.
-        nearest: for each query, which of those.
-        where: for each query, (H, W, 2) float32: the pixel of that frame that shows the same point; NaN where hidden.
+        map_rows: (K,) rows of the map's walk that are nearest to some query.
+        nearest: for each query, the index of its nearest frame in ``map_rows``.
+        where: for each query, (H, W, 2) float32: the pixel of that frame with the same point; NaN where hidden.
     """
 
     map_rows: IntArray
@@ -142,7 +142,7 @@ class _Correspondences:
             u, v = np.rint(query.pixels).astype(np.int64).T
             height, width = where.shape[:2]
             u, v = u.clip(0, width - 1), v.clip(0, height - 1)
-            # the fraction of a pixel that rounding took moves along
+            # keep the fraction of a pixel lost in rounding
             shown = where[v, u] + (query.pixels - np.column_stack([u, v]))
             parts.append(redetection(query, views[view], shown, extractor.metric))
         return Redetection.total(parts)
@@ -162,8 +162,8 @@ def _correspondences(map_walk: Recording, query_walk: Recording, points_seen: Po
 
 
 def _shown_in(points: FloatArray, others: FloatArray, pose: Pose, camera: Camera) -> FloatArray:
-    """The pixels (H, W, 2) at which a camera sees points (H, W, 3), NaN where ``others`` (H, W, 3), what it sees, hides
-    them."""
+    """Projections (H, W, 2) of points (H, W, 3) into a camera whose pixels see ``others`` (H, W, 3); NaN where hidden
+    by these."""
     local = (points.reshape(-1, 3) - pose.position) @ pose.R_map_camera
     pixels = camera.project(local)
     inside = np.flatnonzero(camera.contains(pixels))

@@ -1,4 +1,4 @@
-"""Which estimated pose belongs to which true one."""
+"""Pair estimated poses with true ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MATCH_TOLERANCE_S = 0.01
 
 @dataclass(frozen=True, eq=False)
 class FramePoses:
-    """Poses of N frames, as a trajectory file or a table of true poses gives them.
+    """Poses of N frames from a trajectory file or a table of true poses.
 
     Attributes:
         T_map_camera: (N, 4, 4), NaN where a frame has no pose.
@@ -47,9 +47,9 @@ class PosePairs:
     Attributes:
         estimated: (N, 4, 4) T_map_camera, NaN where the frame has no pose.
         truth: (N, 4, 4) T_map_camera, all known.
-        without_truth: how many estimated frames had to be left out because their truth is unknown.
-        by_time: whether times paired them; frames without a pose are then missing here.
-        beyond: how many of the N frames lie before the first or after the last that has an estimated pose.
+        without_truth: number of estimated frames left out because their truth is unknown.
+        by_time: whether frames were paired by time; frames without a pose are then missing.
+        beyond: number of frames before the first or after the last estimated pose.
     """
 
     estimated: FloatArray
@@ -63,10 +63,10 @@ class PosePairs:
 
 
 def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = None) -> PosePairs:
-    """Pair poses by frame number where both tables have them, else by time.
+    """Pair poses by frame number if both tables have numbers, else by time.
 
-    By number every true frame is paired, or every one in ``frames`` (start, stop, step), whether ``estimated`` lists it
-    or not: what it leaves out has no pose. By time only the estimated poses can be paired, so failures do not show.
+    By number, every true frame (in ``frames``, if given) is paired; one missing in ``estimated`` has no pose. By time,
+    only estimated poses are paired, so failures do not show.
 
     Raises:
         InvalidTrajectory: the tables share neither frame numbers nor times, or no frame is in both.
@@ -93,7 +93,7 @@ def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = 
 
 
 def in_range(numbers: IntArray, frames: slice) -> BoolArray:
-    """(N,) bool, which increasing frame numbers (N,) lie in ``frames``: stop is left out, a step counts from start."""
+    """(N,) bool, increasing frame numbers (N,) in the slice ``frames``; a step counts from its start."""
     start = (numbers[0] if len(numbers) else 0) if frames.start is None else frames.start
     stop = np.inf if frames.stop is None else frames.stop
     return np.asarray((numbers >= start) & (numbers < stop) & ((numbers - start) % (frames.step or 1) == 0))

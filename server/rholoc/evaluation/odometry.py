@@ -1,4 +1,4 @@
-"""How far odometry drifts from the truth."""
+"""Drift of odometry from the truth."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _MAX_TILT_RAD = np.deg2rad(10.0)  # of odometry against a truth that is upright
 
 @dataclass(frozen=True, eq=False)
 class OdometryErrors:
-    """N poses of an odometry against the truth, after the similarity that aligns them with it best.
+    """Errors of N odometry poses after their best alignment with the truth.
 
     Attributes:
-        aligned: (N, 4, 4) the poses in the truth's frame, at the truth's size.
-        scale: the factor that the odometry's lengths were multiplied by for it.
-        path_m: the length of the true path, metres.
-        rms_m: of the positions that are left, metres.
-        median_deg: of the rotations that are left.
-        drift: the error of the camera's position relative to an earlier pose, over the path between; the mean
-            over segments of a tenth to four tenths of the way, after the scaling.
+        aligned: (N, 4, 4) the poses in the truth's frame and scale.
+        scale: of the alignment: true over odometry length.
+        path_m: length of the true path.
+        rms_m: RMS of the remaining position errors.
+        median_deg: median of the remaining rotation errors.
+        drift: error of the position relative to an earlier pose over the path length between; mean over segments of 10
+            to 40 % of the path.
     """
 
     aligned: FloatArray
@@ -85,7 +85,7 @@ def _same_up(T_odom_camera: FloatArray, truth: FloatArray) -> bool:
 
 
 def _drift(estimated: FloatArray, truth: FloatArray, way_m: FloatArray) -> float:
-    """The mean relative error of where the camera is as seen from where it was some way before."""
+    """Mean error of positions relative to an earlier pose, over the path length between."""
     errors: list[float] = []
     for share in _SEGMENTS:
         length_m = share * way_m[-1]

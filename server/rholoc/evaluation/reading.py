@@ -1,4 +1,4 @@
-"""Tables of poses on disk → frames and their poses: ``poses.txt`` and Table 6."""
+"""Read tables of poses: ``poses.txt`` and Table 6."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LARGEST_KEY = 2.0**63
 def read_frame_poses(path: Path) -> FramePoses:
     """Read Table 6 (CSV with the column ``timestamp``) or ``poses.txt``.
 
-    The keys of ``poses.txt`` are frame numbers where all of them are whole, else times.
+    The keys of ``poses.txt`` are frame numbers if all of them are whole, else times.
 
     Raises:
         InvalidTrajectory: the file is neither, or is broken.

@@ -1,4 +1,4 @@
-"""How stable features are under a change: repeatability, and the precision of mutual matches."""
+"""Repeatability of features under a change, and precision of mutual matches."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class Redetection:
     """Counts of one pair of images, or of many.
 
     Attributes:
-        visible: features of the first image whose point the second one shows.
-        redetected: those of them with a feature of the same channel at the same point of the second image.
-        matches: mutual nearest neighbours by descriptor, whatever their distance.
-        right: those of them that are at the same point.
+        visible: features of the first image with a visible point in the second.
+        redetected: visible features with a feature of the same channel at the same point of the second image.
+        matches: mutual nearest neighbours by descriptor, at any distance.
+        right: matches at the same point.
     """
 
     visible: int

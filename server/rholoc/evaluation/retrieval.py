@@ -1,4 +1,4 @@
-"""Localization as hierarchical pipelines do it, without a GPU: SIFT, image retrieval by VLAD, LO-RANSAC.
+"""Hierarchical localization without a GPU: SIFT, image retrieval by VLAD, LO-RANSAC.
 
 It stands for hloc (Sarlin et al., CVPR 2019) with classical parts: the most similar views are retrieved by a global
 descriptor, the query is matched with each of them alone, and the 2D–3D matches of all give one pose by poselib. The
@@ -23,11 +23,12 @@ from rholoc.localization.index.map_index import MapIndex
 _OBSERVED_PX = 3.0
 _RATIO = 0.85
 OPTIONS = RansacOptions(threshold_px=12.0)
+_RETRIEVED = 20  # views to match a query with
 
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """What one view offers: the features that observe landmarks."""
+    """The features of one view that observe landmarks."""
 
     features: FeatureSet
     landmarks: IntArray
@@ -40,12 +41,10 @@ class VladPipeline:
     Args:
         index: a map of SIFT features.
         view_features: the features of the map's views, in their order, by the map's extractor.
-        retrieved: how many views a query is matched with.
     """
 
-    def __init__(self, index: MapIndex, view_features: Sequence[FeatureSet], retrieved: int = 20) -> None:
+    def __init__(self, index: MapIndex, view_features: Sequence[FeatureSet]) -> None:
         self._landmarks = index.landmarks
-        self._retrieved = retrieved
         self._views = [_view(index, k, features) for k, features in enumerate(view_features)]
         descriptors = [features.descriptors for features in view_features]
         self._vlad = Vlad(descriptors)
@@ -53,7 +52,7 @@ class VladPipeline:
 
     @property
     def bytes(self) -> int:
-        """What has to be stored: descriptors with their landmarks, landmarks, VLAD vectors as float32, words."""
+        """Stored bytes: descriptors with their landmarks, landmarks, VLAD vectors as float32, words."""
         views = sum(view.features.descriptors.nbytes + 4 * len(view.landmarks) for view in self._views)
         return views + 4 * (self._landmarks.size + self._vectors.size + self._vlad.words.size)
 
@@ -61,7 +60,7 @@ class VladPipeline:
         """T_map_camera (4, 4) or None, and the milliseconds of ``retrieve``, ``match`` and ``solve``."""
         laps = [time.perf_counter()]
         likeness = self._vectors @ self._vlad.vector(features.descriptors)
-        views = np.argsort(-likeness, kind="stable")[: self._retrieved]
+        views = np.argsort(-likeness, kind="stable")[:_RETRIEVED]
         laps.append(time.perf_counter())
         detections, landmarks = self._match(features, views)
         laps.append(time.perf_counter())

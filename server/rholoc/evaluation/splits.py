@@ -1,4 +1,4 @@
-"""A posed recording split into frames for the map and frames for the queries."""
+"""Split a posed recording into frames for the map and frames for queries."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TRUTH_FILE = "truth.csv"
 
 @dataclass(frozen=True, eq=False)
 class QuerySet:
-    """Frames to localize whose truth is known.
+    """Frames to localize, with known truth.
 
     Attributes:
         label: their name in tables.
@@ -44,7 +44,7 @@ class QuerySet:
 
 
 def with_poses(recording: Recording, use_truth: bool) -> Recording:
-    """The recording with its poses, or with those of ``truth.csv`` where they are asked for and it has none.
+    """The recording with its poses; if it has none and ``use_truth``, with those of ``truth.csv``.
 
     Raises:
         InvalidRecording: there are no poses.
@@ -86,7 +86,7 @@ def choose_rows(recording: Recording, frames: str | None) -> IntArray:
 
 
 def hold_out_blocks(rows: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows for the map and rows held out: the middle one of every five of 25 blocks in a row.
+    """Rows for the map, and rows held out: of 25 consecutive blocks, the middle one of every five.
 
     Neighbouring frames look alike; holding out whole blocks keeps similar frames out of the map too.
     """

@@ -1,4 +1,4 @@
-"""A tracker run over a recording, as a robot would run it: answers come as late as they take."""
+"""Run a tracker over a recording as a robot would, with delayed answers."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from rholoc_client.models import Camera as ClientCamera
 from rholoc_client.tracking import Answer, AnsweredMatches, FollowedTrack, Tracked, TrackOptions, TrackStatus
 from rholoc_client.tracking.rigid import inverse
 
-_HEADING_DRIFT_DEG_M = 0.5  # of simulated odometry, as visual-inertial odometry has it
-_WANDER = 0.05  # of the direction of its drift, a step
+_HEADING_DRIFT_DEG_M = 0.5  # of simulated odometry, typical of visual-inertial odometry
+_WANDER = 0.05  # of the drift's direction, per step
 
 
 class Motion(StrEnum):
-    """What a tracker knows of motion between answers."""
+    """A tracker's source of motion between answers."""
 
     ODOMETRY = "odometry"  # poses in a frame of their own
     IMU = "imu"  # acceleration and rotation rate
@@ -34,7 +34,7 @@ class Motion(StrEnum):
 
 @dataclass(frozen=True)
 class Outage:
-    """Seconds after the first frame between which no question is answered."""
+    """Interval without answers, in seconds after the first frame."""
 
     start_s: float
     stop_s: float
@@ -42,15 +42,15 @@ class Outage:
 
 @dataclass(frozen=True, eq=False)
 class TrackRun:
-    """A tracker's way through N frames.
+    """A tracker's results for N frames.
 
     Attributes:
         times: (N,) seconds.
-        tracked: what it said at each frame.
-        position_m, rotation_rad: (N,) errors against the truth; NaN where there is no pose, or no truth.
-        asked: rows of the frames that it asked with.
-        answer_s: how long each answer took.
-        frame_s: (N,) how long the tracker itself took over each frame.
+        tracked: its output at each frame.
+        position_m, rotation_rad: (N,) errors against the truth; NaN without a pose or truth.
+        asked: rows of the frames sent to the localizer.
+        answer_s: time of each answer.
+        frame_s: (N,) computing time of the tracker at each frame.
     """
 
     times: FloatArray
@@ -69,7 +69,7 @@ class TrackRun:
 
     @property
     def sigma_m(self) -> FloatArray:
-        """(N,) how far each pose is expected to be off (root mean square), NaN where there is none."""
+        """(N,) expected RMS position error of each pose, NaN without a pose."""
         return np.array(
             [
                 np.nan if one.covariance is None else np.sqrt(np.trace(np.array(one.covariance)[:3, :3]))
@@ -78,7 +78,7 @@ class TrackRun:
         )
 
     def figures(self) -> dict[str, float | int | None]:
-        """What the run comes to; errors are of the frames that have a pose and whose truth is known."""
+        """Summary figures; errors are over the frames with a pose and known truth."""
         known = np.isfinite(self.position_m)
         tracking = np.array([one.status is TrackStatus.TRACKING for one in self.tracked])
         error_cm = 100 * self.position_m[known & tracking]
@@ -105,10 +105,10 @@ class TrackRun:
 
 
 def drifting_odometry(T_map_camera: FloatArray, drift: float, seed: int) -> FloatArray:
-    """Odometry (N, 4, 4) as it might have had true poses (N, 4, 4), in a frame of its own.
+    """Simulated odometry (N, 4, 4) in its own frame, from true poses (N, 4, 4).
 
-    Each step is off by a share ``drift`` of its length, in a direction that changes slowly, so that errors add up; the
-    heading by half a degree a metre.
+    Each step has an error of ``drift`` times its length in a slowly changing direction, so that errors accumulate; the
+    heading drifts by half a degree per metre.
     """
     rng = np.random.default_rng(seed)
     side = rng.normal(size=3)
@@ -140,20 +140,20 @@ def run_tracker(
     """Track a recording's frames in a map.
 
     Args:
-        localizer: of the map; it answers the tracker's questions.
+        localizer: of the map; it answers the tracker's queries.
         recording: the frames, and the IMU.
-        camera: the frames'.
-        motion: what the tracker knows of motion.
-        options: how the track is kept.
-        odometry: (N, 4, 4) the frames' poses by odometry, NaN where it does not know; with ``Motion.ODOMETRY``.
-        truth: (N, 4, 4) their true poses in the map, NaN where unknown.
-        latency_s: how late an answer comes, after its frame; None: as long as it takes here.
-        outages: when no question is answered.
+        camera: of the frames.
+        motion: the tracker's source of motion.
+        options: of the tracker.
+        odometry: (N, 4, 4) poses by odometry, NaN where unknown; for ``Motion.ODOMETRY``.
+        truth: (N, 4, 4) true poses in the map, NaN where unknown.
+        latency_s: delay of an answer after its frame; None for the actual computing time.
+        outages: intervals without answers.
         advance: called after each frame.
 
     Raises:
-        InvalidRecording: there is no IMU, or none whose axes are known, or one that leaves gravity out.
-        InvalidInput: odometry's poses are none, or the map has no scale for it.
+        InvalidRecording: ``Motion.IMU`` without an IMU, with unknown mounting, or without gravity.
+        InvalidInput: odometry has no poses, or the map is not metric.
     """
     try:
         return _run(
@@ -196,7 +196,7 @@ def _run(
 
 
 class _Run:
-    """A tracker, and the localizer that answers it after a while."""
+    """A tracker, and the localizer with delayed answers."""
 
     def __init__(
         self,
@@ -217,7 +217,7 @@ class _Run:
     def frame(
         self, row: int, since_first_s: float, time_s: float, image: ByteArray, T_odom_camera: FloatArray | None
     ) -> tuple[Tracked, float]:
-        """What the tracker says at a frame, and how long it took over it."""
+        """The tracker's output at a frame, and its computing time [s]."""
         begun = time.perf_counter()
         if self._pending is not None and self._pending[0] <= time_s:
             self._take(self._pending[1])
@@ -241,7 +241,7 @@ class _Run:
         return said, taken_s
 
     def warm_up(self, image: ByteArray) -> None:
-        """Have the map's index made: a service has it when a robot comes."""
+        """Build the map's index, which a running service has already."""
         self._answer(image, None)
 
     def _answer(self, image: ByteArray, prior: Prior | None) -> Localization:
@@ -261,7 +261,7 @@ class _Run:
 
 
 def client_camera(camera: Camera) -> ClientCamera:
-    """A camera as the client has it."""
+    """Convert a camera to the client's class."""
     return ClientCamera(
         camera.fx,
         camera.fy,

@@ -32,7 +32,7 @@ def colmap_model(map_: Map) -> bytes:
 
     Raises:
         InvalidInput: the map does not keep its observations, or COLMAP has no such camera.
-        InvalidMap: they contradict the rest of it.
+        InvalidMap: the observations contradict the rest of the map.
     """
     check_memory(map_, "The map")
     data = io.BytesIO()
@@ -107,7 +107,7 @@ def _images(map_: Map) -> Iterator[str]:
     """Each view's pose, T_camera_map, and what it sees: pixels, and the landmark of each."""
     yield "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME"
     yield "# POINTS2D[] as (X, Y, POINT3D_ID)"
-    seen, offsets = map_.observations, _offsets(map_)
+    seen, offsets = map_.observations, map_.view_offsets
     assert seen.pixels is not None
     T_camera_map = np.linalg.inv(map_.views.T_map_camera)
     quaternions = Rotation.from_matrix(T_camera_map[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
@@ -124,7 +124,7 @@ def _points(map_: Map) -> Iterator[str]:
     """The landmarks that two views or more see, each with its colour, reprojection error and views."""
     yield "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"
     seen, numbers, errors = map_.observations, _point_numbers(map_), reprojection_errors_px(map_)
-    places = np.arange(len(seen)) - _offsets(map_)[seen.views]
+    places = np.arange(len(seen)) - map_.view_offsets[seen.views]
     order = np.argsort(seen.features, kind="stable")
     starts = np.searchsorted(seen.features[order], np.arange(len(map_) + 1))
     for feature in np.flatnonzero(numbers > 0).tolist():
@@ -136,7 +136,7 @@ def _points(map_: Map) -> Iterator[str]:
 
 
 def reprojection_errors_px(map_: Map) -> FloatArray:
-    """How far each observation (V,) is from where its landmark appears [px]; NaN behind the camera."""
+    """Reprojection errors (V,) of the observations [px]; NaN behind the camera."""
     seen, cameras, sources = map_.observations, source_cameras(map_.info), np.array(_sources(map_))
     assert seen.pixels is not None
     T = map_.views.T_map_camera[seen.views]
@@ -148,13 +148,8 @@ def reprojection_errors_px(map_: Map) -> FloatArray:
     return errors
 
 
-def _offsets(map_: Map) -> np.ndarray:
-    """The first observation (K + 1,) of each view, then how many there are."""
-    return np.searchsorted(map_.observations.views, np.arange(len(map_.views) + 1))
-
-
 def _point_numbers(map_: Map) -> np.ndarray:
-    """The number (F,) of each landmark among the model's points, from 1; -1 where too few views see it."""
+    """The number (F,) of each landmark among the model's points, from 1; -1 if fewer than two views see it."""
     often = np.bincount(map_.observations.features, minlength=len(map_)) >= _MIN_VIEWS
     return np.where(often, np.arange(1, len(map_) + 1), -1)
 

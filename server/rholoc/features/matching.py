@@ -15,7 +15,7 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray
 _NEVER = np.float32(np.inf)
 
 # Of inverted files: descriptors in a list, at least and to learn it from; rounds of learning; lists searched.
-_LEAST_PER_LIST, _TRAINING_PER_LIST = 4, 20
+_MIN_PER_LIST, _TRAINING_PER_LIST = 4, 20
 _ITERATIONS, _SEED = 6, 1
 _LISTS_SEARCHED = 8
 _ADDED_AT_A_TIME = 2**16  # which are in memory as floats
@@ -127,7 +127,7 @@ def _inverted_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | fai
     """Descriptors (D, B) byte by byte in about 2 √D lists."""
     count, size = descriptors.shape
     lists = 2 ** max(0, round(math.log2(2 * math.sqrt(count))))
-    if count < _LEAST_PER_LIST * lists:
+    if count < _MIN_PER_LIST * lists:
         return _flat_index(descriptors, metric)
     index = _empty_lists(size, lists, metric)
     index.cp.niter, index.cp.seed = _ITERATIONS, _SEED

@@ -20,7 +20,7 @@ DIMENSIONS = 256
 _PICTURES_AT_A_TIME = 100  # whose whole VLAD vectors are in memory
 _WHITENING = 0.5  # the power of a component's spread that is divided out: 0 leaves it, 1 makes all alike
 _SEED = 1
-_LEAST_SPREAD = 1e-3  # of the greatest: components below are noise
+_MIN_SPREAD = 1e-3  # of the greatest: components below are noise
 
 
 class PictureVectors:
@@ -88,7 +88,7 @@ def _components(centred: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(centred @ centred.T)  # N is far below D
     spread = np.sqrt(np.maximum(values, 0))
     first = np.argsort(-spread)[:DIMENSIONS]
-    first = first[spread[first] > max(_LEAST_SPREAD * float(spread.max(initial=0)), 1e-9)]
+    first = first[spread[first] > max(_MIN_SPREAD * float(spread.max(initial=0)), 1e-9)]
     learned = centred.T @ (vectors[:, first] / spread[first])
     weights = 1 / spread[first] ** _WHITENING
     others = np.random.default_rng(_SEED).normal(size=(centred.shape[1], DIMENSIONS - len(first)))

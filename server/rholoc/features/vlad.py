@@ -14,8 +14,8 @@ from scipy.sparse import csr_array
 
 from rholoc.geometry import ByteArray, FloatArray
 
-_MOST_WORDS = 64
-_FEWEST_TRAINING_DESCRIPTORS = 40  # of a word
+_MAX_WORDS = 64
+_MIN_TRAINING_DESCRIPTORS = 40  # of a word
 _TRAINING_DESCRIPTORS = 20_000
 _ITERATIONS = 12
 _PICTURES_AT_A_TIME = 100  # whose descriptors are in memory as floats
@@ -34,7 +34,7 @@ class Vlad:
         pooled = np.concatenate(descriptors)
         rng = np.random.default_rng(_SEED)
         training = pooled[rng.permutation(len(pooled))[:_TRAINING_DESCRIPTORS]].astype(np.float32)
-        words = min(_MOST_WORDS, max(1, len(training) // _FEWEST_TRAINING_DESCRIPTORS))
+        words = min(_MAX_WORDS, max(1, len(training) // _MIN_TRAINING_DESCRIPTORS))
         kmeans = faiss.Kmeans(training.shape[1], words, niter=_ITERATIONS, seed=_SEED)
         kmeans.train(training)
         self._take(np.asarray(kmeans.centroids))

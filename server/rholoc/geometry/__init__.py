@@ -14,7 +14,15 @@ from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray, r
 from rholoc.geometry.camera import CAMERA_WRITTEN, Camera, on_plane
 from rholoc.geometry.lenses import Lens
 from rholoc.geometry.patches import mean_patches, patch_appearance, patch_vectors
-from rholoc.geometry.pose import Pose, is_rotation, pose_matrix, poses_from_rows, rotation_from_heading, rows_from_poses
+from rholoc.geometry.pose import (
+    Pose,
+    PosedCameras,
+    is_rotation,
+    pose_matrix,
+    poses_from_rows,
+    rotation_from_heading,
+    rows_from_poses,
+)
 from rholoc.geometry.vectors import UP, basis_across, cross
 
 __all__ = [
@@ -27,6 +35,7 @@ __all__ = [
     "IntArray",
     "Lens",
     "Pose",
+    "PosedCameras",
     "Similarity",
     "align_poses",
     "aligning_rotation",

@@ -25,7 +25,7 @@ _MIN_FISHEYE_RAD = math.radians(10.0)  # off the axis, up to which its distortio
 CAMERA_WRITTEN = "fx,fy,cx,cy[,k1,k2,p1,p2[,k3]], fisheye:fx,fy,cx,cy[,k1,k2,k3,k4] or equirectangular"
 """How users write a camera, see :meth:`Camera.parse`."""
 
-_ORDINARY_RAD, _MOST_BREADTH = math.radians(60.0), 4.0
+_ORDINARY_RAD, _MAX_BREADTH = math.radians(60.0), 4.0
 _SHAPE_TOLERANCE = 0.01  # images whose aspect ratios differ by less than this share are of one shape
 
 
@@ -182,7 +182,7 @@ class Camera:
         if self.lens is Lens.PINHOLE:
             return 1.0
         across_rad = field_of_view_rad(self.lens, max(self.width, self.height) / self.focal)
-        return float(np.clip(across_rad / _ORDINARY_RAD, 1.0, _MOST_BREADTH))
+        return float(np.clip(across_rad / _ORDINARY_RAD, 1.0, _MAX_BREADTH))
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for its image scaled to ``width`` × ``height``; pixel centres are respected."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from rholoc.geometry.arrays import FloatArray
 
-_MOST_STEPS, _SETTLED = 60, 1e-13
+_MAX_STEPS, _SETTLED = 60, 1e-13
 _CLOSEST = 1e-9  # to the axis, where the direction across it is not defined
 
 
@@ -175,7 +175,7 @@ def _angles_of(radius: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
         return np.minimum(radius, widest)
     low, high = np.zeros_like(radius), np.full_like(radius, widest)
     angle = np.minimum(radius, widest)
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         off = _bent(angle, distortion) - radius
         if np.abs(off).max(initial=0.0) < _SETTLED:
             break

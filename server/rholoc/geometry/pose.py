@@ -60,6 +60,22 @@ def rotation_from_heading(heading: FloatArray, roll: float = 0.0) -> FloatArray:
     return np.asarray(upright @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
 
 
+class PosedCameras:
+    """Base of classes with N camera poses ``T_map_camera`` (N, 4, 4)."""
+
+    T_map_camera: FloatArray
+
+    @property
+    def positions(self) -> FloatArray:
+        """Camera centres (N, 3) in the map frame."""
+        return self.T_map_camera[:, :3, 3]
+
+    @property
+    def headings(self) -> FloatArray:
+        """Optical axes (N, 3) in the map frame, unit length."""
+        return self.T_map_camera[:, :3, 2]
+
+
 @dataclass(frozen=True, eq=False)
 class Pose:
     """Where a camera is and where it looks.

@@ -1,4 +1,4 @@
-"""Durable mapping jobs: recordings on disk, the queue, and the workers that turn recordings into maps."""
+"""Durable mapping jobs: stored recordings, the queue, and the workers that turn recordings into maps."""
 
 from rholoc.jobs.build_process import BuildLimits
 from rholoc.jobs.capacity import Capacity, MoreMemoryNeeded

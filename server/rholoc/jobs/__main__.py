@@ -1,4 +1,4 @@
-"""The worker of a server: its standard input brings its configuration, and ends it."""
+"""A server's worker process: reads its configuration from standard input and ends when that closes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A job's build in a process of its own: it can be killed, and a crash of native code does not end the worker."""
+"""Run a job's build in a child process, so that it can be killed and a native crash does not end the worker."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _MAX_ERROR = 200  # characters
 
 @dataclass(frozen=True)
 class KilledForMemory:
-    """A build was killed, surely or probably for its memory.
+    """A build was killed, certainly or probably for its memory.
 
     Attributes:
-        failure: what is reported where nobody has more memory.
-        held_bytes: how much it was seen to hold.
+        failure: reported if no worker has more memory.
+        held_bytes: measured memory before it was killed.
     """
 
     failure: Failure
@@ -43,10 +43,10 @@ class KilledForMemory:
 
 @dataclass(frozen=True)
 class BuildLimits(Limits):
-    """What one build may take.
+    """Limits of one build.
 
     Attributes:
-        frame_pixels: how many pixels a frame of its video may have.
+        frame_pixels: maximum pixels of a video frame.
     """
 
     frame_pixels: int = MAX_FRAME_PIXELS
@@ -61,16 +61,16 @@ def build_in_process(
     cancel_grace_s: float,
     limits: Limits,
 ) -> Failure | KilledForMemory | MoreMemoryNeeded | None:
-    """Run ``pipeline.build`` in a new process; returns why there is no map file, or None when it is there.
+    """Run ``pipeline.build(task)`` in a new process. Returns why there is no map file, or None on success.
 
     Args:
-        pipeline: what to run.
-        task: what to run it on.
+        pipeline: of the service.
+        task: the job's work.
         note: called with progress, at most every ``poll_s`` seconds.
-        check: called every ``poll_s`` seconds; raises Cancelled when the build is no longer wanted.
-        poll_s: see there.
-        cancel_grace_s: how long the build may take to stop by itself once it is cancelled.
-        limits: what the build may take; checked every ``poll_s`` seconds.
+        check: called every ``poll_s`` seconds; raises Cancelled if the build is no longer wanted.
+        poll_s: interval of all checks [s].
+        cancel_grace_s: time that a cancelled build has to stop by itself.
+        limits: of the build.
 
     Raises:
         Cancelled: by ``check``. The process has ended.
@@ -125,7 +125,7 @@ def _died(died: ChildDied) -> Failure:
 def run_build(
     pipeline: Pipeline, task: MappingTask, limits: Limits, listener: ProgressListener
 ) -> Failure | KilledForMemory | MoreMemoryNeeded | None:
-    """Run ``pipeline.build`` in this process; returns why it failed or could not be done here, or None."""
+    """Run ``pipeline.build`` in this process. Returns why it failed or needs another worker, or None on success."""
     try:
         return pipeline.build(task, listener)
     except ReconstructionKilled as error:
@@ -146,7 +146,7 @@ def describe(error: RholocError) -> Failure:
 
 
 def unexpected(error: Exception) -> Failure:
-    """The failure that reports a bug; its traceback goes to the log only."""
+    """The failure that reports a bug; logs the traceback."""
     _log.error("A job failed unexpectedly.", exc_info=error)
     return Failure(
         "internal",

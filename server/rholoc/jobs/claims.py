@@ -1,4 +1,4 @@
-"""The jobs that a worker works on, and how its memory is divided between them."""
+"""A worker's present jobs, and the division of its memory between them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Claims:
     """The jobs that one worker works on now. Safe to share between threads.
 
     Args:
-        capacity: how much the worker takes on.
+        capacity: of the worker.
         job_memory_bytes: memory limit of one job.
     """
 
@@ -70,8 +70,8 @@ class Claims:
     def granted_bytes(self, lease: Lease) -> float:
         """Upper bound on a job's memory [bytes].
 
-        While the job's need is unknown, it is granted none beside other jobs: once its recording was read, it is handed
-        back to the queue with what it needs, and taken by a worker with so much free.
+        While the job's need is unknown, it gets no memory beside other jobs. Once its recording was read, it is
+        requeued with its need, for a worker with enough free memory.
         """
         with self._changed:
             is_unknown = lease in self._claims and self._claims[lease].memory_bytes == 0

@@ -23,9 +23,9 @@ _log = logging.getLogger("rholoc.jobs")
 
 _STOP_TIMEOUT_S = 15.0
 _LOOK_EVERY_S = 0.2
-_RESTART_AFTER_S, _MAX_RESTART_AFTER_S = 1.0, 60.0  # doubled with each death in a row
-_STEADY_AFTER_S = 30.0  # a death after so long is the first of a row
-_REPORTED_DEATHS = 2  # in a row
+_RESTART_AFTER_S, _MAX_RESTART_AFTER_S = 1.0, 60.0  # doubled with each consecutive death
+_STEADY_AFTER_S = 30.0  # a death after this time starts a new count
+_REPORTED_DEATHS = 2  # consecutive
 _MAX_LINE = 300  # characters of an error
 
 
@@ -34,7 +34,7 @@ class EmbeddedWorker:
 
     Args:
         data_dir, maps_dir, database_url, limits, storage_url, capacity: as for :class:`rholoc.jobs.Worker`.
-        queue: where it is reported that workers die repeatedly; None reports it nowhere.
+        queue: receives reports that workers die repeatedly; None for no reports.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class EmbeddedWorker:
 
     @property
     def trouble(self) -> str | None:
-        """How often the child has died in a row, and its last error; None while it does not die repeatedly."""
+        """Number of consecutive deaths of the child and its last error; None unless it dies repeatedly."""
         return self._trouble
 
     def start(self) -> None:
@@ -78,7 +78,7 @@ class EmbeddedWorker:
         self._keeper.start()
 
     def stop(self) -> None:
-        """Stop the child; a job that it was working on goes back to the queue."""
+        """Stop the child and requeue its jobs."""
         self._stopping.set()
         if self._keeper.is_alive():
             self._keeper.join()
@@ -108,7 +108,7 @@ class EmbeddedWorker:
         program.stop()  # what it left behind
         _log.warning("the worker died (%s); it is started again", error)
         if self._queue is not None:
-            with suppress(SQLAlchemyError, RholocError):  # else the next worker finds that this one is dead
+            with suppress(SQLAlchemyError, RholocError):  # else the next worker requeues them
                 self._queue.requeue_jobs_of(program.pid, error)
         if deaths >= _REPORTED_DEATHS:
             self._report(f"the worker died {deaths} times in a row: {error}")
@@ -120,7 +120,7 @@ class EmbeddedWorker:
 
 
 def reason_of_death(status: int, errors: Sequence[str]) -> str:
-    """One line: how a process ended, and the last line of its standard error that says anything.
+    """One line on how a process ended, with the last error on its standard error.
 
     Args:
         status: exit status, negative for a signal.
@@ -132,7 +132,7 @@ def reason_of_death(status: int, errors: Sequence[str]) -> str:
 
 
 def _error_in(line: str) -> str:
-    """The error that a line of a log tells of; empty if it tells of none."""
+    """The error in a line of a log; empty if it has none."""
     try:
         entry = json.loads(line)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Workers look after each other: each shows that it lives, and requeues the jobs of those that do not."""
+"""Heartbeats of workers. Each worker requeues the jobs of dead ones."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Heartbeat:
         self._left_before: set[Lease] = set()
 
     def beat(self) -> None:
-        """Record that the worker lives, and requeue the jobs that nobody works on."""
+        """Record that the worker is alive, and requeue jobs without a living worker."""
         self._workers.beat(self._worker, self._claims.offered_bytes)
         self._workers.forget(self._timing.dead_after_s)
         living = [worker.id for worker in self._workers.living(self._timing.dead_after_s)]
@@ -43,9 +43,9 @@ class Heartbeat:
         self._workers.remove(self._worker)
 
     def _left_behind(self) -> set[Lease]:
-        """This worker's jobs that none of its threads works on, neither now nor at the last heartbeat.
+        """This worker's jobs without a thread, now and at the last heartbeat.
 
-        There are some if a full disk, or a database that fails, prevents a job's end from being recorded.
+        A full disk or a failing database can prevent a job's end from being recorded.
         """
         left = self._jobs.held_by(self._worker) - self._claims.leases
         found, self._left_before = left & self._left_before, left

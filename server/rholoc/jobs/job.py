@@ -16,19 +16,19 @@ from rholoc.trajectory import PoseMethod
 class JobKind(StrEnum):
     """What a job does."""
 
-    BUILD = "build"  # makes a new map, replacing any of that name
-    UPDATE = "update"  # learns it into the map of that name
-    LEARN = "learn"  # lets the map of that name learn from the queries kept for it; there is no recording
-    PLACE = "place"  # looks for links between the maps of a site; there is neither a recording nor a map
+    BUILD = "build"  # build a new map, replacing any of that name
+    UPDATE = "update"  # learn the recording into the map of that name
+    LEARN = "learn"  # let the map of that name learn from its kept queries; without a recording
+    PLACE = "place"  # look for links between the maps of a site; without a recording or a map name
 
     @property
     def reads_recording(self) -> bool:
-        """Whether it needs a recording."""
+        """Whether jobs of this kind need a recording."""
         return self in (JobKind.BUILD, JobKind.UPDATE)
 
 
 class JobPriority(StrEnum):
-    """How soon a job's turn comes."""
+    """Priority of a job."""
 
     HIGH = "high"  # before all others that were submitted within a day
     NORMAL = "normal"
@@ -40,16 +40,15 @@ class JobOptions:
     """How a job builds or updates its map.
 
     Attributes:
-        kind: what it does. An update keeps the map's own density and features.
-        density: the form of the densities.
-        features: the extractor's name.
-        poses: where frame poses come from; None leaves it to :class:`rholoc.mapping.BuildOptions` or ``UpdateOptions``.
-        camera: intrinsics as users write them (``fx,fy,cx,cy`` and so on), a stored camera's name, or None to take the
-            recording's own.
+        kind: of the job. An update keeps the map's own density and features.
+        density: form of the densities.
+        features: name of the extractor.
+        poses: method for frame poses; None for that of :class:`rholoc.mapping.BuildOptions` or ``UpdateOptions``.
+        camera: intrinsics as text (``fx,fy,cx,cy`` and so on), a stored camera's name, or None for the recording's own.
         pictures: whether the map keeps a small picture of each view.
-        frames: a choice of the recording's frames by number, ``start:stop[:step]``; None takes all.
-        priority: how soon its turn comes.
-        site: whose maps are placed, by a job that does that.
+        frames: the recording's frames to use, ``start:stop[:step]``; None for all.
+        priority: of the job.
+        site: name of the site for a job that places maps.
     """
 
     density: DensityKind = DensityKind.RAY
@@ -79,12 +78,12 @@ class JobOptions:
 
 
 class JobState(StrEnum):
-    """Where a job stands."""
+    """State of a job."""
 
     QUEUED = "queued"  # waiting for a worker
-    RUNNING = "running"  # a worker has it
+    RUNNING = "running"  # taken by a worker
     PUBLISHED = "published"  # its map is in the library
-    FAILED = "failed"  # it ended without a map; the error says why and the recording is kept
+    FAILED = "failed"  # ended without a map; the error says why, and the recording is kept
     CANCELLED = "cancelled"  # ended on request; the recording is kept
 
     @property
@@ -97,8 +96,8 @@ class Obstacle(StrEnum):
     """Why no worker can take a queued job."""
 
     NO_WORKER = "no_worker"  # none is alive
-    WORKER_FAILS = "worker_fails"  # none is alive: whenever one is started, it dies
-    MEMORY = "memory"  # none that is alive has as much memory as it needs
+    WORKER_FAILS = "worker_fails"  # none is alive: they die when started
+    MEMORY = "memory"  # no living worker has enough memory
 
 
 @dataclass(frozen=True)
@@ -107,23 +106,23 @@ class Job:
 
     Attributes:
         id: unique, 32 hex digits.
-        recording: the recording's id; empty where the job needs none.
-        map_name: the map that it will publish; empty where it places a site's maps.
-        state: where it stands.
-        stage: the stage it is in or ended in.
+        recording: the recording's id; empty if the job needs none.
+        map_name: name of the map to publish; empty if it places a site's maps.
+        state: present state.
+        stage: present or last stage.
         progress: 0..1 over all stages.
         message: one line for people.
         log: the last lines of its log.
-        warnings: why its published map is not to be trusted, or why maps of its site are not placed.
-        error_code, error_message, error_hint: set when it failed.
+        warnings: why its published map should not be trusted, or why maps of its site are not placed.
+        error_code, error_message, error_hint: set if it failed.
         created, started, ended: seconds since the epoch, or None.
-        attempts: how many workers have taken it up.
-        priority: how soon its turn comes.
-        memory_bytes: about how much memory it needs; None until its recording was read.
-        worker: the id of the worker that has it; None where none has.
-        obstacle: why no worker can take it; None where one can, or has, or need not.
-        kind: what it does.
-        site: whose maps it places; None where it makes a map.
+        attempts: number of workers that have taken it.
+        priority: of the job.
+        memory_bytes: estimated memory; None until its recording was read.
+        worker: id of the worker that has it, or None.
+        obstacle: why no worker can take it; None unless it is queued and blocked.
+        kind: of the job.
+        site: name of the site whose maps it places, or None.
     """
 
     id: str
@@ -151,6 +150,6 @@ class Job:
 
     @property
     def trusted(self) -> bool | None:
-        """Whether the map that it published is to be trusted; None before that, and where it makes none."""
+        """Whether its published map is to be trusted; None if it has published none."""
         has_map = self.state is JobState.PUBLISHED and self.kind is not JobKind.PLACE
         return not self.warnings if has_map else None

@@ -86,10 +86,10 @@ class JobRunner:
         self._claims, self._limits, self._timing, self._stopping = claims, limits, timing, stopping
 
     def run(self, claim: Claim) -> None:
-        """Build and publish; return when the job has ended, or this worker has lost it.
+        """Build and publish. Returns when the job has ended, or this worker has lost it.
 
         Raises:
-            SQLAlchemyError: the end could not be recorded. Nothing is lost: the next worker goes on.
+            SQLAlchemyError: the end could not be recorded. The next worker continues.
         """
         lease, work = claim.lease, claim.work
         about: dict[str, telemetry.Value] = {
@@ -105,7 +105,7 @@ class JobRunner:
             self._workplace.clear(self._jobs.unfinished_runs)
 
     def _outcome(self, claim: Claim) -> tuple[str, ...] | Failure | MoreMemoryNeeded:
-        """Reasons not to trust the published map, or why there is none."""
+        """Publish and return reasons not to trust the map; or return why there is none."""
         if claim.deaths >= _MAX_DEATHS:
             return Failure(
                 "internal",
@@ -137,11 +137,11 @@ class JobRunner:
             ended = self._jobs.fail(lease, outcome)
         else:
             ended = self._jobs.publish(lease, outcome)
-        if ended:  # otherwise another worker has the job, and needs the map that was built
+        if ended:  # otherwise another worker has the job and needs the built map
             self._workplace.remove(lease)
 
     def _build(self, lease: Lease, work: JobWork) -> Failure | MoreMemoryNeeded | None:
-        """Build unless a worker before did, in a process of its own. Returns why nothing was built, or None."""
+        """Build in a child process unless the file exists. Returns why nothing was built, or None."""
         if self._workplace.built_file(lease, work).exists():
             return None
         stages = StageSpans()
@@ -172,12 +172,12 @@ class JobRunner:
         return stopped
 
     def _most_offered_bytes(self) -> float:
-        """Memory that the largest living worker has for one job [bytes]."""
+        """Memory for one job on the largest living worker [bytes]."""
         living = self._workers.living(self._timing.dead_after_s)
         return max((worker.memory_bytes for worker in living), default=self._claims.offered_bytes)
 
     def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...]:
-        """Publish what was built. Returns why it is not to be trusted."""
+        """Publish the built file. Returns reasons not to trust it."""
         if not self._jobs.begin_publishing(lease):
             raise Cancelled("This worker no longer has the job.")
         task = self._task(lease, work)

@@ -1,4 +1,4 @@
-"""What a single server has kept in folders, brought into stores elsewhere."""
+"""Copy a single server's folders into other stores."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rholoc.maps import Documents, FolderDocuments, MapLibrary
 
 @dataclass(frozen=True)
 class MovedIn:
-    """How much was brought in.
+    """Result of a copy.
 
     Attributes:
-        maps, cameras, sites, keys, recordings: how many.
-        left: what was left where it is, as the stores have something of that name.
-        unreadable: maps that were left because their files are damaged.
+        maps, cameras, sites, keys, recordings: numbers copied.
+        left: names not copied, because the stores have something of that name.
+        unreadable: maps not copied, because their files are damaged.
     """
 
     maps: int
@@ -34,13 +34,13 @@ class MovedIn:
 
 @dataclass(frozen=True)
 class _Thing:
-    """Something to bring in.
+    """Something to copy.
 
     Attributes:
-        kind: what it is, in the plural.
-        name: what it is called.
+        kind: its kind, in the plural.
+        name: of the thing.
         present: whether the stores have one of that name.
-        bring: brings in the one of that name.
+        bring: copies the one of that name.
     """
 
     kind: str
@@ -52,17 +52,17 @@ class _Thing:
 def move_in(
     maps_dir: Path, data_dir: Path, stores: Stores, advance: Callable[[float], None] = lambda fraction: None
 ) -> MovedIn:
-    """Copy maps with the versions before them, cameras, sites, keys and recordings; the folders stay as they are.
+    """Copy maps with their previous versions, cameras, sites, keys and recordings; the folders stay unchanged.
 
-    What the stores have already is left, so that a copy that broke off can be made again.
+    Names that the stores have already are skipped, so that an interrupted copy can be repeated.
 
     Args:
         maps_dir, data_dir: the folders.
-        stores: where to, open.
-        advance: called with the share 0..1 that was done.
+        stores: open stores to copy to.
+        advance: called with the fraction done, 0..1.
 
     Raises:
-        StorageUnavailable, StorageFull: what came before is there.
+        StorageUnavailable, StorageFull: the copy is incomplete.
     """
     things = [
         *_maps(MapLibrary(maps_dir), stores.library),

@@ -1,4 +1,4 @@
-"""What a worker does for a job: builds a map file from a recording, and publishes it."""
+"""Steps of a job: build a map file from a recording, and publish it."""
 
 from __future__ import annotations
 
@@ -26,16 +26,15 @@ class MappingTask:
     """One job's work.
 
     Attributes:
-        recording: the file or folder that was uploaded; None where the job needs none.
-        built_file: where what was built is kept until it is published: a map, or the links of a site. It exists only
-            once it is complete.
-        maps_dir: the folder in which the build finds maps and cameras.
-        map_name: the name under which the map is published; empty where there is none.
-        options: how the map is built.
-        max_frame_pixels: the most pixels a frame of the recording's video may have.
-        folder: where notes on the recording are kept, and waypoints that replace its own.
-        data_dir: where the queries are kept that a map learns from.
-        memory_bytes: how much memory it may take here.
+        recording: the uploaded file or folder; None if the job needs none.
+        built_file: output of the build, a map or the links of a site. It exists only once it is complete.
+        maps_dir: folder with maps and cameras for the build.
+        map_name: name to publish the map under; empty if there is none.
+        options: of the job.
+        max_frame_pixels: maximum pixels of a video frame.
+        folder: notes on the recording, and waypoints that replace its own.
+        data_dir: folder of the kept queries to learn from.
+        memory_bytes: memory granted to the job.
     """
 
     recording: Path | None
@@ -50,16 +49,16 @@ class MappingTask:
 
 
 class Pipeline(Protocol):
-    """The two steps of a job. Both may be run again after a crash, so both must be idempotent.
+    """The two steps of a job. Both must be idempotent, because they may be repeated after a crash.
 
-    ``build`` runs in a process of its own that may be killed at any time; a pipeline must therefore be picklable.
+    ``build`` runs in a child process that may be killed at any time, so a pipeline must be picklable.
     """
 
     def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
         """Write ``task.built_file``, atomically; do nothing if it exists.
 
         Returns:
-            None; or what it needs where it would need more memory than it may take, and nothing was written.
+            None; or the required memory if that exceeds ``task.memory_bytes``, and nothing was written.
         """
         ...
 
@@ -73,13 +72,13 @@ class Pipeline(Protocol):
 
 
 class MappingPipeline:
-    """The pipeline of the service: recording → map → library, or kept queries → the map's next version → library, or
-    a site's maps → links, which :func:`rholoc.jobs.site_placing.store_links` stores."""
+    """The service's pipeline: recording → map → library; kept queries → the map's next version → library; or a site's
+    maps → links, stored by :func:`rholoc.jobs.site_placing.store_links`."""
 
     def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
         """Read the recording, build its map or learn it into the existing one, and save the result.
 
-        As soon as the recording was read it is known how much memory that takes; where that is too much, it ends.
+        Reading the recording shows the required memory; if that is too much, the build ends.
 
         Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map`, ``update_map``,
             ``learn_from_queries`` or :func:`rholoc.jobs.site_placing.write_links` do.
@@ -137,7 +136,7 @@ def _learned(task: MappingTask, progress: ProgressListener) -> Map:
 
 
 def _corrected(task: MappingTask) -> Path | None:
-    """The file of the waypoints that replace the recording's own; None where they were not corrected."""
+    """File of the waypoints that replace the recording's own; None if they were not corrected."""
     path = None if task.folder is None else task.folder / WAYPOINTS_FILE
     return path if path is not None and path.is_file() else None
 
@@ -160,7 +159,7 @@ def _updated(task: MappingTask, recording: Recording, progress: ProgressListener
 
 
 def doubts(map_: Map) -> tuple[str, ...]:
-    """Why the frame poses that a map was built on are not trusted; empty where they are."""
+    """Reasons not to trust a map's frame poses; empty if they are trusted."""
     trust = trust_of(map_.info)
     return tuple(f"The frame poses are not trusted: {why}" for why in trust.reasons if trust.trusted is False)
 

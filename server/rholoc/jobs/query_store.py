@@ -1,7 +1,7 @@
 """Answered queries that maps may learn from: an object for each query.
 
-What is kept is bounded, and spread over places, times and askers. The name of a query's object says where and when it
-was asked and by whom, so that listing a map's objects is enough to decide what stays.
+The number of queries is bounded, and spread over places, times and askers. An object's name contains the query's place,
+time and asker, so that eviction needs only a list of a map's objects.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _MAP_ID = re.compile(r"[0-9A-Za-z]{1,64}")
 _NAME = re.compile(r"(\d{13})-([0-9a-f]{8})-([0-9a-f]{12})-[0-9a-f]{8}\.query")
 _CELL_M, _CELL_RAD = 0.5, np.deg2rad(45.0)
 _DAY_S = 24 * 3600.0
-_ORPHANED_AFTER_S = _DAY_S  # another server may have heard of a map before this one has
+_ORPHANED_AFTER_S = _DAY_S  # another server may know of a map before this one does
 _MAX_HEARD = 10_000
 
 _Heard = tuple[str, str, str]  # a map, a place, an asker
@@ -43,14 +43,14 @@ _Heard = tuple[str, str, str]  # a map, a place, an asker
 
 @dataclass(frozen=True)
 class KeptLimits:
-    """What is kept at most for each map.
+    """Limits on the kept queries of each map.
 
     Attributes:
-        queries: how many.
-        size_bytes: their files together.
-        in_a_place: how many within half a metre and an eighth of a turn.
-        apart_s: how long an asker's queries from one place are apart.
-        expire_s: after which time a query is forgotten.
+        queries: maximum number.
+        size_bytes: maximum size of their files together.
+        in_a_place: maximum number within half a metre and an eighth of a turn.
+        apart_s: minimum interval between an asker's queries from one place.
+        expire_s: age at which a query is deleted.
     """
 
     queries: int = 1000
@@ -62,13 +62,13 @@ class KeptLimits:
 
 @dataclass(frozen=True)
 class KeptQueries:
-    """What is kept for one map.
+    """Summary of a map's kept queries.
 
     Attributes:
-        queries: how many.
-        size_bytes: their files together.
-        askers: how many asked them.
-        oldest, newest: seconds since the epoch; None where there are none.
+        queries: their number.
+        size_bytes: of their files together.
+        askers: number of different askers.
+        oldest, newest: seconds since the epoch; None without queries.
     """
 
     queries: int
@@ -87,8 +87,8 @@ class _Entry:
         size_bytes: the object's size.
         modified: when it was stored [s since the epoch].
         time_s: when it was asked [s since the epoch].
-        place: half a metre and an eighth of a turn.
-        asker: who asked.
+        place: cell of half a metre and an eighth of a turn, see :func:`place_of`.
+        asker: id of the asker.
     """
 
     key: str
@@ -102,12 +102,11 @@ class _Entry:
 class QueryStore:
     """The kept queries of all maps, which several processes may share.
 
-    The storage is asked what it holds only about askers that were not heard of here, in the same place, lately: who
-    stays in one place costs it nothing.
+    The storage is not listed for an asker that recently asked this process from the same place.
 
     Args:
         objects: the storage; queries are the objects ``queries/MAP/NAME.query``.
-        limits: what is kept of each map, by all processes together.
+        limits: on each map's queries, shared by all processes.
     """
 
     def __init__(self, objects: ObjectStorage, limits: KeptLimits | None = None) -> None:
@@ -116,7 +115,7 @@ class QueryStore:
         self._heard: dict[_Heard, float] = {}
 
     def wants(self, map_id: str, T_map_camera: FloatArray, asker: str, time_s: float) -> bool:
-        """Whether a query would be kept: an asker who stays in one place is heard once in ``apart_s``.
+        """Whether a query would be kept: at most one for each asker and place in ``apart_s``.
 
         Raises:
             StorageUnavailable: the storage does not answer.
@@ -130,10 +129,10 @@ class QueryStore:
         return not self._was_heard(heard, time_s)
 
     def add(self, map_id: str, query: AnsweredQuery) -> None:
-        """Keep a query, and drop others where there would be too many.
+        """Keep a query, and evict others above the limits.
 
         Raises:
-            StorageUnavailable, StorageFull: it is not kept.
+            StorageUnavailable, StorageFull: the query is not kept.
         """
         place = place_of(query.T_map_camera)
         name = f"{round(1000 * query.time_s):013d}-{place}-{query.asker}-{uuid.uuid4().hex[:8]}{_SUFFIX}"
@@ -142,7 +141,7 @@ class QueryStore:
         self._make_room(map_id, place)
 
     def kept(self, map_id: str) -> KeptQueries:
-        """How much is kept for a map. Raises StorageUnavailable."""
+        """Summary of a map's queries. Raises StorageUnavailable."""
         entries = self._entries(map_id)
         times = [one.time_s for one in entries]
         return KeptQueries(
@@ -158,7 +157,7 @@ class QueryStore:
         return sum(one.time_s > time_s for one in self._entries(map_id))
 
     def load(self, map_id: str) -> list[AnsweredQuery]:
-        """All queries that are kept for a map, the oldest first. Those that cannot be read are removed.
+        """All kept queries of a map, the oldest first. Deletes unreadable ones.
 
         Raises:
             StorageUnavailable, StorageFull: they cannot be fetched.
@@ -179,10 +178,10 @@ class QueryStore:
         return found
 
     def fetch(self, map_id: str, data_dir: Path) -> None:
-        """Copy a map's queries into a folder, in which a store finds them.
+        """Copy a map's queries into ``data_dir``, for a store on that folder. Skips existing copies.
 
         Raises:
-            StorageUnavailable, StorageFull: they cannot be fetched; what is there already is not fetched again.
+            StorageUnavailable, StorageFull: queries cannot be fetched.
         """
         with reporting_full_disk():
             (data_dir / _folder(map_id)).mkdir(parents=True, exist_ok=True)
@@ -199,13 +198,13 @@ class QueryStore:
         return len(entries)
 
     def sweep(self, map_ids: Collection[str] | None = None) -> None:
-        """Forget queries that have expired and, a day after they were kept, those of other maps than ``map_ids``.
+        """Delete expired queries and, a day after they were kept, those of maps not in ``map_ids``.
 
         Args:
-            map_ids: of all maps; None where they are not known.
+            map_ids: of all maps; None if unknown.
 
         Raises:
-            StorageUnavailable: it is done the next time.
+            StorageUnavailable: the sweep is incomplete.
         """
         now_s = time.time()
         known = None if map_ids is None else {_folder(map_id) for map_id in map_ids}
@@ -251,13 +250,13 @@ def _queries(stored: Iterable[StoredObject]) -> Iterator[_Entry]:
 
 
 def _folder(map_id: str) -> str:
-    """Prefix of the keys of a map's queries: the id, or a hash of an id that is no file's name."""
+    """Key prefix of a map's queries: its id, or a hash of an id that is not a valid file name."""
     name = map_id if _MAP_ID.fullmatch(map_id) else hashlib.blake2b(map_id.encode(), digest_size=16).hexdigest()
     return f"{QUERIES_FOLDER}/{name}"
 
 
 def _gives_way(entries: Sequence[_Entry]) -> _Entry:
-    """Oldest query from the most frequent place of the asker with the most queries: none can evict another's."""
+    """Oldest query from the most frequent place of the asker with the most queries, so that none evicts another's."""
     asker, _ = Counter(one.asker for one in entries).most_common(1)[0]
     own = [one for one in entries if one.asker == asker]
     place, _ = Counter(one.place for one in own).most_common(1)[0]
@@ -265,7 +264,7 @@ def _gives_way(entries: Sequence[_Entry]) -> _Entry:
 
 
 def place_of(T_map_camera: FloatArray) -> str:
-    """Half a metre and an eighth of a turn, as 8 hex digits."""
+    """Cell of half a metre and an eighth of a turn that contains a pose, as 8 hex digits."""
     x, y, z = np.floor(T_map_camera[:3, 3] / _CELL_M)
     turn = np.floor(np.arctan2(T_map_camera[1, 2], T_map_camera[0, 2]) / _CELL_RAD)
     cell = f"{x:.0f},{y:.0f},{z:.0f},{turn:.0f}"

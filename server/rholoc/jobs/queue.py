@@ -1,4 +1,4 @@
-"""The queue of mapping jobs, for the server and the command. It runs no jobs itself."""
+"""The queue of mapping jobs, for the server and the command. Workers run the jobs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rholoc.jobs.worker_table import WorkerOffer, WorkerTable, process_name
 from rholoc.maps import check_map_name
 from rholoc.storage.database import check_database, database_engine, reporting_full_database
 
-_BYTES_PER_SECOND = 1e6  # of an upload whose walk nobody has looked at yet
+_BYTES_PER_SECOND = 1e6  # of a recording that no job has read yet
 
 
 class JobQueue:
@@ -37,16 +37,16 @@ class JobQueue:
         recordings: RecordingStore | None = None,
         engine: sa.Engine | None = None,
     ) -> None:
-        """A queue whose database is contacted when it is first used, by any method.
+        """A queue that connects to its database on first use.
 
         Args:
-            data_dir: where the SQLite file is kept, and the recordings.
+            data_dir: folder of the SQLite file and of the recordings.
             database_url: ``postgresql://…``, or None for the SQLite file.
-            recordings: those that jobs are about, where they are kept elsewhere.
-            engine: the database's, if the caller has one; ``database_url`` is then not used.
+            recordings: the jobs' recordings, if they are not in ``data_dir``.
+            engine: the caller's database engine, used instead of ``database_url``.
 
         Raises:
-            InvalidInput: the URL is not one of PostgreSQL, or Python's SQLite is too old.
+            InvalidInput: not a PostgreSQL URL, or Python's SQLite is too old.
         """
         self._engine = engine or database_engine(data_dir, database_url)
         self._recordings = recordings or RecordingStore(data_dir, engine=self._engine)
@@ -64,11 +64,10 @@ class JobQueue:
         """Queue the building of a map.
 
         Args:
-            recording_id: what to build it from; empty where the job needs no recording.
-            map_name: under which name to publish it.
-            options: how to build it.
-            job_id: 32 hex digits, or None for a new id. Submitting again under the same id changes nothing, so it is
-                safe to repeat.
+            recording_id: of the recording; empty if the job needs none.
+            map_name: name to publish the map under.
+            options: of the job.
+            job_id: 32 hex digits, or None for a new id. Submitting the same id again changes nothing.
 
         Raises:
             UnknownRecording: there is no such recording.
@@ -121,28 +120,28 @@ class JobQueue:
         return [*self._explained(self._jobs.list(most, before))]
 
     def learning(self, map_name: str) -> Job | None:
-        """The job by which the map of a name learns from its queries, if one is queued or running."""
+        """The queued or running job by which a map learns from its queries, or None."""
         return self._jobs.learning(map_name)
 
     def last_learning(self, map_name: str) -> Job | None:
-        """The job by which the map of a name last learned from its queries, or could not; None where there is none."""
+        """The last published or failed job by which a map learns from its queries, or None."""
         return self._jobs.last_learning(map_name)
 
     def unfinished(self) -> dict[str, str]:
-        """The jobs that are queued or running, and the maps that they will publish."""
+        """Job id → map name of the queued and running jobs."""
         return self._jobs.unfinished()
 
     def counts(self) -> dict[JobState, int]:
-        """How many jobs are in each state."""
+        """Number of jobs in each state."""
         return self._jobs.counts()
 
     def waiting(self) -> dict[Obstacle | None, int]:
-        """How many queued jobs there are by what stands in their way; None: nothing but jobs whose turn is before."""
+        """Number of queued jobs by obstacle; None stands for jobs that only wait for their turn."""
         counted = Counter(job.obstacle for job in self._explained(self._jobs.queued()))
         return {obstacle: counted[obstacle] for obstacle in (None, *Obstacle)}
 
     def cancel(self, job_id: str) -> Job:
-        """End a queued or running job. A worker that has it stops within two seconds.
+        """Cancel a queued or running job. Its worker stops within two seconds.
 
         Raises:
             UnknownJob: no job has this id.
@@ -150,7 +149,7 @@ class JobQueue:
         """
         self._jobs.get(job_id)
         with reporting_full_database():
-            self._jobs.cancel(job_id)  # a worker that has it sees that, and stops
+            self._jobs.cancel(job_id)  # its worker notices and stops
         return self._jobs.get(job_id)
 
     def delete(self, job_id: str) -> Job:
@@ -184,7 +183,7 @@ class JobQueue:
 
         Raises:
             UnknownJob: no job has this id.
-            Conflict: it does not wait any more.
+            Conflict: it is not queued.
         """
         with reporting_full_database():
             self._jobs.prioritize(job_id, priority)
@@ -213,11 +212,11 @@ class JobQueue:
 
     @property
     def engine(self) -> sa.Engine:
-        """The database's."""
+        """The database engine."""
         return self._engine
 
     def has_worker(self) -> bool:
-        """Whether a worker is alive, here or elsewhere, by its last heartbeat."""
+        """Whether any worker's last heartbeat is recent."""
         return bool(self._workers.living())
 
     def requeue_jobs_of(self, pid: int, error: str) -> None:
@@ -233,16 +232,16 @@ class JobQueue:
             self._jobs.lose(lease, f"its worker died ({error})")
 
     def report_worker(self, trouble: str | None) -> None:
-        """Record, for all who share the queue, why the workers that this process starts die; None: they do not."""
+        """Record why workers started by this process die; None if they do not."""
         self._trouble = trouble
-        with suppress(SQLAlchemyError, RholocError):  # then it is known here alone
+        with suppress(SQLAlchemyError, RholocError):  # then only this process knows
             if trouble is None:
                 self._workers.remove(self._starter)
             else:
                 self._workers.report(self._starter, shortened(trouble))
 
     def worker_trouble(self) -> str | None:
-        """Why workers die whenever they are started, if that was reported lately; None otherwise."""
+        """Recently reported reason why workers die when started, or None."""
         return self._trouble or self._workers.error()
 
     def close(self) -> None:
@@ -250,7 +249,7 @@ class JobQueue:
         self._engine.dispose()
 
     def _size_of(self, recording_id: str, options: JobOptions) -> tuple[float, int | None]:
-        """How long a job's walk is, roughly, in seconds, and how much memory it takes; None where nobody has read it.
+        """Estimated length of a job's walk [s], and memory [bytes]; None until a job has read the recording.
 
         Raises:
             UnknownRecording: there is no such recording.
@@ -265,7 +264,7 @@ class JobQueue:
         return length_s, memory_for_walk(length_s, notes.width * notes.height)
 
     def _explained(self, jobs: Sequence[Job]) -> Sequence[Job]:
-        """Jobs, the queued ones with what stands in their way."""
+        """The jobs, queued ones with their obstacle."""
         if not any(job.state is JobState.QUEUED for job in jobs):
             return jobs
         workers = self._workers.living()
@@ -274,7 +273,7 @@ class JobQueue:
 
 
 def _explained(job: Job, workers: Sequence[WorkerOffer], trouble: str | None) -> Job:
-    """A queued job with what stands in its way."""
+    """A queued job with its obstacle."""
     if trouble is not None:
         return replace(job, obstacle=Obstacle.WORKER_FAILS, message=f"waiting for a worker: {trouble}")
     if not workers:

@@ -1,6 +1,6 @@
-"""What is known about a stored recording besides its files: what a job read from it, and corrected waypoints.
+"""Notes on a stored recording: figures read by a job, and corrected waypoints.
 
-It consists of hidden files, which no upload can name.
+They are hidden files, which no upload can name.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rholoc.reports import report_from_json, report_to_json
 WAYPOINTS_FILE = ".waypoints.csv"
 _NOTES_FILE = ".notes.json"
 _THUMBNAIL_FILE = ".thumbnail.jpg"
-READ_FILES = (_NOTES_FILE, _THUMBNAIL_FILE)  # what a job writes
+READ_FILES = (_NOTES_FILE, _THUMBNAIL_FILE)  # written by a job
 NOTE_FILES = (*READ_FILES, WAYPOINTS_FILE)
 _THUMBNAIL_S = 1.0  # after the first frame: the first is often of the floor
 
@@ -37,7 +37,7 @@ class RecordedWaypoint:
         name: its name.
         position: (3,) metres.
         time_s: on the recording's clock; None where only the order is known.
-        sigma_m: how well the camera was held to it.
+        sigma_m: standard deviation of each coordinate.
     """
 
     name: str
@@ -48,14 +48,14 @@ class RecordedWaypoint:
 
 @dataclass(frozen=True)
 class RecordingNotes:
-    """What a job read from a recording.
+    """Figures of a recording, read by a job.
 
     Attributes:
         first_s, last_s: the times of its first and last frame, on its own clock; None if its pictures have no times.
-        frames: how many it has.
-        width, height: of a frame, pixels.
-        format: how it is laid out.
-        imu: whether it has an IMU's table.
+        frames: their number.
+        width, height: of a frame [px].
+        format: name of the recording's format.
+        imu: whether it has IMU readings.
         waypoints: its own.
     """
 

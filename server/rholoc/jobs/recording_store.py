@@ -1,4 +1,4 @@
-"""Recordings: files in a storage, what they are in the database. Each is complete or does not exist."""
+"""Stored recordings: files in a storage, entries in the database. Each is complete or does not exist."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from rholoc.storage.tables import recording_notes_table, recordings_table
 ENTRY_FILE = ".entry.json"  # no uploaded file can have this name: theirs never start with a dot
 _PREFIX = "recordings"
 _PENDING_PREFIX = ".pending-"
-_ORPHANED_AFTER_S = 24 * 3600.0  # an upload that takes longer has broken off
+_ORPHANED_AFTER_S = 24 * 3600.0  # older uploads without an entry are abandoned
 _PENDING_EXPIRES_S = 24 * 3600.0
 _MAX_NAME_LENGTH = 100
 _MAX_DEPTH = 4
@@ -49,7 +49,7 @@ class RecordingEntry:
 
     Attributes:
         id: unique, 32 hex digits.
-        files: the files' names, relative to the recording's folder, sorted.
+        files: names relative to the recording's folder, sorted.
         size_bytes: the sum of the files' sizes.
         created: seconds since the epoch.
     """
@@ -87,7 +87,7 @@ class PendingRecording:
 
     @property
     def size_bytes(self) -> int:
-        """How much has been written so far."""
+        """Bytes written so far."""
         return self._size_bytes
 
     def write(self, name: str, chunk: bytes) -> None:
@@ -117,7 +117,7 @@ class PendingRecording:
         self._size_bytes += len(chunk)
 
     def path(self, name: str) -> Path:
-        """Where a file that was written is until the commit, completely flushed.
+        """Path of a written file before the commit, flushed.
 
         Raises:
             StorageFull: the disk is full.
@@ -128,7 +128,7 @@ class PendingRecording:
         return self._folder / sanitized(name)
 
     def commit(self) -> RecordingEntry:
-        """Make the recording durable and visible, all at once.
+        """Make the recording durable and visible, atomically.
 
         Raises:
             InvalidRecording: no file was written.
@@ -192,9 +192,9 @@ class RecordingStore:
     entry, a hidden file beside its files, outlives the database; see :meth:`recover`.
 
     Args:
-        data_dir: folder for uploads that are under way, and for copies of files.
+        data_dir: folder for unfinished uploads, and for copies of files.
         objects: the storage; default: ``data_dir``.
-        engine: the database's; default: that of the SQLite file in ``data_dir``.
+        engine: of the database; default: the SQLite file in ``data_dir``.
     """
 
     def __init__(self, data_dir: Path, objects: ObjectStorage | None = None, engine: sa.Engine | None = None) -> None:
@@ -215,7 +215,7 @@ class RecordingStore:
         return PendingRecording(self.root, max_bytes, self._publish)
 
     def create(self, files: Iterable[tuple[str, Iterable[bytes]]], max_bytes: int | None = None) -> RecordingEntry:
-        """Store files, each a name and its chunks. If anything goes wrong, nothing is left behind.
+        """Store files, each a name and its chunks. After an error, nothing is left behind.
 
         Raises: as :meth:`PendingRecording.write` and :meth:`PendingRecording.commit` do, and what ``files`` raises.
         """
@@ -231,7 +231,7 @@ class RecordingStore:
         return temporary_folder(self.root, _PENDING_PREFIX)
 
     def adopt(self, folder: Path, recording_id: str, file_name: str) -> RecordingEntry:
-        """Turn a folder beside the recordings, which holds one complete file, into a recording; all at once.
+        """Turn a folder beside the recordings that holds one complete file into a recording, atomically.
 
         Raises:
             StorageUnavailable, StorageFull: the folder stays where it is.
@@ -274,7 +274,7 @@ class RecordingStore:
             return [_entry(row) for row in rows.mappings()]
 
     def path(self, recording_id: str) -> Path:
-        """What :func:`rholoc.recordings.read_recording` takes: the only file (a video or a zip), or the folder.
+        """Path for :func:`rholoc.recordings.read_recording`: the only file (a video or a ZIP file), or the folder.
 
         Raises:
             UnknownRecording: no recording has this id.
@@ -288,7 +288,7 @@ class RecordingStore:
                 file.parent.mkdir(parents=True, exist_ok=True)
             self.objects.fetch(_key(recording_id, file.relative_to(folder).as_posix()), file)
         size = sum((folder / name).stat().st_size for name in entry.files)
-        if missing and size != entry.size_bytes:  # files that are kept here may have been mended by hand
+        if missing and size != entry.size_bytes:  # files kept here may have been repaired by hand
             self.release(recording_id)
             raise StorageUnavailable(
                 f"The storage gave {size} bytes of a recording of {entry.size_bytes}.", "Try again later."
@@ -296,7 +296,7 @@ class RecordingStore:
         return folder / entry.files[0] if len(entry.files) == 1 else folder
 
     def notes(self, recording_id: str) -> dict[str, bytes]:
-        """Content of the files with what is noted of a recording, by name.
+        """Content of a recording's notes, by file name.
 
         Raises:
             UnknownRecording: no recording has this id.
@@ -307,7 +307,7 @@ class RecordingStore:
             return {row["file"]: bytes(row["content"]) for row in connection.execute(wanted).mappings()}
 
     def note(self, recording_id: str, files: Mapping[str, bytes | None]) -> None:
-        """Store files with what is noted of a recording, by name. None deletes a file."""
+        """Store a recording's notes by file name. None deletes a file."""
         table = recording_notes_table
         with reporting_full_database(), self.engine.begin() as connection:
             for name, content in files.items():
@@ -330,7 +330,7 @@ class RecordingStore:
             connection.execute(recordings_table.delete().where(recordings_table.c.id == recording_id))
         shutil.rmtree(self.root / recording_id, ignore_errors=True)
         for name in entry.files:
-            with suppress(StorageUnavailable):  # what is left is swept up
+            with suppress(StorageUnavailable):  # the next sweep removes the rest
                 self.objects.delete(_key(recording_id, name))
 
     def release(self, recording_id: str) -> None:
@@ -356,7 +356,7 @@ class RecordingStore:
                 self.release(recording_id)
 
     def recover(self) -> Mapping[str, Sequence[StoredObject]]:
-        """Register recordings whose entries the storage has and the database does not, as after it was lost.
+        """Register recordings with an entry in the storage but not in the database, such as after its loss.
 
         Returns:
             The objects without an entry that belong to no recording, by the id in their keys.
@@ -365,7 +365,7 @@ class RecordingStore:
             SQLAlchemyError, StorageUnavailable: it is done the next time.
         """
         stored = _by_recording(self.objects.list(_PREFIX))
-        known = {entry.id: entry for entry in self.list()}  # after the listing: what was stored since then is known
+        known = {entry.id: entry for entry in self.list()}  # after the listing, to include recordings stored since then
         left = {}
         for recording_id, objects in stored.items():
             has_entry = any(one.key == _key(recording_id, ENTRY_FILE) for one in objects)
@@ -388,7 +388,7 @@ class RecordingStore:
             self.note(entry.id, notes_in(folder))
 
     def _publish(self, folder: Path, entry: RecordingEntry) -> None:
-        """Store the files of a folder, which is then gone, and make them a recording."""
+        """Move a folder's files to the storage and register them as a recording."""
         self.objects.put_folder(f"{_PREFIX}/{entry.id}", folder, entry.files)
         try:
             self._register(entry)
@@ -400,7 +400,7 @@ class RecordingStore:
     def _register(self, entry: RecordingEntry) -> None:
         """Add a recording whose files are stored, unless another process has done so.
 
-        The row comes before the entry, so that a recording whose uploader was told that it failed does not return.
+        The row is written before the entry, so that :meth:`recover` cannot restore an upload reported as failed.
         """
         with reporting_full_database(), suppress(IntegrityError), self.engine.begin() as connection:
             connection.execute(recordings_table.insert().values(**asdict(entry)))

@@ -1,4 +1,4 @@
-"""What a worker does to place the maps of a site: looks for links between them, then stores what it found."""
+"""Place the maps of a site: look for links between them, then store the links."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ _TRIES = 10  # to store a site that others change at the same time
 
 @dataclass(frozen=True)
 class _Search:
-    """As it is kept in a file.
+    """Content of a search's file.
 
     Attributes:
-        pairs: of maps between which a link was looked for.
+        pairs: pairs of maps searched so far.
     """
 
     pairs: tuple[SearchedPair, ...] = ()
 
 
 def write_links(maps_dir: Path, site_name: str, file: Path, progress: ProgressListener) -> None:
-    """Look for links between the maps of a site, and write what was found; do nothing if the file exists.
+    """Look for links between the maps of a site, and write them to ``file``; do nothing if it exists.
 
-    What is found is kept pair by pair: a search that was broken off goes on from there.
+    Progress is saved after each pair: an interrupted search continues there.
 
     Args:
         maps_dir: the folder of the maps and the site.
-        site_name: the site's.
-        file: what :func:`store_links` takes. It exists only once the search is complete.
+        site_name: name of the site.
+        file: input of :func:`store_links`. It exists only once the search is complete.
         progress: called with ``Stage.LINKS``.
 
     Raises:
@@ -60,14 +60,14 @@ def write_links(maps_dir: Path, site_name: str, file: Path, progress: ProgressLi
 
 
 def store_links(file: Path, site_name: str, sites: SiteLibrary, library: MapLibrary) -> tuple[str, ...]:
-    """Store what :func:`write_links` found with the site as it is now; nothing changes where that was done before.
+    """Add the links of :func:`write_links` to the present site; idempotent.
 
     Returns:
-        What prevents maps of the site from being placed, one line each.
+        Reasons why maps of the site are not placed, one line each.
 
     Raises:
         UnknownSite: it was deleted.
-        Conflict: others change the site again and again.
+        Conflict: the site keeps changing.
         InvalidInput, StorageFull: nothing was stored.
     """
     pairs = _read(file)

@@ -1,4 +1,4 @@
-"""Where a service keeps what it holds: in folders of its own, or in what several servers share."""
+"""The stores of a service: its own folders, or a storage and database shared by several servers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CATALOGUE = "catalogue.json"  # as it was last seen
 
 
 def documents_folder(kind: str, maps_dir: Path, data_dir: Path) -> Path:
-    """Where a server of its own keeps the small files of one kind."""
+    """Folder of a single server's small files of one kind."""
     folders = {
         CAMERAS: maps_dir / CAMERAS_FOLDER,
         SITES: maps_dir / SITES_FOLDER,
@@ -35,23 +35,23 @@ def documents_folder(kind: str, maps_dir: Path, data_dir: Path) -> Path:
 
 
 def folder_documents(kind: str, maps_dir: Path, data_dir: Path) -> FolderDocuments:
-    """The small files of one kind of a server of its own. Nobody else may read keys."""
+    """A single server's small files of one kind. Keys are readable by the owner only."""
     return FolderDocuments(documents_folder(kind, maps_dir, data_dir), mode=0o700 if kind == KEYS else 0o777)
 
 
 class Stores:
-    """The stores of one process. Nothing is asked of disk, storage or database before a store is first used.
+    """The stores of one process. Disk, storage and database are first accessed when a store is first used.
 
-    Recordings, uploads, queries and jobs are objects and rows of the database. Maps and small files are files that
-    people may edit, ``maps_dir/NAME.rho``, unless other machines share them: then they are objects and rows, too.
+    Recordings, uploads, queries and jobs are objects and database rows. Maps and small files are files that people may
+    edit (``maps_dir/NAME.rho``), or objects and rows if other machines share them.
 
     Args:
         maps_dir, data_dir: the service's folders.
         database_url: ``postgresql://…``, or None for the SQLite file in ``data_dir``.
         storage_url: URL of the storage shared with other machines, as :class:`ObjectStorage` takes it, or None for the
             folders.
-        copies_bytes: what copies of shared maps may take on this disk.
-        cache_bytes: what maps may take in memory.
+        copies_bytes: disk space for copies of shared maps.
+        cache_bytes: memory for cached maps.
 
     Raises:
         InvalidInput: an URL is not valid.
@@ -116,9 +116,9 @@ class Stores:
 
         Raises:
             StorageFull: the disk is full.
-            StorageUnavailable: the database does not answer, for now.
+            StorageUnavailable: the database does not answer.
             InvalidInput: PostgreSQL refuses the connection.
-            Conflict: the SQLite file is none.
+            Conflict: the file is not an SQLite database.
         """
         check_database(self.engine)
         if self.copies is not None:
@@ -130,17 +130,17 @@ class Stores:
             self.follow()
 
     def recall(self) -> None:
-        """Show what the catalogue held when this machine last followed it, until :meth:`open` succeeds."""
+        """Use the catalogue's last saved state until :meth:`open` succeeds."""
         if self._replica is not None and self.copies is not None:
             self._replica.recall(self.copies.folder / _CATALOGUE)
 
     def follow(self) -> None:
-        """Go on seeing what other machines change, in a thread, until :meth:`close`."""
+        """Refresh continually in a thread, until :meth:`close`."""
         if self._replica is not None:
             self._replica.follow()
 
     def refresh(self) -> None:
-        """See what other machines have changed. Raises SQLAlchemyError if the database does not answer."""
+        """Load other machines' changes. Raises SQLAlchemyError if the database does not answer."""
         if self._replica is not None:
             self._replica.refresh()
 

@@ -1,4 +1,4 @@
-"""The database rows of jobs and workers, and who may change them."""
+"""The database table of jobs, and the rules for changing its rows."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ MAX_WARNINGS = 20
 _ID_LENGTH = 32
 _DAY_S = 24 * 3600.0
 _AHEAD_S = {JobPriority.HIGH: _DAY_S, JobPriority.NORMAL: 0.0, JobPriority.LOW: -_DAY_S}
-_PATIENCE = 10.0  # seconds that a second of a walk lets shorter ones overtake it
+_PATIENCE = 10.0  # seconds that each second of a walk delays its turn
 
-# Roughly what share of a job's time each stage of mapping takes. Links are all that a job with them does.
+# Approximate share of a job's time in each stage. A job with links has no other stage.
 _SHARES = {
     Stage.RECEIVED: 0.0,
     Stage.READ: 0.05,
@@ -55,7 +55,7 @@ class Lease:
     Attributes:
         job: the job's id.
         run: id of the job's last submission or retry, also the name of its work folder.
-        attempt: how many workers have taken the run, this one included.
+        attempt: number of workers that have taken the run, including this one.
     """
 
     job: str
@@ -65,7 +65,7 @@ class Lease:
 
 @dataclass(frozen=True)
 class JobWork:
-    """What a worker needs to know about a job."""
+    """Input of a job for its worker."""
 
     recording: str
     map_name: str
@@ -78,10 +78,10 @@ class Claim:
     """A job that a worker has taken.
 
     Attributes:
-        lease: its hold on the job.
-        work: what is to be done.
-        memory_bytes: about how much memory that takes; 0 where it is not known yet.
-        deaths: how many workers died while they had the job.
+        lease: the worker's lease on the job.
+        work: the job's input.
+        memory_bytes: estimated memory; 0 if not known yet.
+        deaths: number of workers that died while they had the job.
     """
 
     lease: Lease
@@ -91,15 +91,15 @@ class Claim:
 
 
 def turn_of(submitted_s: float, priority: JobPriority, length_s: float) -> float:
-    """When a job's turn is: jobs are taken in this order.
+    """Sort key of the queue [s]: the job with the smallest turn is taken first.
 
-    Shorter walks and higher priorities overtake, but only what was submitted at about the same time: the turn does not
-    change, so that every job's comes.
+    Shorter walks and higher priorities overtake jobs submitted at about the same time. Since a turn does not change,
+    no job waits for ever.
 
     Args:
         submitted_s: seconds since the epoch.
         priority: of the job.
-        length_s: of the walk, roughly.
+        length_s: estimated length of the walk.
     """
     return submitted_s - _AHEAD_S[priority] + _PATIENCE * length_s
 
@@ -119,7 +119,7 @@ class JobTable:
         return _job(row)
 
     def list(self, most: int | None = None, before: str | None = None) -> list[Job]:
-        """The newest jobs, the newest first; ``before``: only those older than this job. Raises UnknownJob."""
+        """At most ``most`` jobs, the newest first, older than the job ``before`` if given. Raises UnknownJob."""
         wanted = sa.select(jobs_table).order_by(jobs_table.c.created.desc(), jobs_table.c.id.desc()).limit(most)
         if before is not None:
             job = self.get(before)
@@ -136,13 +136,13 @@ class JobTable:
         return {state: counted.get(state, 0) for state in JobState}
 
     def queued(self) -> Sequence[Job]:
-        """The jobs that wait for a worker, in no order."""
+        """The queued jobs, unordered."""
         with self._engine.connect() as connection:
             rows = connection.execute(sa.select(jobs_table).where(jobs_table.c.state == JobState.QUEUED)).mappings()
             return [_job(row) for row in rows]
 
     def unfinished(self) -> dict[str, str]:
-        """The jobs that are queued or running, and the maps that they will publish."""
+        """Job id → map name of the queued and running jobs."""
         wanted = sa.select(jobs_table.c.id, jobs_table.c.map_name)
         with self._engine.connect() as connection:
             rows = connection.execute(wanted.where(jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])))
@@ -173,7 +173,7 @@ class JobTable:
         return None if row is None else _job(row)
 
     def last_learning(self, map_name: str) -> Job | None:
-        """The published or failed job, of those by which a map learns from its queries, that ended last."""
+        """The last published or failed job by which a map learns from its queries."""
         found = (
             sa.select(jobs_table)
             .where(
@@ -189,7 +189,7 @@ class JobTable:
         return None if row is None else _job(row)
 
     def mapped_before(self, time_s: float) -> Sequence[str]:
-        """The recordings all of whose jobs published their maps before ``time_s``, seconds since the epoch."""
+        """Ids of recordings whose jobs all published their maps before ``time_s`` [s since the epoch]."""
         published_before = sa.and_(jobs_table.c.state == JobState.PUBLISHED, jobs_table.c.ended < time_s)
         others = sa.func.sum(sa.case((published_before, 0), else_=1))
         with self._engine.connect() as connection:
@@ -204,9 +204,9 @@ class JobTable:
 
         Args:
             job_id: 32 hex digits.
-            work: what is to be done.
-            length_s: of the walk, roughly.
-            memory_bytes: about how much memory it takes; None: not known yet.
+            work: the job's input.
+            length_s: estimated length of the walk.
+            memory_bytes: estimated memory; None if not known yet.
         """
         now = time.time()
         values = {
@@ -281,13 +281,12 @@ class JobTable:
     def take(self, worker: str, memory_bytes: float = math.inf, free_bytes: float = math.inf) -> Claim | None:
         """Take the job whose turn it is, of those that fit a worker. Any earlier lease on the job is lost.
 
-        If that job has to wait until enough memory is free, so do all jobs after it: a long walk is not overtaken for
-        ever.
+        If that job has to wait for free memory, so do all jobs after it; otherwise long walks might wait for ever.
 
         Args:
             worker: the worker's id.
             memory_bytes: the worker's memory for jobs.
-            free_bytes: how much of that is free now.
+            free_bytes: the free part of it.
 
         Returns:
             The job; None if there is none, or another worker was quicker.
@@ -324,12 +323,12 @@ class JobTable:
         return self._running(jobs_table.c.worker.startswith(f"{process}-", autoescape=True))
 
     def take_back(self, living: Collection[str]) -> int:
-        """Queue the jobs again whose workers are not among the ``living``. Returns how many those were."""
+        """Requeue jobs whose worker is not in ``living``. Returns their number."""
         dead = jobs_table.c.worker.not_in(list(living))
         return sum(self.lose(lease, "its worker died") for lease in self._running(dead))
 
     def lose(self, lease: Lease, why: str) -> bool:
-        """Queue a job again whose worker died. Returns False if the lease was lost before."""
+        """Requeue a job after its worker's death. Returns False if the lease was lost before."""
         message = shortened(f"waiting for another worker: {why}")
         with self._engine.begin() as connection:
             row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
@@ -376,15 +375,15 @@ class JobTable:
             return set(connection.execute(sa.select(jobs_table.c.run).where(unfinished)).scalars())
 
     def give_back(self, lease: Lease) -> None:
-        """Give the job back to the queue, as a worker does that stops."""
+        """Requeue the job of a worker that stops."""
         self._update(lease, **_GIVEN_BACK)
 
     def hand_on(self, lease: Lease, memory_bytes: int) -> bool:
-        """Give the job back to the queue, for a worker with so much memory. False if the lease was lost before."""
+        """Requeue the job for a worker with ``memory_bytes``. Returns False if the lease was lost before."""
         return self._update(lease, **_GIVEN_BACK, memory_bytes=memory_bytes)
 
     def begin_publishing(self, lease: Lease) -> bool:
-        """From here on the job cannot be cancelled. False if the lease was lost before."""
+        """Make the job uncancellable. Returns False if the lease was lost before."""
         return self._update(lease, stage=Stage.PUBLISHED, message="publishing")
 
     def publish(self, lease: Lease, warnings: Sequence[str], connection: sa.Connection | None = None) -> bool:
@@ -392,8 +391,8 @@ class JobTable:
 
         Args:
             lease: on the job.
-            warnings: why.
-            connection: whose transaction it is noted in; None for one of its own.
+            warnings: reasons not to trust the map.
+            connection: its transaction is used; None for a new one.
 
         Returns:
             Whether the lease was still valid, or this was recorded under it before; otherwise nothing is recorded.

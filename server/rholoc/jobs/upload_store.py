@@ -1,6 +1,6 @@
-"""Uploads that survive lost connections: pieces in the storage, how far they are in the database.
+"""Resumable uploads: pieces in the storage, offsets in the database.
 
-They go on at whichever server they reach, and become recordings once complete.
+An upload can continue at any server, and becomes a recording once complete.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ _RETRY_AFTER_S = 60.0
 
 @dataclass(frozen=True)
 class Upload:
-    """Where an upload stands.
+    """State of an upload.
 
     Attributes:
-        id: the id of the recording and of the job that it becomes, 32 hex digits.
-        length: the size of the complete file in bytes.
-        offset: how many of them are stored.
-        expires: when an upload without further bytes is removed, seconds since the epoch; None once it is complete.
+        id: also of the later recording and job, 32 hex digits.
+        length: size of the complete file [bytes].
+        offset: number of bytes stored.
+        expires: time of removal without further bytes [s since the epoch]; None once it is complete.
         job: the mapping job, once the upload is complete.
     """
 
@@ -61,7 +61,7 @@ class Upload:
 
 @dataclass(frozen=True)
 class _Plan:
-    """What to do with an upload once it is complete, and how far it is."""
+    """Row of an upload: its offset, and the job to queue once it is complete."""
 
     id: str
     file_name: str
@@ -83,11 +83,11 @@ class UploadStore:
     """Unfinished uploads of all processes that share a storage and a database.
 
     Args:
-        recordings: where completed uploads go, and whose storage and database are used.
-        jobs: where their jobs are queued.
-        expires_after_s: how long an upload is kept without a further byte [s].
-        max_files: how many files a ZIP file may hold.
-        max_unfinished: how many uploads there may be at a time.
+        recordings: store of complete uploads; its storage and database are used.
+        jobs: queue for their jobs.
+        expires_after_s: time without further bytes after which an upload is removed.
+        max_files: maximum number of files in a ZIP file.
+        max_unfinished: maximum number of unfinished uploads.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class UploadStore:
         return Upload(upload_id, length, 0, now + self._expires_after_s)
 
     def get(self, upload_id: str) -> Upload:
-        """Where the upload stands. One that is complete but has no job yet, because the server died, gets it now.
+        """The upload's state. If it is complete but a server died before queueing its job, queue it now.
 
         Raises:
             UnknownRecording: no upload has this id, or it expired.
@@ -145,7 +145,7 @@ class UploadStore:
         try:
             with self._assembling:
                 self._assemble(plan)
-        except (InvalidInput, TooLarge):  # it is no recording
+        except (InvalidInput, TooLarge):  # not a recording
             self._forget(upload_id)
             raise
         self._jobs.submit(upload_id, plan.map_name, plan.options, job_id=upload_id)
@@ -157,7 +157,7 @@ class UploadStore:
 
         Raises:
             UnknownRecording: there is no upload with this id, or it expired.
-            Conflict: ``offset`` is not where the upload stands.
+            Conflict: ``offset`` is not the upload's.
             TooLarge: more bytes than were declared.
             InvalidRecording, TooLarge: the content is not a recording's. The upload is removed.
             StorageFull: the disk is full. What was stored before is kept.
@@ -188,7 +188,7 @@ class UploadStore:
         self._forget(upload_id)
 
     def sweep(self) -> None:
-        """Remove the uploads that expired; those that are whole but have no job get it."""
+        """Remove expired uploads, and queue the jobs of complete uploads without one."""
         with self._engine.connect() as connection:
             ids = connection.execute(sa.select(uploads_table.c.id)).scalars().all()
         for upload_id in ids:
@@ -200,7 +200,7 @@ class UploadStore:
                 self._objects.delete(one.key)
 
     def unfinished(self) -> dict[str, str]:
-        """The ids of the uploads that have no job yet, and the maps that they will become."""
+        """Upload id → map name of the uploads without a job yet."""
         with self._engine.connect() as connection:
             rows = connection.execute(sa.select(uploads_table.c.id, uploads_table.c.map_name))
             return {row.id: row.map_name for row in rows}
@@ -235,7 +235,7 @@ class UploadStore:
         return Upload(upload_id, entry.size_bytes, entry.size_bytes, job=job)
 
     def _take(self, upload_id: str, piece: _Piece) -> bool:
-        """Count a piece in, if the upload still stands where it begins."""
+        """Advance the upload by a piece, if the piece begins at its offset. Returns whether it did."""
         stands = sa.and_(uploads_table.c.id == upload_id, uploads_table.c.offset == piece.start)
         values = {"offset": piece.start + piece.size_bytes, "touched": time.time()}
         with reporting_full_database(), self._engine.begin() as connection:
@@ -251,10 +251,10 @@ class UploadStore:
             return [_Piece(**row) for row in connection.execute(wanted.order_by(table.c.start)).mappings()]
 
     def _assemble(self, plan: _Plan) -> None:
-        """Make a whole upload a recording, unless another server has done so.
+        """Turn a complete upload into a recording, unless another server has done so.
 
         Raises:
-            InvalidRecording, TooLarge: its content is no recording's.
+            InvalidRecording, TooLarge: its content is not a recording's.
             StorageUnavailable, StorageFull: it is tried again at the next request.
         """
         with suppress(UnknownRecording):
@@ -278,7 +278,7 @@ class UploadStore:
 
     def _check_start_of(self, upload_id: str, data: bytes) -> None:
         plan = self._plan(upload_id)
-        if plan is None:  # another request gave it up
+        if plan is None:  # another request removed it
             raise unknown_recording(upload_id)
         try:
             check_file_start(plan.file_name, data[:START_BYTES])
@@ -298,7 +298,7 @@ class UploadStore:
 
 
 def _plain_file_name(file_name: str, length: int) -> str:
-    """The name that an uploaded file of ``length`` bytes gets.
+    """The sanitized name of an uploaded file of ``length`` bytes.
 
     Raises:
         InvalidRecording: it is no recording's, or the file is empty.
@@ -319,7 +319,7 @@ def _check_room_for_bytes(standing: Upload, offset: int, count: int) -> None:
 
 
 def _check_offset(stands_at: int, offset: int) -> None:
-    """Refuse bytes from elsewhere than where an upload stands. Raises Conflict."""
+    """Raise Conflict unless bytes at ``offset`` continue an upload."""
     if stands_at != offset:
         raise Conflict(
             f"The upload is at byte {stands_at}, not at {offset}.",

@@ -1,7 +1,7 @@
-"""A worker: takes jobs from the queue and runs them, and takes over the jobs of workers that died.
+"""A worker: takes jobs from the queue and runs them, and requeues the jobs of dead workers.
 
-A job's row alone says who has the job (:mod:`rholoc.jobs.table`). By changing that row, a worker takes the job whose
-turn it is, of those that it has memory for. Each step of a job leaves a file, so that a repeated step does nothing.
+A job's row is its lease (:mod:`rholoc.jobs.table`). A worker takes the next job that fits its memory by changing that
+row. Each step of a job writes a file, so that a repeated step does nothing.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ _END_TAKES_S = 5.0  # of a job's thread, after its build was killed
 
 
 class Worker:
-    """A worker. Nothing is asked of database or storage before :meth:`start`.
+    """A worker. Database and storage are first accessed in :meth:`start`.
 
     Args:
         data_dir, maps_dir: folders of jobs and of maps.
         database_url: ``postgresql://…``, or None for the SQLite file.
         pipeline: how maps are built and published.
-        timing: how quickly the worker notices things.
+        timing: intervals and timeouts.
         limits: limits of one job.
         storage_url: URL of the storage shared with other machines, None for the folders.
-        capacity: how much the worker takes on.
+        capacity: of the worker.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class Worker:
         _log.info("worker %s started", self.id)
 
     def stop(self) -> None:
-        """Stop within a few seconds; running jobs go back to the queue."""
+        """Stop within a few seconds and requeue running jobs."""
         self._stopping.set()
         for thread in self._threads:
             thread.join()

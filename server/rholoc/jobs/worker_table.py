@@ -1,4 +1,4 @@
-"""The database rows of workers: their heartbeats, and why those that die do."""
+"""The database table of workers: heartbeats, and reasons of repeated deaths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import sqlalchemy as sa
 from rholoc.storage.tables import workers_table
 
 DEAD_AFTER_S = 15.0  # since the last heartbeat
-_TROUBLE_FOR_S = 600.0  # how long an error is reported that nobody reports again
+_TROUBLE_FOR_S = 600.0  # age at which a report expires
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class WorkerTable:
         self._put(worker, int(memory_bytes) if math.isfinite(memory_bytes) else None, None)
 
     def report(self, starter: str, error: str) -> None:
-        """Record why the workers that ``starter`` starts die."""
+        """Record why workers started by ``starter`` die."""
         self._put(starter, None, error)
 
     def remove(self, worker: str) -> None:

@@ -1,4 +1,4 @@
-"""Where a worker finds the inputs of its jobs, and keeps what they built until it is published."""
+"""Folders with the inputs of a worker's jobs, and with built files until they are published."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ _WORK, _INPUTS, _NOTES, _MAP_FILE, _LINKS_FILE = "work", "inputs", "notes", "map
 class Workplace:
     """The folders of a worker's jobs, and the libraries that jobs read and publish to.
 
-    Each run of a job has a folder. What the run built lies there until it is published, so that a worker that takes the
-    job over on the same machine does not build again.
+    Each run of a job has a folder for its built file, so that the next worker on the same machine need not build again.
 
     Args:
         stores: where the inputs are.
@@ -74,7 +73,7 @@ class Workplace:
         return SiteLibrary(self._stores.maps_dir, self._stores.documents(SITES))
 
     def store_notes(self, lease: Lease, work: JobWork) -> None:
-        """Store what a run read in its recording, if it has one."""
+        """Store a run's notes on its recording, if any."""
         if work.recording:
             notes = notes_in(self._folder(lease) / _NOTES)
             self._stores.recordings.note(work.recording, {name: notes[name] for name in READ_FILES if name in notes})

@@ -8,8 +8,8 @@ from rholoc.localization.large_map import LARGE_MAP, AnyLocalizer, LargeMapLocal
 from rholoc.localization.localizer import Localizer
 from rholoc.localization.place_recognition import LikelyView, likeliest_views
 from rholoc.localization.several_frames import (
-    FEWEST_FRAMES,
-    MOST_FRAMES,
+    MAX_FRAMES,
+    MIN_FRAMES,
     JointLocalization,
     SeveralFrames,
     localize_together,
@@ -27,10 +27,10 @@ from rholoc.localization.types import (
 )
 
 __all__ = [
-    "FEWEST_FRAMES",
     "LARGE_MAP",
+    "MAX_FRAMES",
+    "MIN_FRAMES",
     "MIN_RECOGNIZED",
-    "MOST_FRAMES",
     "NO_BELIEF",
     "TOO_LITTLE_TIME",
     "VECTORS_FILE",

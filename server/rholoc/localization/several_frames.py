@@ -31,7 +31,7 @@ from rholoc.localization.pose.rivals import RIVAL_PLACES, are_rivals, fewest_agr
 from rholoc.localization.pose.seeds import vote_for_places
 from rholoc.localization.types import Belief, Dof, Intrinsics, Localization, Query, Reason
 
-FEWEST_FRAMES, MOST_FRAMES = 2, 10
+MIN_FRAMES, MAX_FRAMES = 2, 10
 _PLACES = 6
 _VIEWS_EACH = 10
 _SAMPLES = (1000, 30)
@@ -61,9 +61,9 @@ class SeveralFrames:
 
     def __post_init__(self) -> None:
         count = len(self.frames)
-        if not FEWEST_FRAMES <= count <= MOST_FRAMES:
+        if not MIN_FRAMES <= count <= MAX_FRAMES:
             raise InvalidInput(
-                f"{count} frames; {FEWEST_FRAMES} to {MOST_FRAMES} can be localized together.",
+                f"{count} frames; {MIN_FRAMES} to {MAX_FRAMES} can be localized together.",
                 "Send a single frame by itself, and long sequences in parts.",
             )
         if self.T_rig_cameras.shape != (count, 4, 4) or not all(is_rigid(T) for T in self.T_rig_cameras):

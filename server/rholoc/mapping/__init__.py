@@ -18,7 +18,7 @@ from rholoc.mapping.edit.correcting import (
 from rholoc.mapping.edit.forgetting import forget_recording
 from rholoc.mapping.edit.frame_from_people import levelled
 from rholoc.mapping.learn.answered_query import AnsweredQuery
-from rholoc.mapping.learn.from_queries import FEWEST_QUERIES, learn_from_queries, too_few_queries
+from rholoc.mapping.learn.from_queries import MIN_QUERIES, learn_from_queries, too_few_queries
 from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
 from rholoc.mapping.learn.merging import merge_maps
 from rholoc.mapping.sites.linking import SearchedPair, add_links, map_state, search_links
@@ -26,7 +26,7 @@ from rholoc.mapping.sites.poses import find_link, pose_in_site, solve_site, with
 
 __all__ = [
     "DEFAULT_FEATURES",
-    "FEWEST_QUERIES",
+    "MIN_QUERIES",
     "AnsweredQuery",
     "BuildOptions",
     "SearchedPair",

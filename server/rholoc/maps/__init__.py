@@ -51,7 +51,7 @@ from rholoc.maps.names import (
 from rholoc.maps.part import MapPart, part_of
 from rholoc.maps.patch_bytes import moved_patches, packed_patches, storable_patches, unpacked_patches
 from rholoc.maps.sites import (
-    MOST_MAPS,
+    MAX_MAPS,
     SITES_FOLDER,
     FramePose,
     LinkOrigin,
@@ -66,8 +66,8 @@ from rholoc.maps.trust import Trust, consistency_m, expected_error_m, trust_of
 from rholoc.maps.validation import check_usable, validate_map
 
 __all__ = [
+    "MAX_MAPS",
     "MAX_PLAN_BYTES",
-    "MOST_MAPS",
     "SITES_FOLDER",
     "CameraLibrary",
     "CameraProfile",

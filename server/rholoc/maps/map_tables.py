@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray
+from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray, PosedCameras
 
 UNKNOWN_GREY = 128  # the red, green and blue of landmarks whose colour is not known
 
@@ -142,7 +142,7 @@ class MapDescriptors(MapTable):
 
 
 @dataclass(frozen=True, eq=False)
-class MapViews(MapTable):
+class MapViews(MapTable, PosedCameras):
     """K views (keyframes) of a map.
 
     Attributes:
@@ -169,16 +169,6 @@ class MapViews(MapTable):
     def known_covariances(self) -> FloatArray:
         """(K, 6, 6) as ``covariances``, all NaN where there are none."""
         return np.asarray(self.known("covariances"))
-
-    @property
-    def positions(self) -> FloatArray:
-        """(K, 3) metres, where the cameras were."""
-        return self.T_map_camera[:, :3, 3]
-
-    @property
-    def headings(self) -> FloatArray:
-        """(K, 3) unit vectors, their optical axes."""
-        return self.T_map_camera[:, :3, 2]
 
     @property
     def expected_errors_m(self) -> FloatArray:

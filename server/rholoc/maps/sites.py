@@ -21,15 +21,15 @@ from rholoc.maps.documents import Documents, FolderDocuments, stored_names
 from rholoc.reports import report_from_json, report_to_json
 
 SITES_FOLDER = "sites"
-MOST_MAPS = 2000
+MAX_MAPS = 2000
 """Of a site."""
 
 _FORMAT, _FORMAT_VERSION = "rholoc-site", 1
 _SUFFIX = ".json"
-_MOST_LINKS = 10_000
+_MAX_LINKS = 10_000
 _MAX_FLOOR = 100
 _UNIT_TOLERANCE = 1e-2
-_MOST_M, _MOST_HEIGHT_M = 1e6, 1e5
+_MAX_M, _MAX_HEIGHT_M = 1e6, 1e5
 _NEGATIVE = -1e-6  # of the greatest: an eigenvalue that rounding made negative
 
 
@@ -183,8 +183,8 @@ def check_site(site: Site) -> Site:
     names = [one.map for one in site.maps]
     for name in names:
         check_map_name(name)
-    if len(names) > MOST_MAPS or len(site.links) > _MOST_LINKS:
-        raise InvalidInput(f"A site has at most {MOST_MAPS} maps and {_MOST_LINKS} links.", "Make several sites.")
+    if len(names) > MAX_MAPS or len(site.links) > _MAX_LINKS:
+        raise InvalidInput(f"A site has at most {MAX_MAPS} maps and {_MAX_LINKS} links.", "Make several sites.")
     twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
     if twice is not None:
         raise InvalidInput(f"The map {twice} is listed twice.", "List each map of the site once.")
@@ -205,7 +205,7 @@ def check_site(site: Site) -> Site:
             raise InvalidInput(f"A link joins the map {link.first} to itself.", "Name two maps.")
         what = f"The link between {link.first} and {link.second}"
         _check_pose(link.pose, what)
-        if not (0 < link.sigma_m <= _MOST_M and 0 < link.sigma_deg <= 180):
+        if not (0 < link.sigma_m <= _MAX_M and 0 < link.sigma_deg <= 180):
             raise InvalidInput(f"{what} has sigmas that are not possible.", "Give metres and degrees above 0.")
     if site.earth is not None:
         _check_earth(site.earth)
@@ -214,7 +214,7 @@ def check_site(site: Site) -> Site:
 
 def _check_pose(pose: FramePose, what: str) -> None:
     values = (*pose.position, *pose.quaternion_xyzw)
-    if not all(math.isfinite(value) for value in values) or max(map(abs, pose.position)) > _MOST_M:
+    if not all(math.isfinite(value) for value in values) or max(map(abs, pose.position)) > _MAX_M:
         raise InvalidInput(f"{what} is not a pose: a number is not finite, or beyond 1000 km.", "Give metres.")
     length = math.hypot(*pose.quaternion_xyzw)
     if abs(length - 1) > _UNIT_TOLERANCE:
@@ -234,7 +234,7 @@ def _check_covariance(rows: tuple[tuple[float, ...], ...], name: str) -> None:
 
 def _check_earth(earth: SiteOnEarth) -> None:
     values = (earth.latitude_deg, earth.longitude_deg, earth.height_m, earth.heading_deg)
-    possible = all(math.isfinite(value) for value in values) and abs(earth.height_m) <= _MOST_HEIGHT_M
+    possible = all(math.isfinite(value) for value in values) and abs(earth.height_m) <= _MAX_HEIGHT_M
     if not possible or abs(earth.latitude_deg) > 90 or abs(earth.longitude_deg) > 180 or abs(earth.heading_deg) > 360:
         raise InvalidInput(
             "The site's place on Earth is not possible.",

@@ -24,7 +24,7 @@ from rholoc.maps import Map
 TOLERANCES_PX = (80.0, 40.0, 24.0, 12.0, 6.0, 4.0)
 _ITERATIONS = 5
 _VIEWS_EACH = 10
-_FEWEST_MATCHES = 6
+_MIN_MATCHES = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class DensityLocalizer:
     ) -> Iterator[Ascent]:
         """An ascent from the pose (4, 4) ``start``, or else from each view that most matches speak for."""
         everywhere = self.index.match_everywhere(features)
-        if len(everywhere) < _FEWEST_MATCHES:
+        if len(everywhere) < _MIN_MATCHES:
             return
         rays = camera.rays(features.pixels)
         places = vote_for_places(self.index, everywhere, 1 if start is not None else self.starts, _VIEWS_EACH, None)
@@ -89,4 +89,4 @@ class DensityLocalizer:
     ) -> Ascent | None:
         """The best of the ascents; None where there is nothing to climb by, or the best has fewer than 6 inliers."""
         best = max(self.ascents(features, camera, dof, start), key=lambda one: one.optimum.value, default=None)
-        return best if best is not None and best.inliers >= _FEWEST_MATCHES else None
+        return best if best is not None and best.inliers >= _MIN_MATCHES else None

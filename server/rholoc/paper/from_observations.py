@@ -26,7 +26,7 @@ from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Map, MapInfo, ObservationTable, Source
 from rholoc.progress import ProgressListener, Stage, silent
 
-_FEWEST_VIEWS = 3
+_MIN_VIEWS = 3
 _HOLD_OUT_EVERY = 10
 _UPRIGHT_RAD = np.deg2rad(5.0)  # of roll, in most views of a camera that is held upright
 _BEYOND_PX = 5.0  # how far outside of the image a detector, or a rolling shutter undone, may put a feature
@@ -220,10 +220,10 @@ def _views(table: ObservationTable, camera: Camera, hold_out: bool) -> tuple[Vie
     first, view_of = np.unique(keys, axis=0, return_index=True, return_inverse=True)[1:]
     order = np.argsort(first)  # as they come in the table
     groups = [np.flatnonzero(view_of.ravel() == group) for group in order.tolist()]
-    if len(groups) < _FEWEST_VIEWS:
+    if len(groups) < _MIN_VIEWS:
         raise MappingFailed(
             f"The observations are from {len(groups)} pose{'s' if len(groups) > 1 else ''}; a feature has to be seen "
-            f"from {_FEWEST_VIEWS}.",
+            f"from {_MIN_VIEWS}.",
             "Give a walk's.",
         )
     held = range(_HOLD_OUT_EVERY // 2, len(groups), _HOLD_OUT_EVERY) if hold_out else range(0)

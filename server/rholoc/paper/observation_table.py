@@ -7,17 +7,17 @@ import numpy as np
 from rholoc.maps import Map, ObservationTable, check_memory
 
 
-def observation_table(map_: Map, what: str = "The map") -> ObservationTable:
+def observation_table(map_: Map) -> ObservationTable:
     """The observations of a map: who was seen at which pixel from where, in the order of its views.
 
     A map keeps a feature's descriptors, not one for each observation: the first, which stands for the feature in a
-    search of the whole map, is given to all of them. ``what`` names the map to users.
+    search of the whole map, is given to all of them.
 
     Raises:
         InvalidInput: the map does not remember its observations.
         InvalidMap: its memory contradicts itself.
     """
-    pixels = check_memory(map_, what).pixels
+    pixels = check_memory(map_, "The map").pixels
     features, views = map_.observations.features, map_.observations.views
     first_descriptor = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
     return ObservationTable(

@@ -19,9 +19,9 @@ _MARGIN = 0.06  # of the plotted width, around it
 _VISIBLE_SHARE = (1.0, 99.0)  # percentiles of the landmarks that the picture is made to hold
 
 
-def preview_png(map_: Map, title: str = "", size_px: tuple[int, int] = (1200, 900)) -> bytes:
+def preview_png(map_: Map, title: str = "") -> bytes:
     """The map from above as a PNG: landmarks coloured by uncertainty, the view path with its headings, waypoints."""
-    figure = figure_of((size_px[0] / 150, size_px[1] / 150), 150)
+    figure = figure_of((8, 6), 150)
     figure.set_layout_engine("constrained", w_pad=0.15, h_pad=0.15)
     axes = figure.add_subplot()
     shown = _plot_landmarks(axes, map_)

@@ -30,7 +30,7 @@ _RADIUS = 0.47  # of a rose, in steps
 _ARC_STEPS = 4
 _HIDDEN_SHARE = (0.5, 99.5)  # percentiles that histograms span
 _NO_FRAMES = "no errors of single frames are known"
-_LEAST_ERROR = 1e-4  # where the logarithmic error scale ends
+_MIN_ERROR = 1e-4  # where the logarithmic error scale ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> Non
     if held_out is None:
         _say(axes, _quantiles(report, unit, factor))
         return
-    errors = factor * np.sort(np.maximum(held_out.errors_m, _LEAST_ERROR))
+    errors = factor * np.sort(np.maximum(held_out.errors_m, _MIN_ERROR))
     found = errors[np.isfinite(errors)]
     if len(found) == 0:
         _say(axes, f"none of {len(errors)} frames was localized")
@@ -235,7 +235,7 @@ def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: 
     if not found.any():
         _say(axes, "none was localized")
         return
-    errors = factor * np.maximum(held_out.errors_m[found], _LEAST_ERROR)
+    errors = factor * np.maximum(held_out.errors_m[found], _MIN_ERROR)
     axes.scatter(errors, held_out.confidences[found], s=22, color=GREEN, alpha=0.6, linewidths=0, clip_on=False)
     axes.set_ylim(0, 1.04)
     _logarithmic(axes, 0.7 * float(errors.min()), 1.4 * float(errors.max()))
@@ -257,7 +257,7 @@ def _plot_sigmas(axes: Axes, map_: Map, unit: str, factor: float) -> None:
     if len(map_) == 0:
         _say(axes, "no landmarks")
         return
-    sigmas = factor * np.maximum(landmark_sigmas(map_), _LEAST_ERROR)
+    sigmas = factor * np.maximum(landmark_sigmas(map_), _MIN_ERROR)
     low, high = _range(sigmas)
     axes.hist(sigmas, bins=np.geomspace(low, high, 36).tolist(), color=GREEN, alpha=0.75)
     _median_line(axes, float(np.median(sigmas)), f" {unit}")

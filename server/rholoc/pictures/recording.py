@@ -15,7 +15,7 @@ _DPI = 120
 _RESTED = "#e3efe8"
 _AXES = (("x", MARKED), ("y", GREEN), ("z", BLUE))
 _MARGIN_S = 1.0  # shown before the first frame and after the last
-_MOST_POINTS = 6000  # a line; more cannot be seen
+_MAX_POINTS = 6000  # a line; more cannot be seen
 
 
 def recording_png(recording: Recording) -> bytes:
@@ -48,7 +48,7 @@ def _plot_imu(force: Axes, turn: Axes, imu: Imu | None, start_s: float) -> None:
         for axis in (force, turn):
             axis.text(0.5, 0.5, "no IMU", transform=axis.transAxes, ha="center", color=MUTED)
         return
-    step = max(1, len(imu.times) // _MOST_POINTS)
+    step = max(1, len(imu.times) // _MAX_POINTS)
     times = imu.times[::step] - start_s
     _plot_vectors(force, times, imu.acceleration[::step])
     _plot_vectors(turn, times, np.degrees(imu.angular_velocity[::step]))

@@ -1,4 +1,4 @@
-"""Recordings in ZIP files: unpacked with care, because the files are not trusted."""
+"""Unpack untrusted ZIP files of recordings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rholoc.recordings.frames.video import VIDEO_SUFFIXES
 
 DEFAULT_MAX_BYTES = 8 * 2**30  # unpacked
 MAX_FILES = 100_000
-_ENTRY_BYTES = 512  # of the table of contents, for a file with a long path
+_ENTRY_BYTES = 512  # of a directory entry with a long path
 _END, _END64, _ENTRY = b"PK\x05\x06", b"PK\x06\x06", b"PK\x01\x02"
 _END_BYTES, _MAX_COMMENT_BYTES, _END64_BYTES = 22, 65535, 76
 MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, zip bombs 1000
@@ -31,11 +31,11 @@ _IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
 def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> Path:
     """Unpack a ZIP file into ``folder``; returns the folder of the recording in it.
 
-    That is ``folder`` itself, or the only folder in the archive if everything is in one.
+    The recording's folder is ``folder`` itself, or the only folder in the archive if everything is in one.
 
     Raises:
-        InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that would land outside the folder, is a
-            link, or is not what its name says.
+        InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that is a link, leads out of the folder,
+            or has content of another type than its name.
         TooLarge: it would unpack to more than ``max_bytes`` or too many files, or its compression ratio is suspicious.
         StorageFull: the disk is full.
 
@@ -47,14 +47,13 @@ def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_
     return _recording_folder(folder)
 
 
-def check_archive(archive: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> None:
-    """Refuse, without unpacking, what :func:`unpack` would refuse by the ZIP file's table of contents and by the first
-    bytes of its videos.
+def check_archive(archive: Path, max_files: int = MAX_FILES) -> None:
+    """Check a ZIP file's directory and the first bytes of its videos as :func:`unpack` would, without unpacking.
 
     Raises: as :func:`unpack` does.
     """
     with _opened(archive, max_files) as packed:
-        for entry in _checked_entries(packed, archive, max_bytes):
+        for entry in _checked_entries(packed, archive, DEFAULT_MAX_BYTES):
             if PurePosixPath(entry.filename).suffix.lower() in VIDEO_SUFFIXES and not entry.is_dir():
                 with packed.open(entry) as source:
                     check_file_start(entry.filename, source.read(START_BYTES))
@@ -77,7 +76,7 @@ def _opened(archive: Path, max_files: int) -> Iterator[zipfile.ZipFile]:
 
 
 def _check_directory(archive: Path, max_files: int) -> None:
-    """Refuse a table of contents with too many entries before it is read: each takes a thousand times its size.
+    """Refuse a directory with too many entries before parsing it: parsed, each takes a thousand times its size.
 
     Raises:
         TooLarge: there are more than ``max_files``.
@@ -141,7 +140,7 @@ def _unpack_entry(packed: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path)
         target.mkdir(parents=True, exist_ok=True)
         return
     target.parent.mkdir(parents=True, exist_ok=True)
-    # zipfile stops at the declared size, so what is declared bounds what is written.
+    # zipfile stops at the declared size, which therefore bounds the bytes written.
     with packed.open(entry) as source:
         start = source.read(START_BYTES)
         check_file_start(entry.filename, start)

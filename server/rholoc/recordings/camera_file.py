@@ -1,4 +1,4 @@
-"""``camera.json``: what is known about the recording device."""
+"""``camera.json``: intrinsics and mounting of the recording device."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CameraFile:
     Attributes:
         camera: the intrinsics, or None.
         fps: frames a second, for image folders without a table of times, or None.
-        R_camera_imu: (3, 3), takes vectors of the IMU's axes to the camera frame, or None.
+        R_camera_imu: (3, 3), or None.
         gravity_included: whether gravity's reaction is part of the IMU's acceleration.
         readout_s: how long a rolling shutter takes from the top row of a frame to the bottom row, in seconds, or None.
     """
@@ -54,7 +54,7 @@ def read_camera_json(path: Path) -> CameraFile:
 
 
 def write_camera_json(path: Path, description: CameraFile) -> None:
-    """Write ``camera.json``; :func:`read_camera_json` reads the same back."""
+    """Write ``camera.json``, the inverse of :func:`read_camera_json`."""
     values: dict[str, Any] = {"gravity_included": description.gravity_included}
     if description.camera is not None:
         values |= description.camera.to_dict()

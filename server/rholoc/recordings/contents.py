@@ -25,10 +25,10 @@ _STARTS = {
 
 
 def check_file_name(name: str) -> None:
-    """Refuse the name of a single file that is not a recording's.
+    """Check the name of a recording in a single file.
 
     Raises:
-        InvalidRecording: it is neither a video's, nor a bag's, nor a ZIP file's.
+        InvalidRecording: not the name of a video, a bag or a ZIP file.
     """
     if PurePath(name).suffix.lower() not in VIDEO_SUFFIXES | BAG_SUFFIXES | {ZIP_SUFFIX}:
         videos, bags = (", ".join(sorted(suffixes)) for suffixes in (VIDEO_SUFFIXES, BAG_SUFFIXES))
@@ -36,14 +36,14 @@ def check_file_name(name: str) -> None:
 
 
 def check_file_start(name: str, start: bytes) -> None:
-    """Refuse a video, bag, picture or ZIP file whose first bytes do not match its name; other names pass.
+    """Check that a video, bag, picture or ZIP file begins as its name suggests; other names pass.
 
     Args:
         name: the file's name.
         start: its first ``START_BYTES``, or all of it if it is shorter.
 
     Raises:
-        InvalidRecording: it is something else, or empty.
+        InvalidRecording: the file is of another type, or empty.
     """
     suffix = PurePath(name).suffix.lower()
     if suffix in VIDEO_SUFFIXES:

@@ -1,4 +1,4 @@
-"""A description of a recording before a map is made from it, as JSON."""
+"""JSON description of a recording, for users to check before mapping."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _frames(frames: FrameSource) -> dict[str, Any]:
 
 
 def _logged(frame_intrinsics: FloatArray | None) -> dict[str, list[float] | None] | None:
-    """The least and the greatest of fx, fy, cx and cy, in pixels."""
+    """Minimum and maximum of fx, fy, cx and cy [px]."""
     if frame_intrinsics is None:
         return None
     spans: dict[str, list[float] | None] = {}

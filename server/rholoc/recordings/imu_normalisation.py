@@ -1,13 +1,11 @@
-"""An IMU's table as a phone logged it → seconds, m/s², rad/s, one row per time. Pure functions, used by all readers.
+"""Convert a phone's IMU log to seconds, m/s² and rad/s with one row per time. Pure functions, used by all readers.
 
-Formats document their units, but apps, versions and settings deviate from them. The numbers themselves take precedence
-over the documentation, and each deviation is reported as a warning:
-
-- the unit of time by the interval between samples, since no IMU samples slower than 2.5 or faster than 2500 times a
-  second;
-- g or m/s², and gravity included or removed, by the length of the acceleration, which is steady only with gravity;
-- degrees or radians by speeds that no hand reaches, else by which of them rotates gravity as the accelerometer does;
-- Apple's sign, which gravity alone cannot show, by poses that come with the recording.
+Apps, versions and settings deviate from documented units. The numbers take precedence over the documentation, and each
+deviation is reported as a warning:
+- unit of time: by the sampling interval, since IMUs sample at 2.5 to 2500 Hz;
+- g or m/s², with or without gravity: by the norm of the acceleration, which is steady only with gravity;
+- degrees or radians: by speeds that no hand reaches, else by consistency with the rotation of gravity;
+- Apple's sign, which gravity alone cannot show: by poses that come with the recording.
 """
 
 from __future__ import annotations
@@ -30,23 +28,23 @@ _LONGEST_IMU_INTERVAL_S = 0.4
 _SHORTEST_FRAME_INTERVAL_S = 0.002
 _LONGEST_FRAME_INTERVAL_S = 4.0
 MAX_SPAN_S = 48 * 3600.0  # from the first row of a table to its last
-_MAX_DROPPED = 0.05  # share of rows whose time does not advance
+_MAX_DROPPED = 0.05  # maximum share of rows whose time does not advance
 _GAP_INTERVALS = 5.0  # a gap is this many usual intervals …
 _GAP_S = 0.1  # … and at least this long
 _MIN_TO_MEASURE = 20
-_STEADY = 0.65  # 10th percentile to median of the acceleration's length: with gravity above it, without below
-_ONE_G_TOLERANCE = 0.15  # of the median length, in g
-_LARGEST = 1e5  # of a reading in any unit
-_FASTEST_TURN = 12.0  # rad/s that a walking hand does not exceed in one row of twenty
+_STEADY = 0.65  # ratio of the 10th percentile to the median of the acceleration's norm: larger with gravity
+_ONE_G_TOLERANCE = 0.15  # of the median norm, in g
+_LARGEST = 1e5  # maximum reading in any unit
+_FASTEST_TURN = 12.0  # rad/s, maximum 95th percentile of a walking hand
 _TURN_WINDOW_S = 0.4
 _NOTICEABLE_TURN = 0.05  # rad that gravity must turn between two windows to count …
 _MIN_TURNS = 5  # … this often
-_DISTINCTLY = 3.0  # degrees must fit this many times better to be accepted; a wrong sign alone makes 2
+_DISTINCTLY = 3.0  # degrees must fit this many times better than radians; a wrong sign alone gives 2
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """One sensor as it was logged: times (M,) in any unit, and values (M, 3) in any unit."""
+    """Logged samples of one sensor: times (M,) and values (M, 3), in any units."""
 
     times: FloatArray
     values: FloatArray
@@ -59,13 +57,13 @@ class Samples:
 
 @dataclass(frozen=True)
 class ImuConvention:
-    """What a format says about its numbers.
+    """Documented units of a format.
 
     Attributes:
         time_unit: one of s, ms, µs, ns.
-        in_g: the acceleration is in multiples of standard gravity, not m/s².
-        includes_gravity: it includes gravity's reaction.
-        apple_sign: it is negative: at rest it reads −1 g upwards, as CoreMotion does.
+        in_g: whether the acceleration is in multiples of standard gravity, not m/s².
+        includes_gravity: whether it includes gravity's reaction.
+        apple_sign: whether it is negated as in CoreMotion: −1 g upwards at rest.
     """
 
     time_unit: str = "s"
@@ -84,8 +82,8 @@ def normalise_imu(
 
     Args:
         accelerometer, gyroscope: as logged; their times may differ, and be out of order.
-        says: the format's own convention, used unless the numbers contradict it.
-        R_camera_imu: (3, 3), or None where unknown.
+        says: documented units, used unless the numbers contradict them.
+        R_camera_imu: (3, 3), or None if unknown.
 
     Raises:
         InvalidRecording: too many times go back, times are implausible in every unit, the two sensors hardly overlap,
@@ -111,8 +109,9 @@ def normalise_imu(
 
 
 def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> str | None:
-    """The unit of times (M,), s, ms, µs or ns, in which their median interval is at most ``longest_s`` and above a
-    thousandth of it; None where it is none of them, or where fewer than two times differ."""
+    """Unit of times (M,), s, ms, µs or ns, with a median interval of at most ``longest_s`` and over a thousandth of it.
+
+    None if no unit fits, or without two different times."""
     steps = np.abs(np.diff(times))
     steps = steps[steps > 0]
     if len(steps) == 0:
@@ -125,8 +124,9 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
 
 
 def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
-    """Times (N,) of frames in seconds. Frames may be seconds apart, so ``says``, the format's own unit, is used if it
-    makes an interval of 2 ms to 4 s; otherwise the interval shows the unit, as for an IMU."""
+    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if the interval is then 2 ms to 4 s.
+
+    Otherwise the unit follows from the interval, as for an IMU."""
     steps = np.abs(np.diff(times)) / _PER_SECOND[says]
     plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
     unit = says if plausible else time_unit(times, 1000 * _SHORTEST_FRAME_INTERVAL_S) or says
@@ -135,12 +135,10 @@ def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[Recor
 
 
 def checked_span(times: FloatArray, what: str) -> FloatArray:
-    """Times (M,) in seconds, unchanged, if they span no more than two days.
-
-    A single wrong time could otherwise stand for years of samples to fill in.
+    """Return times (M,) [s] unchanged after checking their span: one wrong time could mean years of samples to fill in.
 
     Raises:
-        InvalidRecording: they span more.
+        InvalidRecording: they span more than ``MAX_SPAN_S``.
     """
     span_s = float(np.ptp(times)) if len(times) else 0.0
     if span_s > MAX_SPAN_S:
@@ -152,10 +150,10 @@ def checked_span(times: FloatArray, what: str) -> FloatArray:
 
 
 def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[RecordingWarning, ...]]:
-    """The rows of times (M,) that come after all before them, and a warning about those that do not.
+    """Rows whose time exceeds all times (M,) before it, and a warning about the other rows.
 
     Raises:
-        InvalidRecording: more than one row in twenty does not.
+        InvalidRecording: there are more than ``_MAX_DROPPED`` other rows.
     """
     latest = np.maximum.accumulate(times)
     advances = np.concatenate([[True], times[1:] > latest[:-1]])
@@ -175,7 +173,7 @@ def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[Record
 
 
 def rate_warnings(times: FloatArray, sensor: str) -> tuple[RecordingWarning, ...]:
-    """Whether a sensor with times (M,) in seconds is too slow for the paper's method, or has gaps."""
+    """Warnings if a sensor with times (M,) [s] is too slow for the paper's method, or has gaps."""
     warnings = []
     steps = np.diff(times)
     if len(steps) and (rate_hz := 1 / float(np.median(steps))) < MIN_RATE_HZ:
@@ -193,7 +191,7 @@ def rate_warnings(times: FloatArray, sensor: str) -> tuple[RecordingWarning, ...
 
 
 def gap_rows(times: FloatArray) -> IntArray:
-    """Rows of times (M,) in seconds after which far more than the usual interval passes."""
+    """Rows of times (M,) [s] followed by a gap."""
     steps = np.diff(times)
     if len(steps) == 0:
         return np.zeros(0, dtype=np.int64)
@@ -201,11 +199,11 @@ def gap_rows(times: FloatArray) -> IntArray:
 
 
 def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConvention:
-    """What the accelerations (M, 3) themselves show about unit and gravity; the rest as the format says."""
+    """Convention with unit and gravity inferred from accelerations (M, 3), and the rest from ``says``."""
     if len(values) < _MIN_TO_MEASURE:
         return says
     low, median = np.percentile(np.linalg.norm(values, axis=1), [10, 50])
-    if _is_one(median / STANDARD_GRAVITY):  # no hand accelerates as hard as gravity half of the time
+    if _is_one(median / STANDARD_GRAVITY):  # no hand accelerates by 1 g half of the time
         return replace(says, in_g=False, includes_gravity=True)
     if low <= _STEADY * median:
         return replace(says, includes_gravity=False)
@@ -213,8 +211,8 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
 
 
 def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
-    """Whether the gyroscope's values are degrees, not radians: too fast for a hand, or only as degrees consistent with
-    how gravity turns in the accelerations ``felt``, if these include it."""
+    """Whether the gyroscope's values are degrees: too fast for a hand as radians, or consistent only as degrees with
+    the rotation of gravity in the accelerations ``felt``, if these include it."""
     if len(turned.values) < _MIN_TO_MEASURE:
         return False
     if np.percentile(np.linalg.norm(turned.values, axis=1), 95) > _FASTEST_TURN:
@@ -235,9 +233,9 @@ def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
 
 
 def force_points_up(imu: Imu, times: FloatArray, R_map_camera: FloatArray) -> bool | None:
-    """Whether gravity's reaction points up, as it should, given rotations (N, 3, 3) of the camera at ``times`` (N,).
+    """Whether gravity's reaction points up, given camera rotations (N, 3, 3) at ``times`` (N,) [s].
 
-    With Apple's sign it points down. None where the mounting is unknown, gravity removed, or nothing overlaps.
+    With Apple's sign it points down. None if the mounting is unknown, gravity is removed, or the times do not overlap.
     """
     inside = (times >= imu.times[0]) & (times <= imu.times[-1])
     if imu.R_camera_imu is None or not imu.includes_gravity or not inside.any():
@@ -273,7 +271,7 @@ def _is_one(length_g: float) -> bool:
 
 
 def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[RecordingWarning]) -> list[Samples]:
-    """Sensors with the same times, in seconds, without rows that do not advance; adds to ``warnings``."""
+    """Sensors with shared times converted to seconds, without rows that do not advance; appends to ``warnings``."""
     times = sensors[0].times
     unit = time_unit(times)
     if unit is None and len(times) >= _MIN_TO_MEASURE:
@@ -310,7 +308,7 @@ def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[R
 
 
 def _gravity_turns(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray]:
-    """Gravity's direction (K + 1, 3) in short windows, and how the gyroscope says it turned (K, 3) between them."""
+    """Gravity's direction (K + 1, 3) in short windows, and the gyroscope's rotation vectors (K, 3) between them."""
     first, last = max(felt.times[0], turned.times[0]), min(felt.times[-1], turned.times[-1])
     edges = np.arange(first, last, _TURN_WINDOW_S)
     if len(edges) < 3:

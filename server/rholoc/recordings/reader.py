@@ -1,4 +1,4 @@
-"""Any recording → :class:`rholoc.recordings.Recording`."""
+"""Read recordings of any format."""
 
 from __future__ import annotations
 
@@ -48,19 +48,19 @@ def read_recording(
 
     Args:
         path: the file or folder.
-        camera: the frames' camera instead of the recording's own: as :meth:`Camera.parse` reads it, in pixels of the
-            frames, or a camera, which may be for another size of the same shape.
+        camera: replaces the recording's own: text for :meth:`Camera.parse` in pixels of the frames, or a camera for any
+            size of the same aspect ratio.
         frames: a choice of frames by number, ``start:stop[:step]``.
-        waypoints: a CSV file of measured waypoints, instead of the recording's own; all within the chosen frames.
-        workdir: an existing folder; a ZIP file is unpacked into a new folder in it, which the caller removes. Without
-            it a temporary folder is used, which lives as long as the recording's frames do.
-        max_unpacked_bytes: what a ZIP file may unpack to.
-        lengths: measured distances, instead of the recording's own: ``12,340,2.40``, the camera was 2.40 m further in
-            frame 340 than in frame 12.
-        topics: of a bag, names of those to take where there are several of a kind.
+        waypoints: a CSV file of measured waypoints that replace the recording's own; all within the chosen frames.
+        workdir: an existing folder; a ZIP file is unpacked into a new folder in it, which the caller removes. The
+            default is a temporary folder that exists as long as the recording's frames do.
+        max_unpacked_bytes: upper bound on the unpacked size of a ZIP file.
+        lengths: measured distances that replace the recording's own: ``12,340,2.40`` means that the camera's positions
+            in frames 12 and 340 were 2.40 m apart.
+        topics: names of a bag's topics to use, if there are several of a kind.
 
     Raises:
-        InvalidRecording: the recording, a length or the choice of frames cannot be used; says what is wrong.
+        InvalidRecording: the recording, a length or the choice of frames cannot be used.
         InvalidCamera: the intrinsics are impossible or do not fit the frames.
         InvalidWaypoints: the waypoints are malformed, or outside the recording.
         InvalidTrajectory: the poses beside the frames are malformed.

@@ -45,7 +45,7 @@ class SelectedFrames:
 
 
 def parse_frame_slice(text: str) -> slice:
-    """``start:stop[:step]``, each a frame number or empty, like Python's slices: without stop itself.
+    """Parse ``start:stop[:step]``, each a frame number or empty, as in Python's slices (``stop`` excluded).
 
     Raises:
         InvalidRecording: the text is something else, or the step is not positive.
@@ -102,7 +102,7 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
 
 
 def _waypoints_within(recording: Recording, frames: SelectedFrames) -> tuple[Waypoint, ...]:
-    """The waypoints of the chosen frames; without times a waypoint's moment is its picture's row, counted anew."""
+    """The waypoints of the chosen frames; without times, a waypoint's time is its picture's row in the selection."""
     if recording.frames.timed:
         first, last = frames.times[0], frames.times[-1]
         return tuple(one for one in recording.waypoints if not (one.time < first or one.time > last))

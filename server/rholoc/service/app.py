@@ -83,7 +83,7 @@ from rholoc.service.threads.storage import StorageLanes
 from rholoc.storage.holdings import Holdings
 
 _log = structlog.get_logger("rholoc.service")
-_MIN_UNDER_WAY = 8  # requests that a client may have under way, whatever the limit of connections
+_MIN_UNDER_WAY = 8  # concurrent requests of a client, regardless of the limit of connections
 _BODIES_AT_ONCE = 8  # of the largest size allowed
 
 _DESCRIPTION = """\
@@ -223,12 +223,12 @@ def _start(
 
 
 def _open(settings: Settings, stores: Stores) -> None:
-    """Open the stores as far as they answer."""
+    """Open the stores that answer."""
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     if not stores.are_shared:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)
     stores.recall()
-    try:  # engines open their databases when they are first used, and stores.follow() sees them come back
+    try:  # engines connect on first use, and stores.follow() retries
         stores.open()
     except (RholocError, SQLAlchemyError) as error:
         _log.warning("database_not_opened", error=str(error)[:200])
@@ -236,7 +236,7 @@ def _open(settings: Settings, stores: Stores) -> None:
 
 
 def _measure(metrics: Metrics, known: Readings, frames: Answerer, streams: OpenStreams) -> None:
-    """Let the metrics show jobs, frames, maps and streams."""
+    """Add gauges of jobs, frames, maps and streams."""
     metrics.gauge("rholoc_jobs", "Mapping jobs, as last known", "state", lambda: known.jobs.value)
     waiting = "Queued mapping jobs, by why no worker can take them, as last known"
     metrics.gauge("rholoc_jobs_waiting", waiting, "obstacle", lambda: known.waiting.value)

@@ -150,7 +150,7 @@ STATUS: Mapping[type[RholocError], int] = {
 _STORAGE_RETRY_AFTER_S = "5"
 TUS_VERSION = "1.0.0"  # the protocol of resumable uploads
 _NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
-# Exactly these: their subclasses are bugs of ours.
+# Exactly these classes: their subclasses are our bugs.
 _DATABASE_ERRORS = (OperationalError, InterfaceError, DatabaseError, PoolTimeout)
 _MAX_TEXT = 1000  # characters of a message, which may quote what was sent
 
@@ -171,7 +171,7 @@ def error_classes() -> Iterator[type[RholocError]]:
 
 
 def as_rholoc_error(error: Exception) -> RholocError | None:
-    """The error to report to the user, or None where the fault is the service's own."""
+    """The error to report to the user; None for a bug of the service."""
     if isinstance(error, RholocError):
         return error
     if isinstance(error, OSError) and is_full(error):

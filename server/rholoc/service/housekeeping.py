@@ -1,4 +1,4 @@
-"""Regular work beside answering: removes what has expired, and lets maps learn at night."""
+"""Regular background work: remove expired data, and let maps learn at night."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import structlog
 
 from rholoc.errors import InvalidMap, RholocError, StorageUnavailable, UnknownMap
 from rholoc.jobs import JobKind, JobOptions, JobPriority
-from rholoc.mapping import FEWEST_QUERIES
+from rholoc.mapping import MIN_QUERIES
 from rholoc.service.state import State
 from rholoc.service.threads.storage import StorageThreads
 
@@ -30,7 +30,7 @@ async def clean_up_regularly(state: State) -> None:
         for name, work in _WORKS.items():
             try:
                 await state.operation.lanes.transfers(work, state)
-            except Exception:  # the others are done all the same
+            except Exception:  # the other tasks still run
                 _log.exception("housekeeping_failed", work=name)
         await asyncio.sleep(_EVERY_S)
 
@@ -39,14 +39,14 @@ async def follow_keys(state: State) -> None:
     """Follow changes of keys by other processes and end the streams of revoked ones, until cancelled."""
     threads = StorageThreads(1, _KEYS_WITHIN_S)
     while True:
-        with suppress(StorageUnavailable, OSError):  # what is in memory goes on
+        with suppress(StorageUnavailable, OSError):  # keys in memory stay valid
             await threads(state.keys.sync.refresh)
         state.streams.end_invalid()
         await asyncio.sleep(_KEYS_EVERY_S)
 
 
 def _map_ids(state: State) -> set[str] | None:
-    """The ids of all maps; None where one cannot be read."""
+    """The ids of all maps; None if one cannot be read."""
     try:
         return {state.maps.sync.map_id(name) for name in state.maps.sync.names()}
     except (InvalidMap, UnknownMap):
@@ -60,13 +60,13 @@ def _learn(state: State) -> None:
 
 
 def learn_tonight(state: State, now: datetime) -> None:
-    """Queue a job for each map that was asked often enough since the night before; once a night, on one server of all
-    that share a database."""
+    """Queue a job for each map with enough queries since the last night; once a night, on one of the servers that share
+    a database."""
     options = JobOptions(kind=JobKind.LEARN, priority=JobPriority.LOW)
     for name in state.maps.sync.names():
         try:
             map_id = state.maps.sync.map_id(name)
-            if state.learning.store.newer_than(map_id, time.time() - _DAY_S) < FEWEST_QUERIES:
+            if state.learning.store.newer_than(map_id, time.time() - _DAY_S) < MIN_QUERIES:
                 continue
             night = hashlib.blake2b(f"{map_id} {now:%Y-%m-%d}".encode(), digest_size=16).hexdigest()
             if state.jobs.sync.learning(name) is None:

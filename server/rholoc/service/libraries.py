@@ -1,6 +1,6 @@
-"""The libraries for the event loop: each call runs in a thread of the lane for what it may wait for.
+"""Async facades of the libraries: each call runs in a thread of the lane for its resource.
 
-Routes use these alone. ``sync`` is the library itself, for other threads: its methods wait for a disk, a database or a
+Routes use only these. ``sync`` is the library itself, for other threads: its methods block on disk, database or
 storage.
 """
 
@@ -30,7 +30,7 @@ from rholoc.jobs import (
     read_notes,
     waypoints_file,
 )
-from rholoc.mapping import FEWEST_QUERIES, set_floor_plan, too_few_queries
+from rholoc.mapping import MIN_QUERIES, set_floor_plan, too_few_queries
 from rholoc.maps import CameraLibrary, FloorPlan, Map, MapInfo, MapLibrary, SiteLibrary, check_memory
 from rholoc.service.access.audit import AuditLog
 from rholoc.service.access.keys import ApiKey, KeyStore
@@ -51,7 +51,7 @@ class AsyncMaps:
     """The maps.
 
     Attributes:
-        publishing: held while a map is published: a large one takes memory while it is checked.
+        publishing: lock on publishing, because checking a large map takes memory.
     """
 
     def __init__(self, library: MapLibrary, queries: QueryStore, settings: Settings, lanes: StorageLanes) -> None:
@@ -81,7 +81,7 @@ class AsyncMaps:
         return await self._lanes.files(self.sync.get, name)
 
     def _existing(self, names: Iterable[str]) -> list[str]:
-        """Those names that maps have now."""
+        """The ``names`` that exist in the library."""
         found = []
         for name in names:
             with suppress(UnknownMap):
@@ -95,8 +95,7 @@ class AsyncMaps:
     def _detail(self, name: str, published: Map | None = None) -> MapDetail:
         """Description of a map, with what this server shows of it.
 
-        ``published`` is the map if the request just published it. Another request may have replaced it meanwhile, or
-        this server may not see it yet.
+        ``published`` is the map that the request just published: the library's may be newer, or not visible here yet.
         """
         library, settings = self.sync, self._settings
         detail = detail_of(name, published or library.get(name), library.stat(name).size_bytes, library.previous(name))
@@ -111,8 +110,8 @@ class AsyncMaps:
         return versions_of(self.sync, name)
 
     def _delete(self, name: str) -> None:
-        """Delete a map, and the queries that are kept for it."""
-        with suppress(InvalidMap):  # one that cannot be read has no id; the sweep forgets its queries
+        """Delete a map and its kept queries."""
+        with suppress(InvalidMap):  # an unreadable map has no id; the sweep deletes its queries
             self._queries.delete(self.sync.map_id(name))
         self.sync.delete(name)
 
@@ -121,7 +120,7 @@ class AsyncMaps:
         try:
             return OpenedFile(self.sync.path(name), headers, ExportFormat.RHO.media_type)
         except FileNotFoundError:
-            self.sync.stat(name)  # which says that there is no such map; else it came back meanwhile
+            self.sync.stat(name)  # raises UnknownMap, unless it came back meanwhile
             raise Conflict(f"The map {name} was replaced in the meantime.", "Try again.") from None
 
     def _publish(self, name: str, arrived: Path) -> None:
@@ -177,15 +176,15 @@ class AsyncJobs:
         self.delete = lanes.database.offload(jobs.delete)
 
     async def begin(self, key: ApiKey | None, map_name: str, submit: Callable[[JobQueue], Job]) -> Job:
-        """The job that ``submit`` queues, counted to a key.
+        """Queue a job by ``submit``, counted to a key.
 
         Args:
-            key: of the request; None where none is needed.
-            map_name: the map that the job makes; empty where it makes none.
+            key: of the request; None if none is needed.
+            map_name: name of the map that the job makes, or empty.
             submit: queues the job, in a thread.
 
         Raises:
-            QuotaExceeded: the key may not have one more.
+            QuotaExceeded: the key has too many jobs.
         """
         async with self._quotas.counting(key):
             await self._quotas.check(key, job_for=map_name)
@@ -221,23 +220,23 @@ class AsyncRecordings:
         return self.sync.get(recording), self.sync.notes(recording)
 
     def _correct(self, recording: str, waypoints: tuple[RecordedWaypoint, ...] | None) -> NotedRecording:
-        """Replace a recording's waypoints by others; by its own where ``waypoints`` is None."""
+        """Replace a recording's waypoints; None restores its own."""
         notes = read_notes(self.sync.notes(recording))
         corrected = None if waypoints is None else waypoints_file(waypoints, notes)
         self.sync.note(recording, {WAYPOINTS_FILE: corrected})
         return self._get(recording)
 
     def _commit(self, pending: PendingRecording, map_name: str, options: JobOptions) -> tuple[RecordingEntry, Job]:
-        """Store a recording that was uploaded, and queue its job: both, or neither."""
+        """Store an uploaded recording and queue its job: both, or neither."""
         entry = pending.commit()
         try:
             return entry, self._jobs.submit(entry.id, map_name, options)
         except Exception:
-            self.sync.delete(entry.id)  # no job would ever read it
+            self.sync.delete(entry.id)  # it has no job
             raise
 
     def _delete(self, recording: str) -> None:
-        """Give an upload up, or delete the recording that it has become."""
+        """Abandon an upload, or delete the recording that it has become."""
         try:
             self.uploads.delete(recording)
         except UnknownRecording:
@@ -246,13 +245,13 @@ class AsyncRecordings:
 
 @dataclass(frozen=True)
 class Learning:
-    """What is kept for a map to learn from, and its jobs.
+    """A map's kept queries and learning jobs.
 
     Attributes:
         info: of the map.
-        kept: queries that are kept.
-        job: by which it is learning now, or will be; None where there is none.
-        latest: by which it last learned, or could not; None where there was none.
+        kept: summary of the kept queries.
+        job: queued or running learning job, or None.
+        latest: last published or failed learning job, or None.
     """
 
     info: MapInfo
@@ -295,7 +294,7 @@ class AsyncLearning:
         map_ = self._library.get(name)
         check_memory(map_, f"The map {name}")
         kept = self.store.kept(map_.info.id).queries
-        if kept < FEWEST_QUERIES:
+        if kept < MIN_QUERIES:
             raise too_few_queries(kept)
         if (running := self._jobs.learning(name)) is not None:
             raise Conflict(f"The map {name} is learning already.", f"Wait for the job {running.id}.")

@@ -33,7 +33,7 @@ from rholoc.service.threads.storage import StorageLanes
 
 @dataclass(frozen=True)
 class Operation:
-    """What keeps the service running, and shows how it runs."""
+    """Background parts of the service, and its metrics."""
 
     stores: Stores
     metrics: Metrics
@@ -45,7 +45,7 @@ class Operation:
 
 @dataclass(frozen=True)
 class State:
-    """The parts of one running service, each for one concern."""
+    """The parts of one running service."""
 
     settings: Settings
     maps: AsyncMaps

@@ -38,7 +38,7 @@ _STEP_S = 0.02
 _KNOT_EVERY = 5  # steps
 _SMOOTH_WAY_S = 0.3  # nobody turns a corner at once
 _SMOOTH_GAZE_S = 1.0
-_FEWEST_WAYPOINTS, _MOST_WAYPOINTS = 3, 12
+_MIN_WAYPOINTS, _MAX_WAYPOINTS = 3, 12
 _SECONDS_PER_WAYPOINT = 60.0
 _START_X_M = 0.45
 _END_M = 1.8  # from the start
@@ -150,7 +150,7 @@ def _rooms_within(plan: Plan, seconds: float) -> tuple[RoomPlan, ...]:
 
 def _waypoint_rooms(count: int, seconds: float) -> frozenset[int]:
     """Which of ``count`` visited rooms have a waypoint."""
-    wanted = int(np.clip(2 + seconds / _SECONDS_PER_WAYPOINT, _FEWEST_WAYPOINTS, _MOST_WAYPOINTS)) - 2
+    wanted = int(np.clip(2 + seconds / _SECONDS_PER_WAYPOINT, _MIN_WAYPOINTS, _MAX_WAYPOINTS)) - 2
     wanted = min(wanted, count)
     return frozenset(np.round((np.arange(wanted) + 0.5) * count / wanted - 0.5).astype(int).tolist())
 

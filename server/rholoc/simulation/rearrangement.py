@@ -11,7 +11,7 @@ from rholoc.geometry import FloatArray
 from rholoc.simulation.scene import Box, Scene
 
 _QUARTER_RAD = 0.5 * math.pi
-_LEAST_MOVED_M = 0.7
+_MIN_MOVED_M = 0.7
 _APART_M = 0.02  # of two pieces
 _CLEAR_M = 0.45  # around the places to keep free
 _TRIES = 400
@@ -103,7 +103,7 @@ def _placed_elsewhere(scene: Scene, piece: str, rng: np.random.Generator, free: 
         turn = round(turn / _QUARTER_RAD) * _QUARTER_RAD
         placed = [_turned(box, anchor, target, turn) for box in own]
         at = np.concatenate([box.corners for box in placed])[:, :2].mean(axis=0)
-        if np.linalg.norm(at - middle) >= _LEAST_MOVED_M and _fits(scene.room, placed, others, free):
+        if np.linalg.norm(at - middle) >= _MIN_MOVED_M and _fits(scene.room, placed, others, free):
             return replace(scene, boxes=(*others, *placed))
     return None
 

@@ -71,7 +71,6 @@ def simulate_recording(
     site: Site = Site.ROOM,
     scene: Scene | Building | None = None,
     camera: Camera = PHONE_CAMERA,
-    imu_time_offset_s: float = 0.0,
     readout_s: float = 0.0,
     progress: Callable[[float], None] = _report_nothing,
 ) -> SimulatedRecording:
@@ -87,7 +86,6 @@ def simulate_recording(
             where it ends before the third.
         site: where the walk is: the ``seed``'s room or building.
         scene: another place than the site.
-        imu_time_offset_s: how much later than the camera's the IMU's clock is.
         readout_s: how long a rolling shutter takes from the first row to the last; the frame's time is that of the
             middle row. Noted in ``camera.json``, as phones do that log it.
         progress: called with the fraction done; may raise to stop.
@@ -102,7 +100,7 @@ def simulate_recording(
     T_map_camera = walk.T_map_camera(times)
 
     write_frames_csv(out / "frames.csv", np.arange(len(times)), times)
-    write_imu_csv(out / "imu.csv", measure_imu(walk, seconds, time_offset_s=imu_time_offset_s, seed=seed))
+    write_imu_csv(out / "imu.csv", measure_imu(walk, seconds, seed=seed))
     waypoints = measure_waypoints(walk, seconds, seed=seed)
     if len(waypoints) >= MIN_WAYPOINTS:
         write_waypoints_csv(out / "waypoints.csv", waypoints)

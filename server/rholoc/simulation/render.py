@@ -21,7 +21,7 @@ from rholoc.simulation.scene import Building, DrawOrder, Face, Scene
 
 _NEAR_M = 0.02
 _SMALLEST_EDGE_M2 = 1e-9
-_MOST_ROOMS_DEEP = 8
+_MAX_ROOMS_DEEP = 8
 _GUTTER_PX = 2
 _MAX_LEVELS = 7
 _ATLAS_WIDTH_PX = 8192
@@ -216,7 +216,7 @@ class Renderer:
                 return
             yield _Layer(walls, window)
             for portal in self._building.portals[room]:
-                if portal.into == came_from or depth == _MOST_ROOMS_DEEP:
+                if portal.into == came_from or depth == _MAX_ROOMS_DEEP:
                     continue
                 opening = _clip(portal.corners @ T[:3, :3].T + T[:3, 3], window)
                 if len(opening) >= 3 and _may_be_seen(part, opening[None])[0]:

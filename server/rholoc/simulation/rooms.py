@@ -98,9 +98,9 @@ def make_test_site(seed: int = 0) -> Scene:
     return Scene(room, tuple(build.boxes)).moved(-np.array(START_M))
 
 
-def make_blank_wall(seed: int = 0) -> Scene:
+def make_blank_wall() -> Scene:
     """A room of the test site's size without any features."""
-    build = Builder(seed)
+    build = Builder(0)
     white = textures.plaster((236, 238, 238), strength=0.15)
     sizes = {"x": ROOM_SIZE_M[1:], "y": (ROOM_SIZE_M[0], ROOM_SIZE_M[2]), "z": ROOM_SIZE_M[:2]}
     lamp = [Decor(2.7, 2.2, 0.6, 0.6, lamp_diffuser, Source.LAMP)]

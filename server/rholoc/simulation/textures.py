@@ -280,8 +280,9 @@ def panel(base: tuple[int, int, int], columns: int = 2, rows: int = 1) -> Textur
     return paint
 
 
-def cushions(base: tuple[int, int, int], columns: int = 3) -> Texture:
+def cushions(base: tuple[int, int, int]) -> Texture:
     """Upholstery with seams and thrown-on cushions."""
+    columns = 3
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         image = fabric(base)(rng, height, width)

@@ -29,6 +29,8 @@ _BOB_M = 0.012
 _BOB_HZ = 1.8
 _BOB_SPEED_M_S = 0.15  # at which the bob is two thirds of its full height
 _STEP_S = 1e-3  # of numerical differentiation
+_TONES = 7  # sinusoids of each channel of a wobble
+_WAYPOINT_NOISE_M = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +42,11 @@ class Wobble:
     phases: FloatArray
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, rms: FloatArray, low_hz: float, high_hz: float, tones: int = 7) -> Wobble:
-        amplitudes = rng.uniform(0.5, 1.0, (len(rms), tones))
+    def draw(cls, rng: np.random.Generator, rms: FloatArray, low_hz: float, high_hz: float) -> Wobble:
+        amplitudes = rng.uniform(0.5, 1.0, (len(rms), _TONES))
         amplitudes *= (np.asarray(rms) * np.sqrt(2) / np.linalg.norm(amplitudes, axis=1))[:, None]
-        frequencies = np.exp(rng.uniform(np.log(low_hz), np.log(high_hz), (len(rms), tones)))
-        return cls(amplitudes, frequencies, rng.uniform(0, 2 * np.pi, (len(rms), tones)))
+        frequencies = np.exp(rng.uniform(np.log(low_hz), np.log(high_hz), amplitudes.shape))
+        return cls(amplitudes, frequencies, rng.uniform(0, 2 * np.pi, amplitudes.shape))
 
     def __call__(self, times: FloatArray) -> FloatArray:
         """(N,) → (N, channels)."""
@@ -220,14 +222,14 @@ def make_walk(number: int = 1, seconds: float = 30.0, seed: int = 0) -> Walk:
     return replace(walk, origin=walk.positions(np.zeros(1))[0])
 
 
-def measure_waypoints(walk: Motion, seconds: float, noise_m: float = 0.005, seed: int = 0) -> tuple[Waypoint, ...]:
+def measure_waypoints(walk: Motion, seconds: float, seed: int = 0) -> tuple[Waypoint, ...]:
     """The waypoints that the first ``seconds`` of the walk reach, as a person would measure them.
 
     The first walk's ``START`` is the origin by definition. Other walks stop at other places, named ``2.W1`` and so on.
     """
     rng = np.random.default_rng([seed, walk.number, 1])
     times = walk.pause_times
-    measured = walk.positions(times) + rng.normal(0, noise_m, (len(times), 3))
+    measured = walk.positions(times) + rng.normal(0, _WAYPOINT_NOISE_M, (len(times), 3))
     if walk.number == 1:
         measured[0] = 0.0
     prefix = "" if walk.number == 1 else f"{walk.number}."

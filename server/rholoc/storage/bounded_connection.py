@@ -1,4 +1,4 @@
-"""A PostgreSQL connection whose server may fall silent, as a machine that hangs does."""
+"""A PostgreSQL connection with a timeout for every answer, in case the server's machine hangs."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ Answer = TypeVar("Answer")
 STATEMENT_TIMEOUT_S = 4.0
 """Time after which the server itself cancels a statement."""
 
-_WAKE_S = 0.1  # how often a wait looks for signals
-_ANSWER_TIMEOUT_S = 5.0  # later than the server's, so that a server that still works can say why
+_WAKE_S = 0.1  # interval at which a wait checks for signals
+_ANSWER_TIMEOUT_S = 5.0  # longer than the server's own, whose message says why
 
 
 class AnswerTimeout(OperationalError):
@@ -22,8 +22,8 @@ class AnswerTimeout(OperationalError):
 
 
 class BoundedConnection(psycopg.Connection[Any]):
-    """Connection that waits for each answer for a bounded time. Neither TCP's nor the server's time-outs see to that:
-    the system of a server that was stopped still acknowledges every packet."""
+    """Connection with a timeout for each answer. TCP's and the server's own timeouts do not suffice: the operating
+    system of a stopped server still acknowledges packets."""
 
     def wait(self, gen: PQGen[Answer], interval: float = _WAKE_S, timeout: float | None = None) -> Answer:
         """Run the exchange ``gen`` with the server, as psycopg's own ``wait`` does.

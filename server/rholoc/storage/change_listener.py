@@ -1,4 +1,4 @@
-"""Hears of changes of the catalogue when they happen, where the database can tell: PostgreSQL's LISTEN and NOTIFY."""
+"""Notifications of catalogue changes by PostgreSQL's LISTEN and NOTIFY; none with SQLite."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _STOPPED_WITHIN_S = 0.5
 
 
 def notify(connection: sa.Connection) -> None:
-    """Tell all that listen once the transaction is committed; nothing where the database cannot."""
+    """Notify listeners when the transaction is committed. Does nothing with SQLite."""
     if connection.dialect.name == "postgresql":
         connection.exec_driver_sql(f"NOTIFY {_CHANNEL}")
 
@@ -27,7 +27,7 @@ class ChangeListener:
     """Waits for changes. For one thread.
 
     Args:
-        engine: the database's. One of its connections is held from the first wait on, where it is PostgreSQL's.
+        engine: of the database. The first wait takes one of its connections and keeps it (PostgreSQL only).
     """
 
     def __init__(self, engine: sa.Engine) -> None:
@@ -37,12 +37,12 @@ class ChangeListener:
     def wait(self, at_most_s: float, stopping: threading.Event) -> None:
         """Return when something has changed, after ``at_most_s`` seconds, or soon after ``stopping`` is set.
 
-        Changes before the first call, and while the database does not answer, are not heard of.
+        Changes before the first call, and while the database does not answer, are missed.
         """
         if self._engine.dialect.name != "postgresql":
             stopping.wait(at_most_s)
             return
-        import psycopg  # for SQLite it need not be loaded
+        import psycopg  # not loaded for SQLite
 
         until_s = time.monotonic() + at_most_s
         try:
@@ -55,10 +55,10 @@ class ChangeListener:
             stopping.wait(at_most_s)
 
     def close(self) -> None:
-        """Give the connection up."""
+        """Close the connection."""
         if self._connection is not None:
             with suppress(SQLAlchemyError):
-                self._connection.invalidate()  # it listens: nobody else may have it
+                self._connection.invalidate()  # a listening connection must not return to the pool
                 self._connection.close()
             self._connection = None
 

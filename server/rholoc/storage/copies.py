@@ -1,6 +1,6 @@
-"""Copies of stored objects on the server's own disk: those used last, as many as there is room for.
+"""Cache of stored objects on the server's disk, with least-recently-used eviction.
 
-They are the only files there that may leave, so they do before the disk is full: else nothing else could be written.
+Copies are evicted before the disk is full, to leave room for files that cannot be evicted.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from rholoc.storage.replica import MapRow
 
 _SUFFIX = ".rho"
 _BROKEN_OFF_AFTER_S = 3600.0
-_FREE_SHARE, _MOST_FREE_BYTES = 0.1, 2**30  # of the disk, which copies leave for what else is written there
+_FREE_SHARE, _MAX_FREE_BYTES = 0.1, 2**30  # of the disk to leave free for other files
 
 
 class Copies:
-    """Files by the name of their object, fetched when they are first needed. Safe to share between threads, processes.
+    """Copies of objects, fetched on first use. Safe to share between threads and processes.
 
     Args:
         objects: the storage.
         prefix: of the objects' keys.
         folder: of the copies.
-        most_bytes: what the copies may take; those that were used longest ago leave for others.
+        most_bytes: maximum size of all copies.
     """
 
     def __init__(self, objects: ObjectStorage, prefix: str, folder: Path, most_bytes: float) -> None:
@@ -46,7 +46,7 @@ class Copies:
         """Store a file's content as a new object; returns the object's name. The file becomes the copy.
 
         Raises:
-            StorageUnavailable, StorageFull: as :meth:`ObjectStorage.put`; the file stays what it was.
+            StorageUnavailable, StorageFull: as :meth:`ObjectStorage.put`; the file stays where it is.
         """
         blob = uuid.uuid4().hex
         self._objects.put(self._key(blob), file)
@@ -55,10 +55,10 @@ class Copies:
         return blob
 
     def path(self, blob: str, size_bytes: int) -> Path:
-        """The copy of an object, fetched if it is not here.
+        """Path of an object's copy, fetched if it is missing.
 
         Raises:
-            MissingObject, StorageUnavailable, StorageFull: as :meth:`ObjectStorage.fetch`, or it is not of that size.
+            MissingObject, StorageUnavailable, StorageFull: as :meth:`ObjectStorage.fetch`, or its size differs.
         """
         path = self._path(blob)
         with suppress(FileNotFoundError):
@@ -76,21 +76,21 @@ class Copies:
         return path
 
     def fetch(self, blob: str, size_bytes: int, target: Path) -> None:
-        """Copy an object into a file that is not one of the copies here. Raises as :meth:`path`."""
+        """Copy an object to ``target``, outside the cache. Raises as :meth:`path`."""
         size = self._objects.fetch(self._key(blob), target)
         if size != size_bytes:
             target.unlink()
             raise StorageUnavailable(f"The storage gave {size} bytes of a map of {size_bytes}.", "Try again later.")
 
     def read(self, blob: str, start: int, length: int) -> bytes:
-        """Some bytes of an object; no copy is made of it. Raises as :meth:`ObjectStorage.read`."""
+        """``length`` bytes of an object from ``start``, without caching it. Raises as :meth:`ObjectStorage.read`."""
         with suppress(FileNotFoundError), self._path(blob).open("rb") as file:
             file.seek(start)
             return file.read(length)
         return self._objects.read(self._key(blob), start, length)
 
     def follow(self, before: MapRow, after: MapRow) -> None:
-        """Fetch a map's new file where the old one was in use here, so that the next request need not wait for it.
+        """Fetch a map's new file if the old one is cached, so that the next request need not wait for it.
 
         Raises:
             StorageUnavailable, StorageFull: it cannot be fetched.
@@ -103,11 +103,11 @@ class Copies:
         return self.has(after.blob) or not self.has(before.blob)
 
     def has(self, blob: str) -> bool:
-        """Whether there is a copy of an object here."""
+        """Whether an object is cached."""
         return self._path(blob).is_file()
 
     def stored(self) -> Iterator[tuple[str, float]]:
-        """The names of all objects in the storage, and when they were stored, seconds since the epoch.
+        """Names of all objects in the storage, and the times at which they were stored [s since the epoch].
 
         Raises:
             StorageUnavailable: the storage does not answer.
@@ -117,7 +117,7 @@ class Copies:
                 yield one.key.rpartition("/")[2].removesuffix(_SUFFIX), one.modified
 
     def remove(self, blob: str) -> None:
-        """Remove an object, and the copy of it here.
+        """Remove an object and its copy.
 
         Raises:
             StorageUnavailable: the storage does not answer.
@@ -141,7 +141,7 @@ class Copies:
         self.make_room(blob)
 
     def sweep(self) -> None:
-        """Remove what fetches left behind that a crash broke off."""
+        """Remove partial files of interrupted fetches."""
         old = time.time() - _BROKEN_OFF_AFTER_S
         for path in [*self.folder.glob(".*.part"), *self.folder.glob(".*.arrived"), *self.folder.glob(".*.upload")]:
             with suppress(FileNotFoundError):
@@ -149,15 +149,15 @@ class Copies:
                     path.unlink()
 
     def make_room(self, kept: str = "", size_bytes: int = 0) -> None:
-        """Remove the copies that were used longest ago, as many as are too many here.
+        """Evict the least recently used copies above the limits.
 
         Args:
-            kept: the object whose copy stays.
-            size_bytes: how many bytes are to go in any case.
+            kept: name of an object not to evict.
+            size_bytes: minimum number of bytes to free.
         """
         found = self._found()
         disk = shutil.disk_usage(self.folder)
-        lacking = min(_FREE_SHARE * disk.total, _MOST_FREE_BYTES) - disk.free
+        lacking = min(_FREE_SHARE * disk.total, _MAX_FREE_BYTES) - disk.free
         surplus = max(sum(size for _, size, _ in found) - self._most_bytes, lacking, size_bytes)
         for _, size, path in sorted(found):
             if surplus <= 0:
@@ -167,7 +167,7 @@ class Copies:
                 surplus -= size
 
     def _found(self) -> list[tuple[float, int, Path]]:
-        """The copies: when each was last used, its size, and where it is."""
+        """Time of last use, size and path of each copy."""
         found = []
         for path in self.folder.glob(f"*{_SUFFIX}"):
             with suppress(FileNotFoundError):

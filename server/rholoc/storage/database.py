@@ -1,7 +1,7 @@
 """The database: an SQLite file by default, PostgreSQL by URL.
 
-Nothing here waits for ever. A PostgreSQL that does not answer is an error within seconds, of SQLAlchemy's
-``OperationalError`` in a query and of :class:`rholoc.errors.StorageUnavailable` in :func:`open_database`.
+All waits are bounded. If PostgreSQL does not answer within seconds, a query raises SQLAlchemy's ``OperationalError``,
+and :func:`open_database` raises :class:`rholoc.errors.StorageUnavailable`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rholoc.errors import Conflict, InvalidInput, RholocError, StorageUnavailabl
 from rholoc.storage.tables import VERSION_TABLE
 
 HEAD = "0001"  # the last migration; their numbers are in order as text
-MIN_SQLITE = (3, 38)  # the first that always has the functions for JSON
+MIN_SQLITE = (3, 38)  # the first version that always has JSON functions
 _BUSY_TIMEOUT_MS = 10_000
 _RETRY_S = 0.02
 _MAX_STATEMENT = 1000  # characters, without values
@@ -45,7 +45,7 @@ _NO_SPACE_BYTES = 2**17  # SQLite's index of its write-ahead log and a few pages
 
 
 def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
-    """Engine of a database that has just answered, with rholoc's tables in it.
+    """Engine of a database after a successful connection, with rholoc's tables.
 
     Args:
         data_dir: folder of the SQLite file.
@@ -63,12 +63,12 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
 
 
 def database_engine(data_dir: Path, database_url: str | None = None) -> sa.Engine:
-    """Engine that contacts the database only when it is first used. The first connection creates missing tables.
+    """Engine that connects on first use. The first connection creates missing tables.
 
     A query raises ``OperationalError`` if the database does not answer within seconds.
 
     Raises:
-        InvalidInput: the URL is not one of PostgreSQL, or Python's SQLite is older than :data:`MIN_SQLITE`.
+        InvalidInput: not a PostgreSQL URL, or Python's SQLite is older than :data:`MIN_SQLITE`.
     """
     if database_url is None:
         url = sa.URL.create("sqlite", database=str(Path(data_dir).resolve() / "jobs.sqlite"))
@@ -84,7 +84,7 @@ def check_database(engine: sa.Engine) -> None:
     """Connect once, and create the tables if they are missing.
 
     Raises:
-        StorageUnavailable: the database does not answer, for now.
+        StorageUnavailable: the database does not answer.
         StorageFull: the disk is full.
         InvalidInput: PostgreSQL refuses the connection.
         Conflict: the file is not an SQLite database, or its tables are of a later version.
@@ -95,7 +95,7 @@ def check_database(engine: sa.Engine) -> None:
 
 @contextmanager
 def reporting_full_database() -> Iterator[None]:
-    """Turn the database's "disk is full" into :class:`rholoc.errors.StorageFull`."""
+    """Convert the database's "disk is full" to :class:`rholoc.errors.StorageFull`."""
     try:
         yield
     except OperationalError as error:
@@ -150,7 +150,7 @@ class _Migration:
         self._failed_s = 0.0
 
     def ensure(self) -> None:
-        """Migrate unless that is done. Threads that wait for another one's attempt share its failure."""
+        """Migrate once. Threads that wait for another one's attempt share its failure."""
         if self._done:
             return
         asked_s = time.monotonic()
@@ -168,7 +168,7 @@ class _Migration:
 
 
 def _migrate(url: sa.URL) -> None:
-    """Create or update the tables. Of several processes that start at once, one does and the others wait."""
+    """Create or update the tables. If several processes start at once, one migrates and the others wait."""
     if url.get_backend_name() == "sqlite":
         with reporting_full_disk():
             Path(str(url.database)).parent.mkdir(parents=True, exist_ok=True)
@@ -186,7 +186,7 @@ def _migrate(url: sa.URL) -> None:
 
 
 def _upgrade(engine: sa.Engine) -> None:
-    from alembic import command  # only where there is something to do: it takes a start's time to import
+    from alembic import command  # slow to import, so only when needed
     from alembic.config import Config
 
     config = Config()
@@ -220,7 +220,7 @@ def _lock(connection: sa.Connection) -> None:
 
 @contextmanager
 def _reporting_refusal(url: sa.URL) -> Iterator[None]:
-    """Turn the errors of a first connection into rholoc's."""
+    """Convert the errors of a first connection to rholoc's."""
     try:
         yield
     except PoolTimeout as error:
@@ -251,7 +251,7 @@ def _refusal(url: sa.URL, error: DatabaseError) -> Exception:
 
 
 def is_silence(error: DatabaseError) -> bool:
-    """Whether the database did not answer in time, rather than answer with an error."""
+    """Whether the error is a timeout, not an answer of the database."""
     from psycopg.errors import ConnectionTimeout
 
     from rholoc.storage.bounded_connection import AnswerTimeout
@@ -260,7 +260,7 @@ def is_silence(error: DatabaseError) -> bool:
 
 
 def _is_out_of_space(file: Path) -> bool:
-    """Whether a file's disk has no room for what SQLite writes as it opens the file."""
+    """Whether a file's disk is too full for SQLite to open the file."""
     return shutil.disk_usage(file.parent).free < _NO_SPACE_BYTES
 
 
@@ -278,7 +278,7 @@ def _postgres_url(text: str) -> sa.URL:
 
 
 def _trace_statements(engine: sa.Engine) -> None:
-    """Note each statement's time where what it is for is traced."""
+    """Add a span for each statement within a traced operation."""
 
     def begin(connection: sa.Connection, *_: object) -> None:
         connection.info["statement_begun_s"] = time.perf_counter()
@@ -302,7 +302,7 @@ def _prepare_sqlite(connection: Any, _: object) -> None:
 
 
 def _use_wal(connection: Any) -> None:
-    """Of several that open a new file at once some are refused, whatever the time-out: SQLite does not wait here."""
+    """Switch to WAL, with retries: SQLite refuses concurrent switches of a new file without waiting."""
     given_up_s = time.monotonic() + _BUSY_TIMEOUT_MS / 1000
     while True:
         try:

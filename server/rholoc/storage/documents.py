@@ -1,4 +1,4 @@
-"""Small files in the catalogue, which all servers share."""
+"""Small files in the catalogue shared by all servers."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rholoc.storage.tables import documents_table
 
 
 class StoredDocuments(Documents):
-    """The small files of one kind. Read from memory, written to the database.
+    """The small files of one kind, read from memory and written to the database.
 
     Args:
         replica: the catalogue.
-        kind: what they are, the beginning of their paths.
+        kind: first part of their paths.
     """
 
     def __init__(self, replica: Replica, kind: str) -> None:

@@ -1,4 +1,4 @@
-"""Which API key holds what: maps, recordings and jobs, in the database."""
+"""Database table of the maps, recordings and jobs that API keys hold."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rholoc.storage.tables import holdings_table as table
 
 
 class Kind(StrEnum):
-    """What is held."""
+    """Kind of a held thing."""
 
     MAP = "map"
     RECORDING = "recording"  # or the upload that becomes one
@@ -21,14 +21,14 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Holding:
-    """Something that a key has stored, or has begun.
+    """Something that a key has stored or begun.
 
     Attributes:
-        kind: what it is.
-        name: a map's name, else an id.
-        key: the name of the key.
-        holder: name of the first of the keys that handed ``key`` on; empty if none did.
-        size_bytes: of a recording's files; 0 of anything else.
+        kind: of the thing.
+        name: a map's name, or an id.
+        key: name of the key.
+        holder: name of the root of the chain of keys that handed ``key`` on; empty if there is none.
+        size_bytes: of a recording's files; 0 for other kinds.
     """
 
     kind: Kind
@@ -39,36 +39,36 @@ class Holding:
 
 
 class Holdings:
-    """The holdings of all keys. They may outlive what they are about: whoever asks knows what there is.
+    """The holdings of all keys, which may outlive the held things: callers must check.
 
-    Each method raises SQLAlchemyError where the database does not answer.
+    Each method raises SQLAlchemyError if the database does not answer.
     """
 
     def __init__(self, engine: sa.Engine) -> None:
         self._engine = engine
 
     def hold(self, holding: Holding) -> None:
-        """Note who holds something; whoever held it before does not any more."""
+        """Record a holding, in place of any earlier holder's."""
         with self._engine.begin() as connection:
             connection.execute(table.delete().where(*_is(holding.kind, holding.name)))
             connection.execute(table.insert().values(**asdict(holding)))
 
     def rename(self, kind: Kind, name: str, new_name: str) -> None:
-        """Let the holder of something hold it under another name."""
+        """Rename a held thing."""
         with self._engine.begin() as connection:
             connection.execute(table.delete().where(*_is(kind, new_name)))
             connection.execute(table.update().where(*_is(kind, name)).values(name=new_name))
 
     def of(self, keys: Sequence[str]) -> Sequence[Holding]:
-        """Holdings of some keys by name, with those of keys below them that were revoked since."""
+        """Holdings of the named keys and of revoked keys that they had handed on."""
         return self._found(sa.or_(table.c.key.in_(keys), table.c.holder.in_(keys)))
 
     def all(self) -> Sequence[Holding]:
-        """What all keys hold."""
+        """Holdings of all keys."""
         return self._found(sa.true())
 
     def drop(self, holdings: Sequence[Holding]) -> None:
-        """Forget holdings, unless somebody else holds the same by now."""
+        """Remove holdings, unless their holder has changed."""
         with self._engine.begin() as connection:
             for one in holdings:
                 connection.execute(table.delete().where(*_is(one.kind, one.name), table.c.key == one.key))

@@ -18,7 +18,7 @@ from rholoc.storage.copies import Copies
 from rholoc.storage.replica import Replica
 from rholoc.storage.tables import map_versions_table, maps_table
 
-_ORPHANED_AFTER_S = 6 * 3600.0  # an object that the catalogue does not name may be on its way into it
+_ORPHANED_AFTER_S = 6 * 3600.0  # a younger object without a name may be about to get one
 
 ActOnPublishing = Callable[[sa.Connection, Map], None]
 
@@ -26,12 +26,12 @@ ActOnPublishing = Callable[[sa.Connection, Map], None]
 class StoredMaps(MapCatalogue):
     """Catalogue of maps whose names are in the database and whose files are objects; see :class:`MapCatalogue`.
 
-    Files never change once they are stored: a change is one transaction, whole or not at all. Methods that change
-    something, and :meth:`versions`, raise SQLAlchemyError if the database does not answer.
+    Stored files never change; a change of the catalogue is one transaction. Methods that change something, and
+    :meth:`versions`, raise SQLAlchemyError if the database does not answer.
 
     Args:
-        replica: the database's catalogue.
-        copies: the files, as far as they are here.
+        replica: of the database's catalogue.
+        copies: cache of the files.
         act: called in each transaction that publishes a map; if it raises, nothing is published.
     """
 
@@ -79,7 +79,7 @@ class StoredMaps(MapCatalogue):
 
     def make_room(self) -> None:
         make_folder(self.folder)
-        self._copies.make_room()  # something else may have filled the disk
+        self._copies.make_room()  # other files may have filled the disk
 
     def store(self, arrived: Path, map_: Map) -> MapFile:
         size_bytes = arrived.stat().st_size
@@ -97,7 +97,7 @@ class StoredMaps(MapCatalogue):
         now, before = maps_table.c, map_versions_table.c
         present = sa.select(now.name, sa.literal(0), now.blob, now.size_bytes).where(now.blob.is_not(None))
         replaced = sa.select(before.name, before.number, before.blob, before.size_bytes)
-        with self._replica.engine.connect() as connection:  # one statement sees one moment
+        with self._replica.engine.connect() as connection:  # one statement for a consistent snapshot
             rows = connection.execute(present.union_all(replaced)).all()
         with temporary_folder(self.folder) as folder:
             for name, number, blob, size_bytes in rows:
@@ -108,7 +108,7 @@ class StoredMaps(MapCatalogue):
         self._copies.sweep()
         old = time.time() - _ORPHANED_AFTER_S
         stored = [blob for blob, modified in self._copies.stored() if modified < old]
-        with self._replica.engine.connect() as connection:  # after the listing: what was named since then is kept
+        with self._replica.engine.connect() as connection:  # after the listing, to keep files named since then
             named = set(connection.execute(sa.select(maps_table.c.blob)).scalars())
             named |= set(connection.execute(sa.select(map_versions_table.c.blob)).scalars())
         for blob in stored:

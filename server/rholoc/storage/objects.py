@@ -1,4 +1,4 @@
-"""Object storage: S3, Google Cloud Storage, Azure, or a folder. What is stored never changes."""
+"""Object storage: S3, Google Cloud Storage, Azure, or a folder. Stored objects never change."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TIMEOUT_S = 60.0  # of one request for an object, or a piece of one
 _CONNECT_TIMEOUT_S = 5.0
 _RETRY_FOR_S = 20.0
 _RETRIES = 5
-_ATTEMPTS = 100  # to write beside an object that is being deleted
+_ATTEMPTS = 100  # to write to a folder whose last object is being deleted
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,9 @@ class StoredObject:
 
 
 class ObjectStorage:
-    """Objects by key. Keys are made new for each object, so that nothing is ever replaced.
+    """Objects by key. Each object has a new key, so that none is ever replaced.
 
-    In a folder, an object is the file that its key names, and is durable once it was put.
+    In a folder, the key is the object's relative path, and :meth:`put` is durable.
 
     Args:
         place: a folder, or the URL ``file:///folder``, ``s3://bucket/prefix``, ``gs://bucket/prefix`` or ``az://container/prefix``.
@@ -57,7 +57,7 @@ class ObjectStorage:
             (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL`` …); ``AWS_ALLOW_HTTP=true`` allows one without HTTPS.
 
     Raises:
-        InvalidInput: it is not such a URL, or the folder cannot be made.
+        InvalidInput: not such a URL, or the folder cannot be made.
     """
 
     def __init__(self, place: str | Path) -> None:
@@ -89,11 +89,11 @@ class ObjectStorage:
             raise InvalidInput(f"RHOLOC_STORAGE_URL cannot be used: {_first_line(error)}.", "Check it.") from error
 
     def put(self, key: str, content: bytes | Path) -> None:
-        """Store an object, whole or not at all.
+        """Store an object atomically.
 
         Raises:
-            StorageUnavailable: the storage does not take it.
-            StorageFull: it is a folder on a disk that is full.
+            StorageUnavailable: the storage does not answer or refuses.
+            StorageFull: the folder's disk is full.
         """
         with _traced("put", key), _reporting("write to"):
             if self._folder is None:
@@ -104,11 +104,11 @@ class ObjectStorage:
     def put_folder(self, prefix: str, folder: Path, names: Iterable[str]) -> None:
         """Store files of a folder under the keys ``prefix/NAME``, and remove the folder.
 
-        A storage in the same file system takes the folder itself, whole; files must be synced to disk before. Others
-        copy the files.
+        A folder in the same file system is renamed as a whole; its files must be synced to disk before. Otherwise the
+        files are copied.
 
         Raises:
-            StorageUnavailable, StorageFull: as :meth:`put`; the folder is still there.
+            StorageUnavailable, StorageFull: as :meth:`put`; the folder is not removed.
         """
         if self._folder is None or not self._take_folder(self._folder / prefix, folder):
             for name in names:
@@ -135,11 +135,11 @@ class ObjectStorage:
         return self._folder == folder.resolve()
 
     def fetch(self, key: str, target: Path) -> int:
-        """Copy an object into a file; returns its size in bytes. A copy that breaks off leaves no file.
+        """Copy an object to a file; returns its size [bytes]. A failed copy leaves no file.
 
         Raises:
-            MissingObject: there is none of that key.
-            StorageUnavailable: the storage does not give it.
+            MissingObject: no object has that key.
+            StorageUnavailable: the storage does not answer or refuses.
             StorageFull: the disk is full.
         """
         arrived = target.with_name(f".{uuid4().hex}.part")
@@ -157,11 +157,11 @@ class ObjectStorage:
         return size
 
     def read(self, key: str, start: int, length: int) -> bytes:
-        """Some bytes of an object, fewer if it ends before.
+        """``length`` bytes of an object from ``start``, fewer at its end.
 
         Raises:
-            MissingObject: there is none of that key.
-            StorageUnavailable: the storage does not give it.
+            MissingObject: no object has that key.
+            StorageUnavailable: the storage does not answer or refuses.
         """
         with _traced("get", key), _reporting("read from"):
             return bytes(obstore.get_range(self._store, key, start=start, length=length))
@@ -175,7 +175,7 @@ class ObjectStorage:
         with _traced("delete", key), _reporting("delete from"), contextlib.suppress(NotFoundError, FileNotFoundError):
             obstore.delete(self._store, key)
             if self._folder is not None:
-                with contextlib.suppress(OSError):  # it holds others
+                with contextlib.suppress(OSError):  # not empty
                     (self._folder / key).parent.rmdir()
 
     def list(self, prefix: str) -> Iterator[StoredObject]:
@@ -213,7 +213,7 @@ def _traced(operation: str, key: str) -> AbstractContextManager[telemetry.Marks]
 
 @contextmanager
 def _reporting(doing: str) -> Iterator[None]:
-    """Turn what the library raises into errors for people."""
+    """Convert the library's exceptions to errors for people."""
     try:
         yield
     except (NotFoundError, FileNotFoundError) as error:
@@ -234,7 +234,7 @@ def _reporting(doing: str) -> Iterator[None]:
 
 
 def _allows_http() -> bool:
-    """Whether the environment allows a storage in the same network to be spoken to in clear text."""
+    """Whether the environment allows unencrypted connections to the storage."""
     names = ("AWS_ALLOW_HTTP", "AZURE_ALLOW_HTTP", "GOOGLE_ALLOW_HTTP")
     return any(os.environ.get(name, "").lower() in ("1", "true") for name in names)
 

@@ -1,7 +1,6 @@
-"""The catalogue as one process sees it: in memory, followed as other processes change it.
+"""In-memory replica of the catalogue, refreshed when other processes change it.
 
-Requests are answered from memory, so a database that is restarted or gone does not stop them; what changed meanwhile is
-seen when it is back.
+Requests are answered from memory, also while the database is down; changes appear when it is back.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ class MapRow:
     """A map in the catalogue.
 
     Attributes:
-        name: the map's.
-        blob: the object that holds its file.
-        size_bytes: the file's size.
+        name: of the map.
+        blob: name of the object with its file.
+        size_bytes: of the file.
         modified: when it was published, seconds since the epoch.
         map_id, version: as in the file.
         revision: of the catalogue when it was published.
@@ -57,7 +56,7 @@ class MapRow:
 
 @dataclass(frozen=True)
 class _Changes:
-    """What changed up to a revision: maps and small files by name, None where they were deleted."""
+    """Changes up to a revision: maps and small files by name, None if deleted."""
 
     revision: int
     maps: Mapping[str, MapRow | None]
@@ -65,12 +64,12 @@ class _Changes:
 
 
 class Replica:
-    """What the catalogue holds, as of the last :meth:`refresh`. Safe to share between threads.
+    """The catalogue as of the last :meth:`refresh`. Safe to share between threads.
 
     Args:
-        engine: the database's.
-        prepare: called with the row before and the row after a map was changed by another process, before the change is
-            seen here. Where it raises, the map before is seen until it succeeds.
+        engine: of the database.
+        prepare: called with the old and new row of a map changed by another process, before the change becomes visible.
+            If it raises, the old row stays visible until a retry succeeds.
         is_prepared: whether ``prepare`` would have nothing to do.
     """
 
@@ -102,7 +101,7 @@ class Replica:
 
     @property
     def revision(self) -> int:
-        """Of the catalogue, as of the last refresh."""
+        """Revision of the catalogue at the last refresh."""
         return self._revision
 
     @property
@@ -112,21 +111,21 @@ class Replica:
 
     @property
     def engine(self) -> sa.Engine:
-        """The database's."""
+        """The database engine."""
         return self._engine
 
     def refresh(self) -> None:
-        """See what has changed. Changed maps that have to be prepared are left to the thread that follows, if any.
+        """Load changes. Maps that need preparation are left to the thread of :meth:`follow`, if it runs.
 
         Raises:
-            SQLAlchemyError: the database does not answer; what was seen stays.
+            SQLAlchemyError: the database does not answer; the replica is unchanged.
         """
         self._see(self._changes())
         if self._follower is None:
             self._see_late()
 
     def look_again(self) -> None:
-        """Refresh on a miss, at most a few times a second. Only one thread waits for the database at a time."""
+        """Refresh on a cache miss, at most a few times a second. Only one thread waits for the database at a time."""
         if time.monotonic() - self._looked_again_s < _LOOK_AGAIN_AFTER_S or not self._looking.acquire(blocking=False):
             return
         try:
@@ -138,7 +137,7 @@ class Replica:
 
     @contextmanager
     def changing(self) -> Iterator[tuple[sa.Connection, int]]:
-        """A transaction that changes the catalogue, and its revision. What it did is seen here when it has ended.
+        """A transaction that changes the catalogue, and its revision; refreshes at the end.
 
         Raises:
             SQLAlchemyError: the database does not answer; nothing was changed.
@@ -151,12 +150,12 @@ class Replica:
         try:
             self.refresh()
         except SQLAlchemyError:
-            _log.warning("catalogue_not_refreshed", exc_info=True)  # it is the next time
+            _log.warning("catalogue_not_refreshed", exc_info=True)  # the next refresh may succeed
 
     def recall(self, file: Path) -> None:
-        """See what the catalogue held when it was last followed, and keep the file up to date from now on.
+        """Load the catalogue's last state from ``file``, and keep that file up to date from now on.
 
-        What is recalled is shown until the first :meth:`refresh`, which replaces all of it.
+        The first :meth:`refresh` replaces the loaded state.
         """
         self._kept_in = file
         with suppress(OSError, ValueError, KeyError, TypeError):
@@ -165,18 +164,18 @@ class Replica:
             self._documents = {path: b64decode(content) for path, content in kept["documents"].items()}
 
     def follow(self) -> None:
-        """Begin to follow what other processes change, in a thread."""
+        """Start a thread that refreshes when other processes change the catalogue."""
         self._follower = threading.Thread(target=self._follow, name="rholoc-catalogue", daemon=True)
         self._follower.start()
 
     def close(self) -> None:
-        """Stop following; a thread that a silent database holds up is left behind."""
+        """Stop the thread, without waiting for a database that does not answer."""
         self._stopping.set()
         if self._follower is not None:
             self._follower.join(_STOP_S)
 
     def _changes(self) -> _Changes:
-        """What has changed since what is seen."""
+        """Changes since the replica's revision."""
         seen = self._revision
         with self._engine.connect() as connection:
             newest = connection.execute(sa.select(catalogue_table.c.revision)).scalar_one()
@@ -192,12 +191,12 @@ class Replica:
         )
 
     def _see(self, changes: _Changes) -> None:
-        """Show changes. Changed maps that have to be prepared are noted, and stay what they are meanwhile."""
+        """Apply changes. Maps that need preparation are queued and keep their old rows meanwhile."""
         with self._lock:
-            if changes.revision <= self._revision:  # another thread was quicker, and has seen all of this
+            if changes.revision <= self._revision:  # another thread has applied all of this
                 return
             late = {name: row for name, row in changes.maps.items() if row is not None and self._must_wait(name, row)}
-            is_first = self._revision < 0  # all of the catalogue, in place of what was recalled
+            is_first = self._revision < 0  # the whole catalogue, in place of the recalled state
             shown = {name: self._maps[name] if name in late else row for name, row in changes.maps.items()}
             self._maps = _merged({} if is_first else self._maps, shown)
             self._documents = _merged({} if is_first else self._documents, changes.documents)
@@ -209,11 +208,11 @@ class Replica:
         return before is not None and before.revision < row.revision and not self._is_prepared(before, row)
 
     def _see_late(self) -> None:
-        """Prepare the maps that have to be, outside the lock, and show them unless they have changed again."""
+        """Prepare queued maps outside the lock, and apply their changes unless they have changed again."""
         for name, row in list(self._unprepared.items()):
             before = self._maps.get(name)
             if before is None:
-                continue  # it was deleted just now
+                continue  # just deleted
             try:
                 self._prepare(before, row)
             except RholocError:
@@ -234,14 +233,14 @@ class Replica:
                 self._see_late()
                 self._keep()
                 failing = False
-            except Exception:  # whatever it was, later changes are still to be seen
+            except Exception:  # must not prevent later changes
                 if not failing:
                     _log.warning("catalogue_not_refreshed", exc_info=True)
                 failing = True
         listener.close()
 
     def _keep(self) -> None:
-        """Write what is seen where :meth:`recall` finds it, if it has changed."""
+        """Save the state for :meth:`recall`, if it has changed."""
         if self._kept_in is None or self._kept_revision == self._revision:
             return
         revision, maps, documents = self._revision, self._maps, self._documents
@@ -249,7 +248,7 @@ class Replica:
             "maps": [asdict(row) for row in maps.values()],
             "documents": {path: b64encode(content).decode() for path, content in documents.items()},
         }
-        with suppress(OSError, RholocError):  # a full disk: what was kept before is better than nothing
+        with suppress(OSError, RholocError):  # on a full disk, keep the old file
             replace_file(self._kept_in, json.dumps(kept).encode(), called="the catalogue", mode=0o600)
             self._kept_revision = revision
 
@@ -258,6 +257,6 @@ T = TypeVar("T")
 
 
 def _merged(before: Mapping[str, T], changes: Mapping[str, T | None]) -> dict[str, T]:
-    """What there is after changes, of which None deletes."""
+    """Mapping after ``changes``; a value of None deletes its key."""
     after = {name: value for name, value in before.items() if name not in changes}
     return after | {name: value for name, value in changes.items() if value is not None}

@@ -1,13 +1,13 @@
-"""The tables of the database: jobs and workers, and the catalogue of what lies in object storage.
+"""The tables of the database: jobs, workers, and the catalogue of stored objects.
 
-Every change of a table is a migration in ``migrations/versions``; a test compares them with what stands here.
+Every change of a table is a migration in ``migrations/versions``; a test compares them with this module.
 """
 
 from __future__ import annotations
 
 import sqlalchemy as sa
 
-VERSION_TABLE = "rholoc_schema"  # which of the migrations the database has
+VERSION_TABLE = "rholoc_schema"  # number of the database's last migration
 
 metadata = sa.MetaData()
 
@@ -30,13 +30,13 @@ jobs_table = sa.Table(
     sa.Column("created", sa.Float, nullable=False),
     sa.Column("started", sa.Float),
     sa.Column("ended", sa.Float),
-    sa.Column("attempts", sa.Integer, nullable=False),  # how many workers have taken it
-    sa.Column("deaths", sa.Integer, nullable=False),  # how many of them died with it
+    sa.Column("attempts", sa.Integer, nullable=False),  # number of workers that have taken the job
+    sa.Column("deaths", sa.Integer, nullable=False),  # number of them that died while they had it
     sa.Column("run", sa.String(41), nullable=False),  # of the last submission or retry; names the job's work folder
-    sa.Column("worker", sa.String(100)),  # who has the job: this column alone says so
-    sa.Column("turn", sa.Float, nullable=False),  # jobs are taken in its order
+    sa.Column("worker", sa.String(100)),  # the lease: worker that has the job
+    sa.Column("turn", sa.Float, nullable=False),  # sort key of the queue
     sa.Column("memory_bytes", sa.BigInteger),  # null: not known yet
-    sa.Column("asked_in", sa.Text),  # the request's trace, as a W3C traceparent; null where it was not traced
+    sa.Column("asked_in", sa.Text),  # the request's trace, as a W3C traceparent; null if not traced
 )
 
 workers_table = sa.Table(
@@ -45,7 +45,7 @@ workers_table = sa.Table(
     sa.Column("id", sa.String(100), primary_key=True),
     sa.Column("heartbeat", sa.Float, nullable=False),
     sa.Column("memory_bytes", sa.BigInteger),  # for its jobs; null: without limit
-    sa.Column("error", sa.Text),  # why it dies whenever it is started; null: it lives
+    sa.Column("error", sa.Text),  # reason of repeated deaths; null: alive
 )
 
 # One row. Whoever changes the catalogue counts it up first and so holds the row until the transaction ends: revisions
@@ -69,7 +69,7 @@ maps_table = sa.Table(
     sa.Column("revision", sa.BigInteger, nullable=False, index=True),
 )
 
-# The maps that were replaced, of each name the one that was replaced last first by ``number``, from 1.
+# Replaced maps; ``number`` counts from 1 for the last replaced one of each name.
 map_versions_table = sa.Table(
     "rholoc_map_versions",
     metadata,
@@ -120,7 +120,7 @@ uploads_table = sa.Table(
     sa.Column("touched", sa.Float, nullable=False),
 )
 
-# The requests that changed something, of all servers; see :mod:`rholoc.service.access.audit`.
+# Requests that changed something, of all servers; see :mod:`rholoc.service.access.audit`.
 changes_table = sa.Table(
     "rholoc_changes",
     metadata,
@@ -134,8 +134,8 @@ changes_table = sa.Table(
     sa.Column("request_id", sa.String(64), nullable=False),
 )
 
-# What API keys have stored, or have under way: what their quotas are counted by. ``holder`` is the key that ``key`` was
-# handed on by, if any. A row may outlive what it is about.
+# Things that API keys have stored or begun, for their quotas. ``holder`` is the root of the chain of keys that handed
+# ``key`` on, if any. A row may outlive its thing.
 holdings_table = sa.Table(
     "rholoc_holdings",
     metadata,

@@ -1,4 +1,4 @@
-"""Recording → frame poses: what pictures, IMU and waypoints measured, adjusted together."""
+"""Recording → frame poses: joint adjustment of pictures, IMU and waypoints."""
 
 from rholoc.trajectory.estimate import estimate_trajectory, odometry_from_flow, rolling_shutter_of
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory

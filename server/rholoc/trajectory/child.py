@@ -1,4 +1,4 @@
-"""A step of the reconstruction in a process of its own: its native code may crash, or has to be killed."""
+"""Run a reconstruction step in a child process, because its native code may crash or have to be killed."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from rholoc.progress import ProgressListener, Stage
 Result = TypeVar("Result")
 
 _log = logging.getLogger("rholoc.trajectory")
-_SINGULAR = "Indeterminant linear system"  # gtsam's words
+_SINGULAR = "Indeterminant linear system"  # of gtsam's message
 
 
 class ReconstructionKilled(MappingFailed):
-    """The system ended the process, probably for want of memory."""
+    """The operating system killed the process, probably for lack of memory."""
 
 
 def run_in_child(function: Callable[..., Result], *args: Any, progress: ProgressListener, stage: Stage) -> Result:
     """Call ``function(*args, listener)`` in a new process and return what it returns.
 
     Args:
-        function: a module's function whose last parameter is a progress listener.
+        function: a module-level function; its last parameter is a progress listener.
         args: its other arguments.
-        progress: called at least every 0.2 s with the latest progress; when it raises, the process is killed.
-        stage: reported until the function reports something itself.
+        progress: called at least every 0.2 s with the latest progress; if it raises, the process is killed.
+        stage: reported until the function's first own report.
 
     Raises:
         ReconstructionKilled: the process was killed.
-        MappingFailed: it died otherwise, or the function failed.
+        MappingFailed: the process died otherwise, or the function failed.
         RholocError: the function raised it.
     """
     latest: tuple[Stage, float, str] = (stage, 0.0, "")
@@ -54,7 +54,7 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
 
 
 def _unexpected(error: str) -> MappingFailed:
-    """An error that no step of the reconstruction foresees, such as a library's, in words for its user."""
+    """An unforeseen error, such as a library's, with a message for users."""
     if _SINGULAR in error:
         return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
     return MappingFailed(

@@ -1,4 +1,4 @@
-"""The paper's own way: the IMU integrated between waypoints."""
+"""The paper's own method: integrate the IMU between waypoints."""
 
 from __future__ import annotations
 
@@ -17,25 +17,24 @@ from rholoc.trajectory.frame.upright import rotation_to_upright
 from rholoc.trajectory.inertial.gyroscope import orientations
 
 _PAUSE_S = 0.6  # the camera rests this long around a waypoint
-_LEG_SIGMA_M = 0.3  # how far an integrated leg ends from its waypoint
-_LEVEL_SIGMA = 0.3  # m/s², of the horizontal force felt at rest
+_LEG_SIGMA_M = 0.3  # error of an integrated leg at its end
+_LEVEL_SIGMA = 0.3  # m/s², of the horizontal specific force at rest
 _BIAS_SIGMA = 0.02  # rad/s, of the gyroscope
-_NOT_A_WAYPOINT_S = 1.0  # a pause this far from all waypoints is a rest on the way
+_NOT_A_WAYPOINT_S = 1.0  # a pause further than this from all waypoints is a rest on the way
 
 
 def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatArray) -> FloatArray:
-    """Poses T_map_camera (N, 4, 4) at times ``at`` (N,), all between the first and the last waypoint.
+    """Poses T_map_camera (N, 4, 4) at times ``at`` (N,) [s], all between the first and the last waypoint.
 
-    At a waypoint the camera rests: its velocity is zero there and its place is measured; at other pauses its velocity
-    is zero, too. From rest to rest the acceleration is integrated twice; what is left of velocity at the end is taken
-    out as a constant error of acceleration, what is left of place at the next waypoint as a linear one of place (paper,
-    section 3). The tilt comes from gravity at the first waypoint, the heading from the waypoints, the gyroscope's bias
-    from the legs' ends and from gravity at every waypoint.
+    The velocity is zero at waypoints and other pauses. Between rests the acceleration is integrated twice. A velocity
+    left at a rest is removed as a constant acceleration error, a displacement left at a waypoint as a position error
+    linear in time (paper, section 3). Tilt comes from gravity at the first waypoint, heading from the waypoints,
+    gyroscope bias from the ends of the legs and from gravity at every waypoint.
 
     Raises:
-        InvalidWaypoints: they do not fix a frame.
-        MappingFailed: the IMU's axes are unknown to the camera, its acceleration is without gravity, or it does not
-            cover the waypoints.
+        InvalidWaypoints: the waypoints do not fix a frame.
+        MappingFailed: the IMU's mounting is unknown, its acceleration excludes gravity, or it does not cover the
+            waypoints.
     """
     check_waypoints_fix_frame(waypoints)
     if imu.R_camera_imu is None or not imu.includes_gravity:
@@ -52,7 +51,7 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
     near = [np.abs(imu.times - stop) <= _PAUSE_S / 2 for stop in stops]
 
     def walked(bias: FloatArray) -> tuple[Rotation, Rotation, list[tuple[FloatArray, FloatArray]], FloatArray]:
-        """Orientations, the level, the path of every leg, and the force felt at every stop in the level frame."""
+        """Orientations, levelling rotation, path of every leg, and specific force at every stop in the level frame."""
         orientation = orientations(imu, bias)
         felt = orientation.apply(imu.acceleration)
         level = Rotation.from_matrix(rotation_to_upright(np.mean(felt[near[0]], axis=0)))
@@ -87,14 +86,14 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
 
 
 def _rests(imu: Imu, stops: FloatArray) -> FloatArray:
-    """The times at which the camera rests: at the waypoints, and in the middle of other pauses."""
+    """Times at rest: the waypoints, and the middle of other pauses."""
     middles = pauses(imu).mean(axis=1)
     others = [middle for middle in middles if np.abs(stops - middle).min() > _NOT_A_WAYPOINT_S]
     return np.sort(np.concatenate([stops, others]))
 
 
 def _leg(times: FloatArray, acceleration: FloatArray, rests: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Times from the first to the last of ``rests`` and the displacement (M, 3) since then."""
+    """Times from the first to the last of ``rests``, and the displacement (M, 3) since the first."""
     t, path = np.array([rests[0]]), np.zeros((1, 3))
     for a, b in pairwise(rests):
         later, moved = _rest_to_rest(times, acceleration, a, b)
@@ -103,7 +102,7 @@ def _leg(times: FloatArray, acceleration: FloatArray, rests: FloatArray) -> tupl
 
 
 def _rest_to_rest(times: FloatArray, acceleration: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
-    """Times from ``a`` to ``b`` and the displacement (M, 3) since ``a``, the velocity zero at both ends."""
+    """Times from ``a`` to ``b`` and the displacement (M, 3) since ``a``, with zero velocity at both ends."""
     t = np.concatenate([[a], times[(times > a) & (times < b)], [b]])
     felt = np.column_stack([np.interp(t, times, acceleration[:, i]) for i in range(3)])
     dt = np.diff(t)[:, None]
@@ -113,7 +112,7 @@ def _rest_to_rest(times: FloatArray, acceleration: FloatArray, a: float, b: floa
 
 
 def _yaw(moved: FloatArray, measured: FloatArray) -> Rotation:
-    """The rotation about z that takes displacements (N, 3) to measured ones best."""
+    """Least-squares rotation about z from displacements (N, 3) to measured ones."""
     cross = np.sum(moved[:, 0] * measured[:, 1] - moved[:, 1] * measured[:, 0])
     dot = np.sum(moved[:, 0] * measured[:, 0] + moved[:, 1] * measured[:, 1])
     return Rotation.from_euler("z", float(np.arctan2(cross, dot)))

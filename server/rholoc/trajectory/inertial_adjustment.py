@@ -1,9 +1,8 @@
-"""The IMU between waypoints, all of the walk in one least-squares problem: the joint adjustment without its pictures.
+"""Least-squares adjustment of IMU and waypoints without pictures, over the whole walk.
 
-The unknowns are the IMU's pose, velocity and biases at every time that is asked for and at every rest, and gravity. The
-readings between them are preintegrated; at a waypoint the place is measured, at every rest the velocity is zero. What
-:mod:`rholoc.trajectory.dead_reckoning` mends leg by leg, with biases that are constant, is here weighed by what each
-measurement is worth. It starts from that one's poses.
+Unknowns: pose, velocity and biases of the IMU at every requested time and every rest, and gravity. Readings between
+them are preintegrated; waypoints measure positions; at every rest the velocity is zero. Starts from the poses of
+:mod:`rholoc.trajectory.dead_reckoning`, which corrects leg by leg with constant biases.
 """
 
 from __future__ import annotations
@@ -28,22 +27,22 @@ _ACCELEROMETER_BIAS_SIGMA = 0.1  # m/s²
 _GYROSCOPE_BIAS_SIGMA = 0.02  # rad/s
 _LEVEL_SIGMA = GRAVITY * np.radians(0.5)  # m/s², of the waypoints' z axis
 _GRAVITY_SIGMA = 0.05  # m/s², of its length as accelerometers read it
-_LEVER_SIGMA_M = 0.02  # between camera and IMU, which nothing here tells apart
+_LEVER_SIGMA_M = 0.02  # between camera and IMU, not observable here
 _CAUCHY = 3.0
-_INSIDE_S = 0.2  # from the ends of a pause: there the camera rests
+_INSIDE_S = 0.2  # from the ends of a pause, for the camera to be at rest
 _REST_STEP_S = 0.1
-_APART_S = 1e-3  # times nearer than this are one state
-_TIMES_USUAL = 1.0  # the noise of the IMU
+_APART_S = 1e-3  # minimum interval between two states
+_TIMES_USUAL = 1.0  # IMU noise, as a multiple of the usual
 _ITERATIONS = 30
 
 
 def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatArray) -> FloatArray:
-    """Poses T_map_camera (N, 4, 4) at times ``at`` (N,), all between the first and the last waypoint.
+    """Poses T_map_camera (N, 4, 4) at times ``at`` (N,) [s], all between the first and the last waypoint.
 
     Raises:
-        InvalidWaypoints: they do not fix a frame.
-        MappingFailed: the IMU's axes are unknown to the camera, its acceleration is without gravity, it does not cover
-            the waypoints, or has a gap between them.
+        InvalidWaypoints: the waypoints do not fix a frame.
+        MappingFailed: the IMU's mounting is unknown, its acceleration excludes gravity, or its readings have a gap or
+            do not cover the waypoints.
     """
     check_waypoints_fix_frame(waypoints)
     stops = np.sort([waypoint.time for waypoint in waypoints])
@@ -78,7 +77,7 @@ def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatA
     parameters.setMaxIterations(_ITERATIONS)
     try:
         solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    except RuntimeError:  # gtsam's word for a singular system
+    except RuntimeError:  # singular system
         return integrate_between_waypoints(imu, waypoints, at)
     found = np.array([solved.atPose3(X(int(k))).matrix() for k in _nearest(times, at)])
     return pose_matrix(found[:, :3, :3] @ imu.R_camera_imu.T, found[:, :3, 3])
@@ -99,7 +98,7 @@ def _add_motion(graph: gtsam.NonlinearFactorGraph, imu: Imu, times: FloatArray) 
 
 
 def _resting(imu: Imu, stops: FloatArray) -> FloatArray:
-    """Times within pauses between the first and the last stop, away from where these begin and end."""
+    """Times within pauses between the first and the last stop, away from the pauses' ends."""
     found = [
         np.arange(start + _INSIDE_S, end - _INSIDE_S, _REST_STEP_S)
         for start, end in pauses(imu)
@@ -110,6 +109,6 @@ def _resting(imu: Imu, stops: FloatArray) -> FloatArray:
 
 
 def _nearest(times: FloatArray, wanted: FloatArray) -> IntArray:
-    """The rows (N,) of increasing ``times`` that are nearest to those ``wanted`` (N,)."""
+    """Rows (N,) of the increasing ``times`` nearest to each of ``wanted`` (N,)."""
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     return np.asarray(np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after))

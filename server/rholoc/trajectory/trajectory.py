@@ -16,9 +16,9 @@ class PoseMethod(StrEnum):
 
     AUTO = "auto"  # the recording's own poses where its pictures agree with them, else as VISUAL_INERTIAL
     VISUAL_INERTIAL = "visual-inertial"  # structure from motion, made metric and upright by waypoints and IMU
-    VISUAL = "visual"  # structure from motion and waypoints; the IMU is not used
-    ODOMETRY = "odometry"  # corners followed from frame to frame, and the IMU; nothing is recognised, so it drifts
-    INERTIAL = "inertial"  # the paper's own: the IMU between waypoints, and no pictures
+    VISUAL = "visual"  # structure from motion and waypoints, without the IMU
+    ODOMETRY = "odometry"  # optical flow and the IMU, without loop closures, so it drifts
+    INERTIAL = "inertial"  # the paper's own: the IMU between waypoints, without pictures
     GIVEN = "given"  # the recording's own poses
 
 
@@ -26,7 +26,7 @@ class Scale(StrEnum):
     """What the map's unit of length is."""
 
     METRIC = "metric"  # metres
-    ARBITRARY = "arbitrary"  # nothing measured fixes it
+    ARBITRARY = "arbitrary"  # not fixed by any measurement
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +40,11 @@ class Trajectory:
         camera: the intrinsics that belong to these poses.
         scale: whether lengths are metres.
         upright: whether the map's z axis is known to point up.
-        report: figures for people: waypoint residuals, reprojection error, frames placed, …
-        rolling_shutter: how the image moves in these frames while they are read; None where that is not known, or they
-            are read at once.
-        covariances: (K, 6, 6) of each frame's pose in the map frame: rows x, y, z (m), then the rotation about the
-            map's x, y, z axes (rad, a small rotation applied from the left). It holds all that makes the frame's pose
-            uncertain, what it shares with its neighbours too. None where that is not known.
+        report: figures for people: waypoint residuals, reprojection error, placed frames, …
+        rolling_shutter: image motion during the read-out of these frames; None if unknown, or for a global shutter.
+        covariances: (K, 6, 6) of each frame's pose in the map frame: x, y, z [m], then the rotation about the map's
+            x, y, z axes [rad] (small, applied from the left). Includes errors shared by neighbouring frames. None if
+            unknown.
     """
 
     rows: IntArray
@@ -59,5 +58,5 @@ class Trajectory:
     covariances: FloatArray | None = None
 
     def at_once(self, k: int, features: FeatureSet) -> FeatureSet:
-        """The features of frame k of 0..K-1, at the pixels where they were when the frame's middle row was read."""
+        """``features`` of frame ``k`` (0..K-1), moved to their pixels at the read-out of the middle row."""
         return features if self.rolling_shutter is None else self.rolling_shutter.at_once(k, features)

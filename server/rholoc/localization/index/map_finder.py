@@ -31,7 +31,7 @@ VECTORS_FILE = Path("index") / "views.sqlite"
 _LEARNED_FROM = 64  # maps at most
 _RELEARNED_AT = 2  # times as many maps as were learned from, while they are fewer
 _TRAINING_PICTURES = 1000
-_FEWEST_PICTURES = 16  # of each
+_MIN_PICTURES = 16  # of each
 _AT_ONCE = 200  # maps that enter an index together when it is read
 _LOOK_AT_ALL_S = 30.0  # a file that is written in place does not show in its folder
 _TICK_NS = 2 * 10**9
@@ -226,7 +226,7 @@ class MapFinder:
 
     def _learned(self, features: str, names: Sequence[str]) -> Model | None:
         """Train a model on the first maps with these features. Returns None if there are none."""
-        share = max(_FEWEST_PICTURES, _TRAINING_PICTURES // min(_LEARNED_FROM, len(names)))
+        share = max(_MIN_PICTURES, _TRAINING_PICTURES // min(_LEARNED_FROM, len(names)))
         pictures: list[ByteArray] = []
         maps = 0
         for name in names[: 2 * _LEARNED_FROM]:

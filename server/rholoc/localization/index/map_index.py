@@ -17,7 +17,7 @@ from rholoc.maps import Map, Trust, trust_of
 
 _CANDIDATES = 4
 _CHANCE_SAMPLES = 20_000
-_MOST_VIEWS = 0.8
+_MAX_VIEWS = 0.8
 _ALL = slice(None)
 _UPRIGHT_LEAN_RAD = np.deg2rad(4.0)  # a hand that holds a phone upright keeps within it
 
@@ -76,7 +76,7 @@ class MapIndex:
         if not self.map.info.upright or len(self.map.views.T_map_camera) == 0:
             return False
         lean_rad = np.arcsin(np.clip(np.abs(self.map.views.T_map_camera[:, 2, 0]), 0, 1))  # of the camera's x axis
-        return bool(np.quantile(lean_rad, _MOST_VIEWS) < _UPRIGHT_LEAN_RAD)
+        return bool(np.quantile(lean_rad, _MAX_VIEWS) < _UPRIGHT_LEAN_RAD)
 
     @lazy
     def chance_of_likeness(self) -> float:

@@ -20,12 +20,12 @@ from rholoc.features.picture_vectors import DIMENSIONS, PictureVectors
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.maps import Map
 
-MOST_VECTORS = 1000
+MAX_VECTORS = 1000
 """Of one map: of a larger one some views are taken, evenly."""
 
 _FEW = 5000  # vectors, below which all are compared
 _TRAINING_PER_LIST = 40
-_PROBED_SHARE, _FEWEST_PROBED = 1 / 4, 8  # of the lists
+_PROBED_SHARE, _MIN_PROBED = 1 / 4, 8  # of the lists
 _LIKELY_VIEWS = 200
 _VIEWS_THAT_COUNT = 5  # of a map
 _GROWTH = 4  # times as many vectors as the lists were made for: they are made anew
@@ -49,13 +49,13 @@ class LikelyMap:
 
 
 def view_descriptors(map_: Map) -> list[ByteArray]:
-    """For each view of a map the descriptors (N, B) of the landmarks it saw, one each; at most ``MOST_VECTORS``
+    """For each view of a map the descriptors (N, B) of the landmarks it saw, one each; at most ``MAX_VECTORS``
     views.
     """
     first = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
     views = np.arange(len(map_.views))
-    if len(views) > MOST_VECTORS:
-        views = np.linspace(0, len(views) - 1, MOST_VECTORS).astype(np.int64)
+    if len(views) > MAX_VECTORS:
+        views = np.linspace(0, len(views) - 1, MAX_VECTORS).astype(np.int64)
     start, end = map_.view_offsets[views].tolist(), map_.view_offsets[views + 1].tolist()
     return [map_.descriptors.values[first[map_.observations.features[a:b]]] for a, b in zip(start, end, strict=True)]
 
@@ -194,7 +194,7 @@ def _empty_index(vectors: FloatArray) -> faiss.Index:
     index.cp.min_points_per_centroid, index.cp.max_points_per_centroid = 1, _TRAINING_PER_LIST
     index.train(_as_bytes(vectors))
     index.make_direct_map()
-    index.nprobe = max(_FEWEST_PROBED, int(_PROBED_SHARE * lists))
+    index.nprobe = max(_MIN_PROBED, int(_PROBED_SHARE * lists))
     return index
 
 

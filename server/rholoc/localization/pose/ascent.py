@@ -23,7 +23,7 @@ from rholoc.geometry import FloatArray, IntArray, Pose, pose_matrix, rotation_fr
 from rholoc.localization.types import Dof
 
 _RAYLEIGH_MEDIAN = 1.177  # of the length of a two-dimensional offset, in standard deviations of one component
-_LEAST_NOISE_PX = 0.3  # of a detection
+_MIN_NOISE_PX = 0.3  # of a detection
 SYSTEMATIC = 3.0  # measured on real recordings: errors against those that independent detections would make
 _ROLL_SIGMA_RAD = np.deg2rad(1.5)  # of a camera that is held upright
 _NEARLY_SETTLED, _SETTLED = 1e-3, 1e-5  # metres or radians: steps that end a tolerance, and the last one
@@ -226,7 +226,7 @@ def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = Fals
     offsets = RayOffsets.of(agreeing, optimum.T_map_camera)
     along = np.linalg.norm(agreeing.landmarks - optimum.T_map_camera[:3, 3], axis=1)
     offset_px = evidence.focal_px * np.linalg.norm(offsets.offset, axis=1) / along
-    noise_px = max(float(np.median(offset_px)) / _RAYLEIGH_MEDIAN, _LEAST_NOISE_PX)
+    noise_px = max(float(np.median(offset_px)) / _RAYLEIGH_MEDIAN, _MIN_NOISE_PX)
     variance = (noise_px * along / evidence.focal_px) ** 2 + agreeing.variances
     J = offsets.jacobian
     if focal_free:

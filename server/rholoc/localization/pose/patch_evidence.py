@@ -15,7 +15,7 @@ from rholoc.maps import Map
 
 _TURN_RAD = np.deg2rad(8.0)  # half of the true matches are turned by no more from what is foretold
 _SIZE_OCTAVES, _CHANCE_OCTAVES = 0.2, 0.8  # likewise of sizes; the mean deviation of false ones
-_MOST_OCTAVES = 2.5  # beyond that sizes say no more
+_MAX_OCTAVES = 2.5  # beyond that sizes say no more
 _TRUE_SHARE = 0.9  # of true matches: the others are as if by chance
 _FEWEST = 3.0  # matches: of so few half is taken for chance
 
@@ -61,7 +61,7 @@ def size_log_odds(grown_octaves: FloatArray) -> FloatArray:
     True matches follow a Cauchy distribution, false ones a Laplace distribution.
     """
     known = np.isfinite(grown_octaves)
-    grown = np.clip(np.where(known, grown_octaves, 0.0), -_MOST_OCTAVES, _MOST_OCTAVES)
+    grown = np.clip(np.where(known, grown_octaves, 0.0), -_MAX_OCTAVES, _MAX_OCTAVES)
     true = 1 / (np.pi * _SIZE_OCTAVES * (1 + (grown / _SIZE_OCTAVES) ** 2))
     false = np.exp(-np.abs(grown) / _CHANCE_OCTAVES) / (2 * _CHANCE_OCTAVES)
     return np.where(known, np.log(_TRUE_SHARE * true / false + 1 - _TRUE_SHARE), 0.0)

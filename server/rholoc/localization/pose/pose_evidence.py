@@ -26,11 +26,11 @@ _CELLS_ACROSS = 8
 _CELL_NATS = 10.0  # the most that a cell can say
 _CHANCE_NATS = 1.5  # what a match by chance says, about
 _VIEWS_ALIKE = 10
-_FEWEST_EXPECTED, _FEWEST_DETECTED = 2, 3  # landmarks, features of a cell that can contradict
+_MIN_EXPECTED, _MIN_DETECTED = 2, 3  # landmarks, features of a cell that can contradict
 _HIGHEST_RATE = 0.9
 _CLOSE_PX, _AROUND_PX = 4.0, 14.0  # of where landmarks should be
 _LIKENESSES = np.array([0.95, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2, 0.0])  # the least chance of being true, by descriptors
-_LEAST_BY_CHANCE = 0.15  # matches: where none is around, that much is allowed for
+_MIN_BY_CHANCE = 0.15  # matches: where none is around, that much is allowed for
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def support_of(
     expected = grid.sums(should_be)
     is_found = np.isin(shown, landmarks)
     seen = grid.sums(should_be[is_found])
-    empty = (seen == 0) & (expected >= _FEWEST_EXPECTED) & (grid.sums(pixels) >= _FEWEST_DETECTED)
+    empty = (seen == 0) & (expected >= _MIN_EXPECTED) & (grid.sums(pixels) >= _MIN_DETECTED)
     rate = min(float(seen.sum()) / max(float(expected[seen > 0].sum()), 1.0), _HIGHEST_RATE)
     against = -np.log(1 - rate) * expected[empty]
     return Support(
@@ -129,7 +129,7 @@ def _beyond_chance(
     off_px = np.linalg.norm(shown - pixels[wide.detections], axis=1)
     alike = wide.chances >= _LIKENESSES[:, None]
     close, around = (off_px < _CLOSE_PX), (off_px < _AROUND_PX)
-    by_chance = _LEAST_BY_CHANCE + (alike & around & ~close).sum(axis=1) * _CLOSE_PX**2 / (_AROUND_PX**2 - _CLOSE_PX**2)
+    by_chance = _MIN_BY_CHANCE + (alike & around & ~close).sum(axis=1) * _CLOSE_PX**2 / (_AROUND_PX**2 - _CLOSE_PX**2)
     count = np.maximum((alike & close).sum(axis=1), by_chance)
     return float((count * np.log(count / by_chance) - (count - by_chance)).max())
 

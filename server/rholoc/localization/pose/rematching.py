@@ -102,7 +102,6 @@ def verify(
     query: Query,
     rays: FloatArray,
     T_map_camera: FloatArray,
-    radii_px: tuple[float, float] = SEARCH_RADII_PX,
     focal_free: bool = False,
     wide: Matches | None = None,
 ) -> Verified | None:
@@ -113,7 +112,6 @@ def verify(
         query: the frame.
         rays: (N, 3) rays of all features in the camera frame.
         T_map_camera: (4, 4) start.
-        radii_px: the two search radii.
         focal_free: whether the focal length is an estimate.
         wide: matches within the first radius, if they are already known.
 
@@ -121,7 +119,7 @@ def verify(
         None if too few matches are found.
     """
     densities, dof = index.map.densities, query.dof
-    wide_px, narrow_px = radii_px
+    wide_px, narrow_px = SEARCH_RADII_PX
     wide = wide or matches_about(index, query, T_map_camera, wide_px)
     if len(wide) < _MIN_MATCHES:
         return None

@@ -27,7 +27,7 @@ _VIEWS_EACH = 10
 _EXPLAINED_PX = 24.0
 _TOLERANCE_PX = 12.0
 _SAMPLES = (300, 30)
-_FEWEST_AGREEING, _FEWEST_OF_FOUND = 8, 0.2  # matches; of the matches of the pose that was found
+_MIN_AGREEING, _MIN_OF_FOUND = 8, 0.2  # matches; of the matches of the pose that was found
 _APART_M, _APART_RAD = 0.2, np.deg2rad(10.0)
 _TELLING_NATS = 12.0  # by which much more support one of two poses is twice as sure again; about a cell of the picture
 
@@ -49,7 +49,7 @@ def rival_seeds(
 
 def fewest_agreeing(found: float) -> float:
     """Minimum number of inliers of a rival, given the verified pose that it competes with."""
-    return max(_FEWEST_AGREEING, _FEWEST_OF_FOUND * found)
+    return max(_MIN_AGREEING, _MIN_OF_FOUND * found)
 
 
 def unexplained_by_place(

@@ -16,11 +16,11 @@ from rholoc.maps import Cloud
 from rholoc.recordings import Recording
 from rholoc.recordings.frames.depth import DepthImage, DepthImages
 
-_MOST_VIEWS = 100  # that points are taken from
-_MOST_POINTS = 200_000
+_MAX_VIEWS = 100  # that points are taken from
+_MAX_POINTS = 200_000
 _APART_M = 0.02  # no two points are within the same cube of this size
-_FEWEST_LANDMARKS = 30  # that give the scale
-_LARGEST_MISFIT = 0.1  # of depths to the landmarks', in the median, as a share
+_MIN_LANDMARKS = 30  # that give the scale
+_MAX_MISFIT = 0.1  # of depths to the landmarks', in the median, as a share
 
 
 class _Seen(NamedTuple):
@@ -56,8 +56,8 @@ def depth_cloud(
     if depth is None:
         return Cloud()
     having = np.flatnonzero([depth.paths[row] is not None for row in rows])
-    chosen = having[np.unique(np.linspace(0, len(having) - 1, min(_MOST_VIEWS, len(having))).astype(np.int64))]
-    budget = _MOST_POINTS // max(1, len(chosen))
+    chosen = having[np.unique(np.linspace(0, len(having) - 1, min(_MAX_VIEWS, len(having))).astype(np.int64))]
+    budget = _MAX_POINTS // max(1, len(chosen))
     images = recording.frames.images(rows[chosen].tolist())
     seen: dict[int, _Seen] = {}
     for row, view, image in zip(rows[chosen].tolist(), of_views[chosen].tolist(), images, strict=True):
@@ -109,10 +109,10 @@ def _ratios(depth: DepthImage, views: Views, view: int, landmarks: Landmarks) ->
 def _scale(ratios: list[FloatArray]) -> float | None:
     """Median of the ratios: map units per metre of measured depth. None if the ratios disagree."""
     together = np.concatenate(ratios) if ratios else np.zeros(0)
-    if len(together) < _FEWEST_LANDMARKS:
+    if len(together) < _MIN_LANDMARKS:
         return None
     scale = float(np.median(together))
-    return scale if np.median(np.abs(together / scale - 1)) < _LARGEST_MISFIT else None
+    return scale if np.median(np.abs(together / scale - 1)) < _MAX_MISFIT else None
 
 
 def _placed(points: FloatArray, T_map_camera: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from rholoc.mapping.build.landmarks import Landmarks, relative_sigmas
 from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Cloud
 
-_MOST_POINTS = 500_000
+_MAX_POINTS = 500_000
 _MAX_RELATIVE_SIGMA = 0.1  # of the largest standard deviation against the distance it is seen from
 
 
@@ -29,8 +29,8 @@ def cloud_of(views: Views, reconstructed: Landmarks, is_landmark: BoolArray, vie
     shown = np.flatnonzero(~is_landmark & (relative_sigmas(views, reconstructed) < _MAX_RELATIVE_SIGMA))
     if colours is None or not len(shown):
         return Cloud()
-    if len(shown) > _MOST_POINTS:
-        shown = shown[np.linspace(0, len(shown) - 1, _MOST_POINTS).astype(np.int64)]
+    if len(shown) > _MAX_POINTS:
+        shown = shown[np.linspace(0, len(shown) - 1, _MAX_POINTS).astype(np.int64)]
     rows = reconstructed.observed_rows
     labels = reconstructed.labels[rows]
     sources = np.zeros(len(reconstructed), dtype=np.int32)

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.features import FeatureSet, Metric
 from rholoc.features.matching import LIMITS, descriptor_distances, mutual_matches
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, direction_angles
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, PosedCameras, direction_angles
 from rholoc.lazy import lazy
 from rholoc.progress import ProgressListener, Stage, silent
 
@@ -20,7 +20,7 @@ _EPIPOLAR_LIMIT_PX = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
+class Views(PosedCameras):
     """K posed keyframes and their features; the detections of all views are concatenated to N rows.
 
     Attributes:
@@ -54,16 +54,6 @@ class Views:
 
     def __len__(self) -> int:
         return len(self.T_map_camera)
-
-    @property
-    def positions(self) -> FloatArray:
-        """(K, 3) metres."""
-        return self.T_map_camera[:, :3, 3]
-
-    @property
-    def headings(self) -> FloatArray:
-        """(K, 3) unit vectors."""
-        return self.T_map_camera[:, :3, 2]
 
     @property
     def focal_px(self) -> FloatArray:
@@ -104,8 +94,7 @@ def link_observations(views: Views, metric: Metric, progress: ProgressListener =
     """Link detections into tracks. Returns labels (N,), -1 for a detection without a track.
 
     Links are mutual nearest neighbours that agree with the epipolar geometry of the views' poses. The most similar ones
-    are
-    linked first; a track never has two detections in one view.
+    are linked first; a track never has two detections in one view.
     """
     pairs = neighbour_pairs(views)
     feature_sets = [views.of_view(k) for k in range(len(views))]

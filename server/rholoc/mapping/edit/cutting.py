@@ -12,7 +12,7 @@ from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.remembered import keep_features, keep_view_rows, with_landmarks
 from rholoc.maps import Map, MapInfo, Source, check_outline, memory_of, within_outline
 
-_LEAST_LEFT = 12  # landmarks; fewer than that no camera is localized by
+_MIN_LEFT = 12  # landmarks; fewer than that no camera is localized by
 
 
 def in_region(
@@ -89,5 +89,5 @@ def _recounted(info: MapInfo, view_sources: IntArray) -> tuple[Source, ...]:
 
 
 def _check_left(count: int) -> None:
-    if count < _LEAST_LEFT:
+    if count < _MIN_LEFT:
         raise Conflict(f"Only {count} landmarks would be left.", "Remove less, or delete the map instead.")

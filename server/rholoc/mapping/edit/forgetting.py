@@ -7,17 +7,15 @@ from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.edit.joining import without_source
 from rholoc.mapping.edit.versions import as_learned
 from rholoc.maps import Map, MapInfo, check_memory
-from rholoc.progress import ProgressListener, silent
 from rholoc.reports import LearningReport
 
 
-def forget_recording(map_: Map, recording: str, progress: ProgressListener = silent) -> Map:
+def forget_recording(map_: Map, recording: str) -> Map:
     """The map without what it learned from ``recording``, given by id or by an unambiguous name.
 
     Raises:
-        InvalidInput: the map does not remember its observations, never learned the recording, or learned several of
-            that
-            name; lists those that it learned.
+        InvalidInput: the map does not remember its observations, never learned the recording, or learned several
+            of that name; lists those that it learned.
         Conflict: it learned nothing else.
     """
     check_memory(map_, "The map")
@@ -25,7 +23,7 @@ def forget_recording(map_: Map, recording: str, progress: ProgressListener = sil
     if len(map_.info.sources) == 1:
         raise Conflict(f"{recording} is the only recording in the map.", "Delete the map instead.")
     after = without_source(ray_form(map_), row)
-    return as_learned(map_, after, LearningReport(map_.info.version + 1, forgotten=map_.info.sources[row].id), progress)
+    return as_learned(map_, after, LearningReport(map_.info.version + 1, forgotten=map_.info.sources[row].id))
 
 
 def _source_row(info: MapInfo, recording: str) -> int:

@@ -13,9 +13,9 @@ from rholoc.geometry import BoolArray, FloatArray
 from rholoc.mapping.learn.expected_sightings import Sights
 
 _TELLING_NATS = 1.0  # by which a landmark is likelier there than gone, or gone than there
-_MOST_CONTRADICTED = 0.2  # of the landmarks that a camera rests on; what noise brings about is less than that
+_MAX_CONTRADICTED = 0.2  # of the landmarks that a camera rests on; what noise brings about is less than that
 _MISPLACED = 0.3  # of the cameras that look at a place, so many may be misled by what moved
-_FEWEST_TELLING = 10  # landmarks that others know of: among fewer, each counts as one of so many
+_MIN_TELLING = 10  # landmarks that others know of: among fewer, each counts as one of so many
 
 
 def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
@@ -23,9 +23,9 @@ def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
     believed = speaking.copy()
     while True:
         contradicted = _contradicted(sights, believed)
-        doubtful = believed & (contradicted > _MOST_CONTRADICTED)
+        doubtful = believed & (contradicted > _MAX_CONTRADICTED)
         if not doubtful.any():
-            return contradicted <= _MOST_CONTRADICTED
+            return contradicted <= _MAX_CONTRADICTED
         believed[np.argmax(np.where(doubtful, contradicted, 0.0))] = False
 
 
@@ -35,4 +35,4 @@ def _contradicted(sights: Sights, believed: BoolArray) -> FloatArray:
     of_others = sights.sums(nats, believed)[sights.landmarks] - nats * believed[sights.cameras]
     missed = np.bincount(sights.cameras, sights.seen & (of_others < -_TELLING_NATS), sights.camera_count)
     known = np.bincount(sights.cameras, sights.seen & (np.abs(of_others) > _TELLING_NATS), sights.camera_count)
-    return np.asarray(missed / np.maximum(known, _FEWEST_TELLING))
+    return np.asarray(missed / np.maximum(known, _MIN_TELLING))

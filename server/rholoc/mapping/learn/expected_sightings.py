@@ -15,11 +15,11 @@ from rholoc.localization.index.map_index import MapIndex
 _RADIUS_PX = 6.0  # of a landmark's projection, within which it counts as seen
 _EDGE_PX = 12.0  # of the picture, where nothing is missed
 _VIEWS_ALIKE = 10
-_FEWEST_ALIKE = 3  # of these that saw a landmark, for a camera to be expected to see it
+_MIN_ALIKE = 3  # of these that saw a landmark, for a camera to be expected to see it
 _BY_CHANCE = 0.05  # how often a landmark that is gone is found all the same
-_LEAST_RATE, _HIGHEST_RATE = 0.1, 0.95
+_MIN_RATE, _HIGHEST_RATE = 0.1, 0.95
 _HIDING_PX, _HIDING_SHARE = 40.0, 0.8  # what is seen so close in the picture, and so much nearer, hides
-_FEWEST_SEEN = 12  # landmarks, by a camera that is to say what is missing
+_MIN_SEEN = 12  # landmarks, by a camera that is to say what is missing
 GONE_NATS = 4.0  # of evidence that a landmark is gone
 _ROUNDS = 2  # how well a camera sees shows in what is there; what is there, in what cameras see
 
@@ -106,7 +106,7 @@ class Sights:
             there = self.sums(nats, believed)[self.landmarks] > -GONE_NATS
             saw = np.bincount(self.cameras, self.seen & there, self.camera_count)
             should = np.bincount(self.cameras, self.chances * there, self.camera_count)
-            rate = np.clip(self.chances * (saw / np.maximum(should, 1.0))[self.cameras], _LEAST_RATE, _HIGHEST_RATE)
+            rate = np.clip(self.chances * (saw / np.maximum(should, 1.0))[self.cameras], _MIN_RATE, _HIGHEST_RATE)
             if_gone = np.maximum(_BY_CHANCE, misplaced * rate)
             nats = np.where(self.seen, np.log(rate / if_gone), np.log((1 - rate) / (1 - if_gone)))
         return nats
@@ -124,7 +124,7 @@ _NOTHING: _Sight = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=
 def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
     """Expected and unobstructed sightings of one camera; empty if it has too few features."""
     landmarks, chances, seen = _expected(index, one, recorded, by_recording)
-    if seen.sum() < _FEWEST_SEEN:
+    if seen.sum() < _MIN_SEEN:
         return _NOTHING
     counts = np.flatnonzero(seen | ~_hidden(index, one, landmarks, seen))
     return landmarks[counts], chances[counts], seen[counts]
@@ -140,9 +140,9 @@ def _expected(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: B
     for among, of in ((recorded, by_recording), (~recorded, ~by_recording)):
         alike = np.argsort(np.where(among, -votes, 1), kind="stable")[:_VIEWS_ALIKE]
         alike = alike[among[alike] & (votes[alike] > 0)]
-        if len(alike) >= _FEWEST_ALIKE:
+        if len(alike) >= _MIN_ALIKE:
             counts: FloatArray = np.asarray(index.visibility[alike].sum(axis=0)).ravel()
-            rates[of] = np.where(counts >= _FEWEST_ALIKE, counts / len(alike), 0.0)[of]
+            rates[of] = np.where(counts >= _MIN_ALIKE, counts / len(alike), 0.0)[of]
     landmarks = np.flatnonzero(rates > 0)
     T = one.T_map_camera
     pixels = one.camera.project((index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3])

@@ -33,7 +33,7 @@ from rholoc.maps import Map, MapInfo, Source, check_memory
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.reports import LearningReport, QueriesReport
 
-FEWEST_QUERIES = 30
+MIN_QUERIES = 30
 QUERY_POSES = "queries"  # where the poses of a source came from: from localizing queries
 
 _HELD_BACK_EVERY = 5
@@ -41,15 +41,15 @@ _ROUNDS = 2  # of placing queries by what was learned from them, and learning ag
 _MAX_SIGMA_RATIO = 5.0  # of a pose that says what is there, against the median of all
 _MAX_VIEW_SIGMA_RATIO = 3.0  # of one that becomes a view: what it is off, new landmarks are off
 _OCCASION_S = 600.0  # an asker's queries closer in time are of one occasion
-_FEWEST_OCCASIONS = 2
-_MOST_CAMERAS = 4
-_LEAST_VIEWS, _MOST_VIEWS_SHARE = 30, 0.35  # of queries; against the views of recordings
-_MOST_LANDMARKS_RATIO = 1.15  # against those that recordings brought
-_MOST_KNOWN_PER_VIEW = 120  # landmarks that a view of a query keeps, beside the new ones
+_MIN_OCCASIONS = 2
+_MAX_CAMERAS = 4
+_MIN_VIEWS, _MAX_VIEWS_SHARE = 30, 0.35  # of queries; against the views of recordings
+_MAX_LANDMARKS_RATIO = 1.15  # against those that recordings brought
+_MAX_KNOWN_PER_VIEW = 120  # landmarks that a view of a query keeps, beside the new ones
 _METRES_PER_RADIAN = 1.0
 _RIGHT_M, _RIGHT_RAD = 0.05, np.deg2rad(5.0)
 _WRONG_M, _WRONG_RAD = 0.25, np.deg2rad(10.0)
-_MOST_REMEMBERED = 40
+_MAX_REMEMBERED = 40
 _RIGHT_PER_WRONG = 3  # more answers that are right outweigh one more that is wrong
 _WORSE_M = 0.01  # in the median, that is no worse: what is asked for is as the map before has it
 
@@ -82,17 +82,17 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
         Cancelled: ``progress`` asked to stop.
     """
     check_memory(map_, "The map")
-    if len(queries) < FEWEST_QUERIES:
+    if len(queries) < MIN_QUERIES:
         raise too_few_queries(len(queries))
     known = ray_form(map_)
     localizer = Localizer(known, min_recognized=LEARNING_RECOGNIZED)
     queries = sorted(queries, key=lambda query: query.time_s)
     placed = _placed(localizer, queries, progress)
     believed = _believed(localizer, placed)
-    if len(believed) < FEWEST_QUERIES:
+    if len(believed) < MIN_QUERIES:
         raise MappingFailed(
             f"Only {len(believed)} of {len(queries)} queries are sure in the map as it is and agree with the others; "
-            f"at least {FEWEST_QUERIES} are needed.",
+            f"at least {MIN_QUERIES} are needed.",
             "The map is unchanged.",
         )
     lesson = _lesson(localizer, believed, progress)
@@ -144,7 +144,7 @@ def _is_held_back(query: AnsweredQuery) -> bool:
 def too_few_queries(kept: int) -> Conflict:
     """Error for a map with too few queries to learn from."""
     return Conflict(
-        f"{kept} queries are kept for the map; it learns from {FEWEST_QUERIES} at least.",
+        f"{kept} queries are kept for the map; it learns from {MIN_QUERIES} at least.",
         "Set RHOLOC_LEARN=true to keep queries, and try again when the map has been asked more often.",
     )
 
@@ -226,7 +226,7 @@ def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
     learned = set(known.views.times[~_is_recorded(known)].tolist())
     new = [one for one in _exact(teaching, _MAX_VIEW_SIGMA_RATIO) if one.query.time_s not in learned]
     cameras = [one.query.camera for one in new]
-    common = sorted(set(cameras), key=lambda camera: (-cameras.count(camera), astuple(camera)))[:_MOST_CAMERAS]
+    common = sorted(set(cameras), key=lambda camera: (-cameras.count(camera), astuple(camera)))[:_MAX_CAMERAS]
     new = [one for one in new if one.query.camera in common]
     return [
         new[row] for row in _spread(np.array([one.T_map_camera for one in new]).reshape(-1, 4, 4), _most_views(known))
@@ -234,7 +234,7 @@ def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
 
 
 def _most_views(map_: Map) -> int:
-    return max(_LEAST_VIEWS, int(_MOST_VIEWS_SHARE * _is_recorded(map_).sum()))
+    return max(_MIN_VIEWS, int(_MAX_VIEWS_SHARE * _is_recorded(map_).sum()))
 
 
 def _spread(T_map_camera: FloatArray, most: int) -> list[int]:
@@ -315,8 +315,8 @@ def _some_of_each_view(views: Views, labels: IntArray) -> IntArray:
     kept = np.full_like(labels, -1)
     for k in range(len(views)):
         known = np.flatnonzero(labels[views.offsets[k] : views.offsets[k + 1]] >= 0) + views.offsets[k]
-        if len(known) > _MOST_KNOWN_PER_VIEW:
-            known = known[np.linspace(0, len(known) - 1, _MOST_KNOWN_PER_VIEW).astype(np.int64)]
+        if len(known) > _MAX_KNOWN_PER_VIEW:
+            known = known[np.linspace(0, len(known) - 1, _MAX_KNOWN_PER_VIEW).astype(np.int64)]
         kept[known] = labels[known]
     return kept
 
@@ -348,7 +348,7 @@ def _seen_repeatedly(views: Views, landmarks: Landmarks, occasions: IntArray) ->
     """Mask (F,) of landmarks seen on several of the views' occasions (K,)."""
     rows = landmarks.observed_rows
     seen = np.unique(np.column_stack([landmarks.labels[rows], occasions[views.view_of[rows]]]), axis=0)
-    return np.bincount(seen[:, 0], minlength=len(landmarks)) >= _FEWEST_OCCASIONS
+    return np.bincount(seen[:, 0], minlength=len(landmarks)) >= _MIN_OCCASIONS
 
 
 def _needed_most(views: Views, landmarks: Landmarks, known: IntArray, most: int) -> BoolArray:
@@ -373,7 +373,7 @@ def _needed_most(views: Views, landmarks: Landmarks, known: IntArray, most: int)
 def _most_landmarks(known: Map) -> int:
     """Maximum number of landmarks in the next version: as many as now, or slightly more than recordings contributed."""
     recorded = np.unique(known.observations.features[_is_recorded(known)[known.observations.views]])
-    return max(len(known), int(_MOST_LANDMARKS_RATIO * len(recorded)))
+    return max(len(known), int(_MAX_LANDMARKS_RATIO * len(recorded)))
 
 
 def _bounded(map_: Map) -> Map:
@@ -437,7 +437,7 @@ def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, F
 def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, FeatureSet]]:
     """Some of the recordings' views that the map remembers, without the features that are ``gone``."""
     recorded = np.flatnonzero(_is_recorded(map_))
-    chosen = recorded[np.unique(np.linspace(0, len(recorded) - 1, _MOST_REMEMBERED).round().astype(np.int64))]
+    chosen = recorded[np.unique(np.linspace(0, len(recorded) - 1, _MAX_REMEMBERED).round().astype(np.int64))]
     frames = remembered_frames(map_)
     found = []
     for view in chosen.tolist():

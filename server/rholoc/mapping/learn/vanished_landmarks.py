@@ -7,8 +7,8 @@ import numpy as np
 from rholoc.geometry import BoolArray
 from rholoc.mapping.learn.expected_sightings import GONE_NATS, Sights
 
-_FEWEST_MISSES = 6
-_FEWEST_OCCASIONS = 2
+_MIN_MISSES = 6
+_MIN_OCCASIONS = 2
 
 
 def vanished(sights: Sights) -> BoolArray:
@@ -21,4 +21,4 @@ def vanished(sights: Sights) -> BoolArray:
     pairs = np.column_stack([sights.landmarks, sights.occasions[sights.cameras]])[~sights.seen]
     misses = np.bincount(pairs[:, 0], minlength=sights.landmark_count)
     occasions = np.bincount(np.unique(pairs, axis=0)[:, 0], minlength=sights.landmark_count)
-    return (nats <= -GONE_NATS) & (misses >= _FEWEST_MISSES) & (occasions >= _FEWEST_OCCASIONS)
+    return (nats <= -GONE_NATS) & (misses >= _MIN_MISSES) & (occasions >= _MIN_OCCASIONS)

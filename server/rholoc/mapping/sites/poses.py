@@ -21,11 +21,11 @@ from rholoc.progress import ProgressListener, silent
 
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 1e-3, np.deg2rad(0.01)  # of a pose that somebody gave without a covariance
 _CONTRADICTION_SIGMAS = 5.0
-_LEAST_SIGMA_M, _LEAST_SIGMA_DEG = 0.02, 0.3  # of a link that was found: the maps themselves are no better
-_LEAST_SHARED = 3
-_LEAST_SPREAD_M = 0.3  # of shared points across their main direction, below which they leave a rotation open
-_MOST_OFF_M = 0.3  # of a shared point
-_MOST_LOCALIZED = 60
+_MIN_SIGMA_M, _MIN_SIGMA_DEG = 0.02, 0.3  # of a link that was found: the maps themselves are no better
+_MIN_SHARED = 3
+_MIN_SPREAD_M = 0.3  # of shared points across their main direction, below which they leave a rotation open
+_MAX_OFF_M = 0.3  # of a shared point
+_MAX_LOCALIZED = 60
 
 
 # -- poses from links ------------------------------------------------------------------------------------------------
@@ -216,14 +216,14 @@ def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
     """
     of_a, of_b = _points(a), _points(b)
     shared = sorted(of_a.keys() & of_b.keys())
-    if len(shared) < _LEAST_SHARED:
+    if len(shared) < _MIN_SHARED:
         return None
     there, here = np.array([of_a[name] for name in shared]), np.array([of_b[name] for name in shared])
-    if np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < _LEAST_SPREAD_M:
+    if np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < _MIN_SPREAD_M:
         return None
     similarity = kabsch(here, there)
     off_m = np.linalg.norm(similarity.points(here) - there, axis=1)
-    if off_m.max() > _MOST_OFF_M:
+    if off_m.max() > _MAX_OFF_M:
         name = shared[int(off_m.argmax())]
         raise MappingFailed(
             f"The points that {first} and {second} share disagree: {name} by {off_m.max():.2f} m.",
@@ -231,8 +231,8 @@ def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
         )
     rms_m = float(np.sqrt(np.mean(off_m**2)))
     reach_m = float(np.sqrt(np.mean(np.sum((here - here.mean(axis=0)) ** 2, axis=1))))
-    sigma_m = max(rms_m, _LEAST_SIGMA_M)
-    sigma_deg = max(float(np.degrees(sigma_m / reach_m)), _LEAST_SIGMA_DEG)
+    sigma_m = max(rms_m, _MIN_SIGMA_M)
+    sigma_deg = max(float(np.degrees(sigma_m / reach_m)), _MIN_SIGMA_DEG)
     T = pose_matrix(similarity.rotation, similarity.translation)
     return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.WAYPOINTS)
 
@@ -247,13 +247,13 @@ def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: Progress
     check_alike(a, b)
     localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
     frames = remembered_frames(b)
-    tried = np.unique(np.linspace(0, len(frames) - 1, _MOST_LOCALIZED).round().astype(np.int64))
+    tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
     found = find_frames(localizer, frames, tried, f"The map {second}", progress)
     alignment = align_to_found(b.views.T_map_camera, found, True, f"The map {second}")
     similarity = alignment.similarity
     T = pose_matrix(similarity.rotation, similarity.translation)
-    sigma_m = max(alignment.residual_m, _LEAST_SIGMA_M)
-    sigma_deg = max(float(np.degrees(alignment.residual_rad)), _LEAST_SIGMA_DEG)
+    sigma_m = max(alignment.residual_m, _MIN_SIGMA_M)
+    sigma_deg = max(float(np.degrees(alignment.residual_rad)), _MIN_SIGMA_DEG)
     return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.OVERLAP)
 
 

@@ -26,7 +26,7 @@ from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.validation import validate_map
 
-_MOST_SHOWN = 80  # characters of an unexpected name
+_MAX_SHOWN = 80  # characters of an unexpected name
 _HINT = "Export the map again, or take another copy."
 _SNIFFED = 4096
 
@@ -309,7 +309,7 @@ def _without(names: list[str], others: list[str]) -> list[str]:
 
 
 def _some(names: list[str]) -> str:
-    return ", ".join(name[:_MOST_SHOWN] for name in names[:3]) + (
+    return ", ".join(name[:_MAX_SHOWN] for name in names[:3]) + (
         f" and {len(names) - 3} more" if len(names) > 3 else ""
     )
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.disk import replace_file
 from rholoc.errors import InvalidTrajectory
-from rholoc.geometry import FloatArray, IntArray, pose_matrix, rotation_from_heading
+from rholoc.geometry import FloatArray, IntArray, PosedCameras, pose_matrix, rotation_from_heading
 from rholoc.maps.map import Map
 from rholoc.maps.trust import trust_of
 
@@ -21,14 +21,14 @@ PAPER_COLUMNS = ("timestamp", "x", "y", "z", "hx", "hy", "hz")
 FURTHER_COLUMNS = ("frame", "roll", "qx", "qy", "qz", "qw", "confidence", "inliers", "map_trusted", "expected_error_m")
 TRAJECTORY_COLUMNS = PAPER_COLUMNS + FURTHER_COLUMNS
 
-_MOST_SHOWN = 80  # characters of a wrong value
+_MAX_SHOWN = 80  # characters of a wrong value
 _HINT = f"The first row must be {','.join(PAPER_COLUMNS)}, with or without {','.join(FURTHER_COLUMNS)} after it."
 _NORM_TOLERANCE = 1e-2
-_MOST_WHOLE = 2.0**53  # above which not every whole number is a float
+_MAX_WHOLE = 2.0**53  # above which not every whole number is a float
 
 
 @dataclass(frozen=True, eq=False)
-class TrajectoryTable:
+class TrajectoryTable(PosedCameras):
     """N localized frames; frames without a pose have no row.
 
     Attributes:
@@ -53,16 +53,6 @@ class TrajectoryTable:
 
     def __len__(self) -> int:
         return len(self.times)
-
-    @property
-    def positions(self) -> FloatArray:
-        """(N, 3), metres, map frame."""
-        return self.T_map_camera[:, :3, 3]
-
-    @property
-    def headings(self) -> FloatArray:
-        """(N, 3), the optical axes in the map frame, unit length."""
-        return self.T_map_camera[:, :3, 2]
 
     @property
     def rolls(self) -> FloatArray:
@@ -182,7 +172,7 @@ def _parse(row: Sequence[str], line: int, header: Sequence[str], path: Path) -> 
         return [float(value) for _, value in known]
     except ValueError as error:
         name, value = next((name, value) for name, value in known if not _is_number(value))
-        shown = value[:_MOST_SHOWN]
+        shown = value[:_MAX_SHOWN]
         raise InvalidTrajectory(f"{path.name}, row {line}: '{shown}' under {name} is not a number.") from error
 
 
@@ -195,7 +185,7 @@ def _is_number(text: str) -> bool:
 
 
 def _whole(values: FloatArray, name: str, path: Path) -> IntArray:
-    if not (np.abs(values) < _MOST_WHOLE).all() or np.any(values != np.floor(values)):
+    if not (np.abs(values) < _MAX_WHOLE).all() or np.any(values != np.floor(values)):
         raise InvalidTrajectory(f"{path.name}: a value under {name} is not a whole number, or too large.")
     return values.astype(np.int64)
 

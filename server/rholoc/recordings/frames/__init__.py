@@ -1,1 +1,1 @@
-"""Where the pictures of a recording come from: a video, a folder of images, memory."""
+"""Sources of a recording's pictures: a video, a folder of images, memory."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 BAG_SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
-# Channels and bytes of each, and how OpenCV turns them into BGR; None where they are that already.
+# Channels, bytes per channel, and OpenCV's conversion to BGR; None if none is needed.
 _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
     **dict.fromkeys(("mono8", "8UC1"), (1, 1, cv2.COLOR_GRAY2BGR)),
     **dict.fromkeys(("mono16", "16UC1"), (1, 2, cv2.COLOR_GRAY2BGR)),
@@ -32,7 +32,7 @@ _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
     "rgba8": (4, 1, cv2.COLOR_RGBA2BGR),
     **dict.fromkeys(("yuv422", "uyvy"), (2, 1, cv2.COLOR_YUV2BGR_UYVY)),
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, 1, cv2.COLOR_YUV2BGR_YUYV)),
-    # ROS names the pattern from its first pixel on, OpenCV from the second row's second pixel on.
+    # ROS names a pattern from its first pixel, OpenCV from the second pixel of the second row.
     "bayer_rggb8": (1, 1, cv2.COLOR_BayerBG2BGR),
     "bayer_bggr8": (1, 1, cv2.COLOR_BayerRG2BGR),
     "bayer_gbrg8": (1, 1, cv2.COLOR_BayerGR2BGR),
@@ -45,20 +45,20 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     """A ROS 1 bag, or a ROS 2 bag: a file, or the folder that ``ros2 bag record`` makes.
 
     Raises:
-        InvalidRecording: it cannot be read, or what is read within the block is broken.
+        InvalidRecording: the bag cannot be read, or is found damaged within the block.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     try:
-        # Bags of db3 files before Iron do not say how their messages are built.
+        # db3 bags before Iron do not contain their message definitions.
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             yield reader
     except RholocError:
         raise
     except OSError as error:
         raise InvalidRecording(f"{path.name} cannot be read: {error.strerror or error}.", "Check the path.") from error
-    except Exception as error:  # what a damaged file leads to is as varied as the libraries underneath
+    except Exception as error:  # the libraries underneath raise many kinds for a damaged file
         raise InvalidRecording(
             f"{path.name} is damaged, or is not a bag: {type(error).__name__}.",
             "Run `ros2 bag reindex`, or `rosbag reindex`, or record again.",
@@ -72,9 +72,9 @@ class BagFrames:
     Attributes:
         path: of the bag.
         topic: its name.
-        logged_ns: (M,) when the bag's M pictures of the topic were logged [ns]; never falling.
-        numbers: (N,) int64, which of them are the frames.
-        times: (N,) seconds, by the pictures' own stamps.
+        logged_ns: (M,) log times of the topic's M pictures [ns], non-decreasing.
+        numbers: (N,) int64, numbers of the pictures used as frames.
+        times: (N,) the pictures' own stamps [s].
         size: width and height in pixels.
     """
 

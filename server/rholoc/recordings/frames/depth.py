@@ -13,7 +13,7 @@ from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.recordings.frames.image import read_grey
 
 MILLIMETRE_M = 1e-3
-_MAX_DEPTH_M = 10.0  # beyond, depth cameras say little
+_MAX_DEPTH_M = 10.0  # larger depths are unreliable
 _MAX_STEP = 0.05  # between neighbouring pixels on one surface, as a share of the depth
 
 
@@ -32,7 +32,7 @@ class DepthImage:
     camera: Camera
 
     def at(self, points: FloatArray) -> FloatArray:
-        """Depths (N,) [m] where points (N, 3) of the camera frame appear; NaN outside and where not reliable."""
+        """Depths (N,) [m] at the projections of points (N, 3) in the camera frame; NaN outside or if unreliable."""
         pixels = self.camera.project(points)
         inside = (points[:, 2] > 0) & self.camera.contains(pixels)
         u, v = np.round(pixels[inside]).astype(np.int64).T
@@ -43,13 +43,13 @@ class DepthImage:
 
 @dataclass(frozen=True, eq=False)
 class DepthImages:
-    """One image of depths along the optical axis for each of some frames.
+    """Depth images of frames, along the optical axis.
 
     Attributes:
-        paths: N files of one channel, up to 16 bits a pixel, or None for a frame that has none. They need not exist.
-        unit_m: metres of one unit.
-        unknown: the values that are no depths.
-        camera: their intrinsics; None where they show what the frames show, in their own size.
+        paths: N single-channel files of up to 16 bits, which need not exist; None for a frame without one.
+        unit_m: metres per unit.
+        unknown: pixel values that stand for an unknown depth.
+        camera: their intrinsics; None if they are the frames', scaled to the depth images' size.
     """
 
     paths: tuple[Path | None, ...]
@@ -58,7 +58,7 @@ class DepthImages:
     camera: Camera | None = None
 
     def read(self, row: int) -> FloatArray | None:
-        """(H, W) metres, NaN where unknown; None where the frame has no depth image that can be read."""
+        """Depths (H, W) [m], NaN where unknown; None if the frame has no readable depth image."""
         path = self.paths[row]
         if path is None:
             return None
@@ -69,7 +69,7 @@ class DepthImages:
         return np.where(np.isin(values, self.unknown), np.nan, values * self.unit_m)
 
     def of_frame(self, row: int, camera: Camera) -> DepthImage | None:
-        """The depth image of the frame in this row, which ``camera`` took; None where there is none to read."""
+        """Depth image of frame ``row``, taken by ``camera``; None if the frame has no readable one."""
         metres = self.read(row)
         if metres is None:
             return None
@@ -80,12 +80,12 @@ class DepthImages:
         return DepthImage(metres, _on_surfaces(metres), own)
 
     def select(self, rows: IntArray) -> DepthImages:
-        """Those of some rows."""
+        """The depth images of the frames ``rows``."""
         return replace(self, paths=tuple(self.paths[row] for row in rows))
 
 
 def _on_surfaces(metres: FloatArray) -> BoolArray:
-    """(H, W) where depth is known and about the same next to it: at edges it is of neither side."""
+    """Mask (H, W) of known depths that differ little from their neighbours': at edges, depths are mixed."""
     known = np.nan_to_num(metres, nan=0.0).astype(np.float32)
     around = np.ones((3, 3), np.uint8)
     least, most = cv2.erode(known, around), cv2.dilate(known, around)

@@ -22,18 +22,18 @@ DEFAULT_MAX_PIXELS = 50_000_000
 IMAGE_START_BYTES = 12
 
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "PPM")
-SENT_FORMATS = ("JPEG", "PNG", "WEBP")  # whose decoding time is bounded by the number of pixels and scans
-MAX_JPEG_SCANS = 100  # cameras write 1 or 3, progressive encoders 6 to 12; an empty one visits every pixel too
+SENT_FORMATS = ("JPEG", "PNG", "WEBP")  # their decoding time is bounded by the number of pixels and scans
+MAX_JPEG_SCANS = 100  # cameras write 1 or 3, progressive encoders 6 to 12; even an empty scan visits every pixel
 MAX_SCANNED_IMAGES = 10  # pixels times scans, as a multiple of the pixels allowed
 _SCANS_OF_AN_IMAGE = 4  # this many scans take as long to decode as everything else
-_PIECES = 256  # in which a file is decoded; before each, ``still_wanted`` is called
-_LEAST_PIECE_BYTES, _MOST_PIECE_BYTES = 64, 2**16
-_JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # in coded data: the end of it
+_PIECES = 256  # of a file; ``still_wanted`` is called before each
+_MIN_PIECE_BYTES, _MAX_PIECE_BYTES = 64, 2**16
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # ends coded data
 _JPEG_SCAN, _JPEG_END = 0xDA, 0xD9
 _ORIENTATION_TAG = 0x0112  # EXIF
 _EXIF_IFD, _FOCAL_35MM_TAG = 0x8769, 0xA405
 _FILM_DIAGONAL_MM = float(np.hypot(36, 24))
-_FOCALS_35MM = (5.0, 1000.0)  # that a lens has
+_FOCALS_35MM = (5.0, 1000.0)  # plausible range
 _TRANSPOSED = range(5, 9)  # the EXIF orientations that swap width and height
 # We have a limit of our own. Set once, because warning filters are shared by all threads.
 warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
@@ -54,20 +54,20 @@ def decode_image(
 
     Args:
         data: the file.
-        max_pixels: the most it may have.
-        formats: those to decode, by Pillow's names.
+        max_pixels: upper bound on the image's pixels.
+        formats: accepted formats, by Pillow's names.
         still_wanted: called between pieces of the file; may raise to end the decoding.
 
     Raises:
-        InvalidImage: not an image, empty, truncated, or more than ``max_pixels``, or a JPEG file of more than
-            ``MAX_JPEG_SCANS`` scans; all but truncation is found before anything is decoded.
+        InvalidImage: not an image, empty, truncated, more than ``max_pixels``, or a JPEG file of more than
+            ``MAX_JPEG_SCANS`` scans. All but truncation is detected before decoding.
     """
     if not data:
         raise InvalidImage("The image is empty: 0 bytes.", "Send a JPEG or PNG file.")
     with _opened(_Watched(data, still_wanted), max_pixels, formats) as image:
         _check_scans(data, image, max_pixels)
         if isinstance(image, ImageFile.ImageFile):
-            image.decodermaxblock = min(max(len(data) // _PIECES, _LEAST_PIECE_BYTES), _MOST_PIECE_BYTES)
+            image.decodermaxblock = min(max(len(data) // _PIECES, _MIN_PIECE_BYTES), _MAX_PIECE_BYTES)
         upright = ImageOps.exif_transpose(image)
         if upright.mode.startswith("I"):  # 16-bit grey
             grey = (np.asarray(upright).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
@@ -88,13 +88,13 @@ def read_image(path: Path | str, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteAr
     return decode_image(data, max_pixels)
 
 
-def read_grey(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> IntArray:
+def read_grey(path: Path) -> IntArray:
     """An image file of one channel → its values (H, W), all of their up to 16 bits.
 
     Raises:
         InvalidImage: the file cannot be read or decoded, or has several channels.
     """
-    with _opened(path, max_pixels) as image:
+    with _opened(path, DEFAULT_MAX_PIXELS) as image:
         if not (image.mode == "L" or image.mode.startswith("I")):
             raise InvalidImage(f"{path.name} is not an image of one channel.")
         return np.asarray(image).astype(np.int64)
@@ -103,7 +103,7 @@ def read_grey(path: Path, max_pixels: int = DEFAULT_MAX_PIXELS) -> IntArray:
 def image_size(
     file: Path | bytes, max_pixels: int = DEFAULT_MAX_PIXELS, formats: tuple[str, ...] = _FORMATS
 ) -> tuple[int, int]:
-    """Width and height in pixels of an image as it is shown; only its header is read. ``file``: it, or its content.
+    """Width and height of an image [px] after its EXIF orientation, from its header. ``file`` is a path or the content.
 
     Raises:
         InvalidImage: the file has no image header, or claims more than ``max_pixels``.
@@ -116,9 +116,9 @@ def image_size(
 
 
 def exif_focal_px(path: Path) -> float | None:
-    """Focal length [px] by the 35 mm equivalent in a file's EXIF data; None where there is none.
+    """Focal length [px] from the 35 mm equivalent in a file's EXIF data; None if missing.
 
-    The equivalent keeps the angle of view across the image's diagonal.
+    The equivalent refers to the diagonal angle of view.
 
     Raises:
         InvalidImage: the file has no image header.
@@ -126,7 +126,7 @@ def exif_focal_px(path: Path) -> float | None:
     with _opened(path, DEFAULT_MAX_PIXELS) as image:
         try:
             equivalent_mm = float(Image.Image.getexif(image).get_ifd(_EXIF_IFD).get(_FOCAL_35MM_TAG, 0))
-        except _DECODING_ERRORS:  # of the EXIF data: the image is none the worse for it
+        except _DECODING_ERRORS:  # of the EXIF data, which is optional
             return None
         diagonal_px = float(np.hypot(*image.size))
     if not _FOCALS_35MM[0] <= equivalent_mm <= _FOCALS_35MM[1]:
@@ -135,15 +135,15 @@ def exif_focal_px(path: Path) -> float | None:
 
 
 def begins_like_an_image(start: bytes) -> bool:
-    """Whether a file that starts with these bytes, at least :data:`IMAGE_START_BYTES`, may be JPEG, PNG or WebP."""
+    """Whether the first :data:`IMAGE_START_BYTES` or more bytes of a file may be those of JPEG, PNG or WebP."""
     riff = start.startswith(b"RIFF") and start[8:12] == b"WEBP"
     return riff or start.startswith((b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"))
 
 
 def visited_pixels(data: bytes) -> int:
-    """Roughly how many pixels the decoder of an image file visits: all of the image, once for every four scans.
+    """Approximate number of pixels that decoding an image visits: all pixels once for every four scans.
 
-    Only its header is decoded. 0 for a file that is not an image, which costs nothing.
+    Reads only the header. 0 for a file that is not an image.
     """
     try:
         with Image.open(io.BytesIO(data), formats=SENT_FORMATS) as image:
@@ -165,9 +165,9 @@ class _Watched(io.BytesIO):
 
 
 def jpeg_scans(data: bytes) -> int:
-    """How many scans a JPEG file has; a progressive decoder visits every pixel in each. 0 for another file.
+    """Number of scans of a JPEG file; a progressive decoder visits every pixel in each. 0 for another file.
 
-    Counting stops beyond ``MAX_JPEG_SCANS``.
+    Counting stops above ``MAX_JPEG_SCANS``.
     """
     scans, position = 0, 2
     while data.startswith(b"\xff\xd8") and (found := _JPEG_MARKER.search(data, position)) is not None:

@@ -18,9 +18,9 @@ from rholoc.recordings.tables.frames_table import read_frames_csv
 
 _SUBFOLDERS = (".", "frames", "images")
 _LAST_DIGITS = re.compile(r"(\d+)\D*$")
-_SAME_FOCAL = 1.02  # ratio of focal lengths up to which pictures are of one lens
+_SAME_FOCAL = 1.02  # maximum ratio of focal lengths of one lens
 _MAX_FRAME_NUMBER = 2**63 - 1
-_MOST_DIGITS = 25  # including leading zeros; Python refuses to parse thousands of digits
+_MAX_DIGITS = 25  # including leading zeros; Python refuses to parse thousands of digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class ImageFolderFrames:
         """The images (H, W, 3) BGR of the rows, which must increase.
 
         Raises:
-            InvalidRecording: a file is broken, or has changed since.
+            InvalidRecording: a file is damaged, or has changed since it was listed.
         """
         for row in rows:
             path = self.paths[row]
@@ -66,9 +66,9 @@ def find_images(folder: Path) -> tuple[Path, ...]:
 def read_image_folder(
     paths: Sequence[Path], times_csv: Path | None = None, fps: float | None = None
 ) -> ImageFolderFrames | UnifiedPictures:
-    """Image files → frames, ordered and numbered by the last digits of their names, or by their names.
+    """Frames from image files, ordered and numbered by the last digits of their names, or by their names.
 
-    Times are those of ``times_csv`` (``frame,timestamp``), else number / ``fps``. Without either there are none.
+    Times come from ``times_csv`` (``frame,timestamp``), else from number / ``fps``; without either they are unknown.
 
     Raises:
         InvalidRecording: a file has no image header, or the table of times lacks a frame.
@@ -81,9 +81,9 @@ def read_image_folder(
 
 
 def numbered(paths: Sequence[Path]) -> tuple[IntArray, list[int]]:
-    """Frame numbers (N,), increasing, and the places in ``paths`` (N) that they belong to.
+    """Frame numbers (N,), increasing, and the index (N) in ``paths`` of each.
 
-    A number is the last digits of a name. If a name has none, or two have the same, files are counted by name from 0.
+    A number is the last digits of a name. If a name has none, or two are equal, files are counted by name from 0.
     """
     named = [number_in_name(Path(path.name.split(".")[0])) for path in paths]  # not of frame-000001.color.png
     if None not in named and len(set(named)) == len(named):
@@ -99,17 +99,17 @@ def image_frames(
     times: FloatArray | None,
     cameras: Sequence[Camera] | None = None,
 ) -> ImageFolderFrames | UnifiedPictures:
-    """Image files (N) with known numbers (N,) → frames.
+    """Frames from image files with known numbers.
 
     Args:
         paths: N files.
         numbers: (N,), increasing.
         times: (N,) seconds, or None if they are unknown.
-        cameras: each picture's camera; None if the intrinsics are unknown. Focal lengths are then those of EXIF, and
-            where pictures have none, in proportion to their longer sides.
+        cameras: each picture's camera; None if unknown. Focal lengths then come from EXIF, or are proportional to the
+            longer sides of pictures without it.
 
     Raises:
-        InvalidRecording: there are none, or one is missing or has no image header.
+        InvalidRecording: there are no files, or one is missing or has no image header.
     """
     if not paths:
         raise InvalidRecording("The recording lists no images.")
@@ -136,7 +136,7 @@ def image_frames(
 
 
 def nominal_camera(size: tuple[int, int], focal_px: float | None = None) -> Camera:
-    """Camera for images (width, height); a focal length that is unknown is the longer side, to be estimated."""
+    """Camera for images of ``size`` (width, height); the default focal length is the longer side, as a first guess."""
     width, height = size
     focal = float(max(size)) if focal_px is None else focal_px
     return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
@@ -155,7 +155,7 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
 def number_in_name(path: Path) -> int | None:
     """The last digits of a file's name as a number; None if there are none, or far too many."""
     match = _LAST_DIGITS.search(path.stem)
-    number = int(match[1]) if match and len(match[1]) <= _MOST_DIGITS else -1
+    number = int(match[1]) if match and len(match[1]) <= _MAX_DIGITS else -1
     return number if 0 <= number <= _MAX_FRAME_NUMBER else None
 
 

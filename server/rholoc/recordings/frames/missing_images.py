@@ -1,4 +1,4 @@
-"""Frames of which only the times are known."""
+"""Frames with times but no images."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MissingImages:
 
     @property
     def timed(self) -> bool:
-        """True: the times are all there is."""
+        """True."""
         return True
 
     @property
@@ -27,7 +27,7 @@ class MissingImages:
         return (0, 0)
 
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
-        """There are none.
+        """Raise InvalidRecording.
 
         Raises:
             InvalidRecording: always.

@@ -16,25 +16,25 @@ from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, on_pl
 from rholoc.geometry.lenses import places_of
 from rholoc.recordings.frames.image import read_image
 
-_MAX_EXTENT = 1.8  # tangent of the angle off the axis up to which a wide pinhole is kept: 61°
-_SHRINKING = 1.5  # factor from which a picture is averaged down before it is resampled
+_MAX_EXTENT = 1.8  # tangent of a wide pinhole's maximum angle off the axis: 61°
+_SHRINKING = 1.5  # minimum reduction for a picture to be averaged before it is resampled
 _MAPS = 4  # resampling maps of distorted cameras in memory
 
 
 @dataclass(frozen=True, eq=False)
 class UnifiedPictures:
-    """Picture files resampled to one camera when they are read, see :class:`rholoc.recordings.FrameSource`.
+    """Picture files resampled to one camera when read, see :class:`rholoc.recordings.FrameSource`.
 
-    Beyond a picture's edge its border pixels are repeated, which adds no corners.
+    Border pixels are repeated beyond a picture's edge, which adds no corners.
 
     Attributes:
         paths: N files.
-        cameras: N cameras, of the pictures as they are stored. Their focal lengths may be known up to one factor.
+        cameras: N cameras of the stored pictures. Their focal lengths may share an unknown factor.
         common: the camera of the frames.
         numbers: (N,) int64.
         times: (N,) seconds, or rows.
         timed: whether the times were measured.
-        focal_px: the common camera's focal length where it follows from EXIF; None where it is given, or nominal.
+        focal_px: the common camera's focal length by EXIF; None if it is given, or nominal.
     """
 
     paths: tuple[Path, ...]
@@ -54,7 +54,7 @@ class UnifiedPictures:
         """The frames (H, W, 3) BGR of the rows, which must increase.
 
         Raises:
-            InvalidRecording: a file is broken, or has changed since.
+            InvalidRecording: a file is damaged, or has changed since it was listed.
         """
         for row in rows:
             path, camera = self.paths[row], self.cameras[row]
@@ -68,9 +68,9 @@ class UnifiedPictures:
 
 
 def common_camera(cameras: Sequence[Camera]) -> Camera:
-    """Camera without distortion that shows what all ``cameras`` show, at their median focal length.
+    """Camera without distortion with the union of all ``cameras``' fields of view, at their median focal length.
 
-    A pinhole if all are, else a panorama if one is, else a fisheye. Its principal point is the middle of its image.
+    A pinhole if all are, else a panorama if one is, else a fisheye. Its principal point is the image's centre.
     """
     focal = float(np.median([camera.focal for camera in cameras]))
     lenses = {camera.lens for camera in cameras}
@@ -84,7 +84,7 @@ def common_camera(cameras: Sequence[Camera]) -> Camera:
 
 
 def resampled(image: ByteArray, camera: Camera, common: Camera) -> ByteArray:
-    """The image (H, W, 3) or (H, W) of a camera as another camera at the same place shows it."""
+    """Resample an image (H, W, 3) or (H, W) from ``camera`` to ``common`` at the same position."""
     if camera == common:
         return image
     shrunk = common.focal / camera.focal
@@ -99,7 +99,7 @@ def resampled(image: ByteArray, camera: Camera, common: Camera) -> ByteArray:
 
 @lru_cache(_MAPS)
 def _maps(camera: Camera, common: Camera) -> tuple[ByteArray, ByteArray]:
-    """Where each pixel of the common camera lies in the camera's image, in OpenCV's fixed-point form."""
+    """Coordinates in the camera's image of each pixel of the common camera, in OpenCV's fixed-point form."""
     u, v = np.meshgrid(np.arange(common.width), np.arange(common.height))
     found = camera.project(common.rays(np.column_stack([u.ravel(), v.ravel()])))
     far = 2.0 * max(camera.width, camera.height)
@@ -111,8 +111,8 @@ def _maps(camera: Camera, common: Camera) -> tuple[ByteArray, ByteArray]:
 
 
 def _extent(camera: Camera, lens: Lens) -> FloatArray:
-    """(2,) the furthest that the image reaches from its axis, horizontally and vertically, in units of the focal length
-    of an image by another lens without distortion."""
+    """Maximum horizontal and vertical distance (2,) of the image from its axis if projected by an undistorted ``lens``,
+    in focal lengths."""
     across, down = np.linspace(-0.5, camera.width - 0.5, 9), np.linspace(-0.5, camera.height - 0.5, 9)
     edge = np.concatenate(
         [np.column_stack([across, np.full(9, place)]) for place in (down[0], down[-1])]

@@ -20,7 +20,7 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"})
 MIN_FRAME_SIDE = 16
 MAX_FRAME_PIXELS = 7680 * 4320
 
-# Decoders write their complaints about broken files straight to stderr; our error says it once, in one line.
+# Decoders write errors about damaged files to stderr; our own error suffices.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; read when the first video is opened
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
@@ -31,7 +31,7 @@ _HINT = "Record again as MP4 (H.264 or HEVC) or WebM, and let the recorder finis
 
 @contextmanager
 def frame_pixels_limited(most: int) -> Iterator[None]:
-    """Within the block, recordings whose frames have more than ``most`` pixels are refused, instead of more than 8K."""
+    """Within the block, lower the maximum number of pixels of a frame from 8K to ``most``."""
     token = _max_frame_pixels.set(most)
     try:
         yield
@@ -43,7 +43,7 @@ def frame_pixels_limited(most: int) -> Iterator[None]:
 class VideoFrames:
     """The frames of a video file, see :class:`rholoc.recordings.FrameSource`; numbers are 0..N-1.
 
-    Frames are as a player shows them: a phone's rotation flag is applied.
+    A phone's rotation flag is applied.
     """
 
     path: Path
@@ -80,10 +80,10 @@ class VideoFrames:
 
 
 def read_video(path: Path) -> VideoFrames:
-    """A video file → its frames; times are the container's, at its resolution.
+    """Open a video file; times are the container's, at its resolution.
 
-    The whole file is decoded once, because neither the number of frames nor the times that containers declare are
-    reliable. Damage inside a frame that the decoder conceals is not detected.
+    Decodes the whole file once, because the number of frames and the times declared by containers are unreliable.
+    Damage that the decoder conceals is not detected.
 
     Raises:
         InvalidRecording: the file cannot be opened (such as a truncated MP4), has no frames, or times that do not
@@ -112,11 +112,11 @@ def _retrieved_size(capture: cv2.VideoCapture) -> tuple[int, int] | None:
 
 
 def check_frame_size(name: str, width: int, height: int) -> None:
-    """Refuse frames that are too small or too large, by the size in a file's header.
+    """Check the size of a file's frames.
 
     Raises:
-        InvalidRecording: a side is shorter than 16 pixels, or there are more pixels than 8K has, or than
-            :func:`frame_pixels_limited` allows.
+        InvalidRecording: a side is shorter than 16 pixels, or there are more pixels than 8K or
+            :func:`frame_pixels_limited` allow.
     """
     most = _max_frame_pixels.get()
     if min(width, height) < MIN_FRAME_SIDE or width * height > most:

@@ -1,4 +1,4 @@
-"""One reader per format, chosen by the folder's content: files, the names in their headers, numbers of columns.
+"""One reader per format, chosen by the folder's files, their headers and numbers of columns.
 
 A new format is one new file with ``recognises`` and ``read``, and one line here.
 """
@@ -37,10 +37,10 @@ from rholoc.recordings.tables.waypoints import read_waypoints_csv
 
 @dataclass(frozen=True)
 class Reader:
-    """How a format is recognized, and read.
+    """Reader of one format.
 
     Attributes:
-        tables: patterns, in small letters, of the paths of its files that are neither pictures nor videos.
+        tables: lower-case patterns of the paths of its files, except pictures and videos.
     """
 
     format: RecordingFormat
@@ -73,10 +73,10 @@ READERS = tuple(
 
 
 def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
-    """Read a folder in the format that is recognised, by default rholoc's own.
+    """Read a folder in the recognised format, by default rholoc's own.
 
-    ``waypoints.csv``, ``lengths.csv`` and ``camera.json`` may be added to any of them. Files that are not used become
-    a warning. Of a bag, ``topics`` names those to take where there are several of a kind.
+    ``waypoints.csv``, ``lengths.csv`` and ``camera.json`` may be added to any format. Unused files cause a warning.
+    ``topics`` names a bag's topics to use, if there are several of a kind.
 
     Raises:
         InvalidRecording: no frames, files of several formats, or a file that cannot be read or contradicts another.
@@ -100,7 +100,7 @@ def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
 
 
 def _with_additions(recording: Recording, folder: Path) -> Recording:
-    """The recording with the intrinsics, mounting, read-out time and waypoints that were added to the folder."""
+    """The recording with the intrinsics, mounting, read-out time and waypoints of files added to the folder."""
     description = own.read_description(folder)
     if description.camera is not None and 0 not in recording.frames.size:
         recording = replace(recording, camera=description.camera.fitted(*recording.frames.size))

@@ -1,4 +1,4 @@
-"""How Apple's axes relate to ours.
+"""Conversion from Apple's axes.
 
 CoreMotion's axes belong to the device held upright: x right, y up, z out of the screen. ARKit's camera belongs to the
 device on its side, as its images are: x right, y up, looking along −z. ARKit's world has y up.
@@ -39,10 +39,10 @@ def read_arkit_poses(path: Path, frames: FrameSource, start_s: float = 0.0) -> G
 
 
 def z_up(T_arkit_camera: FloatArray) -> FloatArray:
-    """Poses (N, 4, 4) in ARKit's world → in one with z up."""
+    """Convert poses (N, 4, 4) from ARKit's world to one with z up."""
     return np.asarray(_T_MAP_ARKIT @ T_arkit_camera)
 
 
 def opencv_camera(T_world_camera: FloatArray) -> FloatArray:
-    """Poses (N, 4, 4) of a camera that looks along −z with y up → of one that looks along z with y down."""
+    """Convert poses (N, 4, 4) from a camera that looks along −z with y up to one that looks along z with y down."""
     return np.asarray(T_world_camera @ _R_ARKIT_OPENCV)

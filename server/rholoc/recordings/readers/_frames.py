@@ -1,4 +1,4 @@
-"""Shared by the readers: videos with tables of times, images by lists, files by name."""
+"""Frames for the readers: videos with tables of times, images in lists, files by name."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from rholoc.recordings.recording import FrameSource
 from rholoc.recordings.selection import SelectedFrames
 from rholoc.reports import RecordingWarning, WarningKind
 
-MAX_FRAME_COUNT_DIFFERENCE = 2  # frames that a recorder may lose at the end of the video or of its table
+MAX_FRAME_COUNT_DIFFERENCE = 2  # frames lost at the end of the video or of its table
 
-_LONGEST_NAME_BYTES = 240  # of a file or folder that a list names, without an ending that is tried
+_LONGEST_NAME_BYTES = 240  # of a listed file's or folder's name, without suffix
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class TimedFrames:
     """Frames with a table's times.
 
     Attributes:
-        frames: those whose time advances.
-        rows: (N,) of the table, one per frame.
-        warnings: what did not match.
+        frames: N frames with increasing times.
+        rows: (N,) row of the table for each frame.
+        warnings: mismatches between frames and table.
         camera: of the frames, if each image's camera was given.
     """
 
@@ -42,11 +42,11 @@ class TimedFrames:
 
 
 def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
-    """A video with times (N,) in seconds, row by row, from a table of that name; surplus frames or rows at the end are
-    dropped.
+    """Combine a video with times (N,) [s] from the file ``table``; drops surplus frames or rows at the end.
 
     Raises:
-        InvalidRecording: the video cannot be read, the numbers of frames differ by more than 2, or times go back.
+        InvalidRecording: the video cannot be read, the numbers of frames differ by more than
+            ``MAX_FRAME_COUNT_DIFFERENCE``, or times go back.
     """
     frames = read_video(video)
     count = min(len(times), len(frames.times))
@@ -109,16 +109,16 @@ def depth_images(
     unknown: tuple[int, ...] = (0,),
     camera: Camera | None = None,
 ) -> DepthImages | None:
-    """The depth images of frames, see :class:`DepthImages`, of files that may be missing; None where all are."""
+    """:class:`DepthImages` of files some of which may be missing; None if all are."""
     found = tuple(path if path is not None and path.is_file() else None for path in paths)
     return DepthImages(found, unit_m, unknown, camera) if any(found) else None
 
 
 def find_video(folder: Path, name: str = "video") -> Path | None:
-    """The video of that name, with any suffix, or the only video there is.
+    """The video called ``name`` with any suffix, or the only video of the folder; None without videos.
 
     Raises:
-        InvalidRecording: there are several, and none or more than one has the name.
+        InvalidRecording: there are several videos, and not exactly one has the name.
     """
     videos = [
         path
@@ -135,11 +135,7 @@ def find_video(folder: Path, name: str = "video") -> Path | None:
 
 
 def require_video(folder: Path, name: str) -> Path:
-    """As :func:`find_video`.
-
-    Raises:
-        InvalidRecording: there is none, or there are several.
-    """
+    """As :func:`find_video`, but raises InvalidRecording without videos."""
     video = find_video(folder, name)
     if video is None:
         raise InvalidRecording(f"The folder {folder.name} contains no video.", "Pack the video with the tables.")

@@ -1,4 +1,4 @@
-"""Camera models by the names that COLMAP, kapture, nerfstudio and others have for them."""
+"""Camera models by their names in COLMAP, kapture, nerfstudio and others."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _CENTRE_SHIFT = 0.5  # their pixel (0.5, 0.5) is the centre of the top-left one
 
 @dataclass(frozen=True)
 class _Model:
-    """Where a model has its parameters.
+    """Parameter layout of a camera model.
 
     Attributes:
         lens: its lens.
-        pinhole: places of fx, fy, cx, cy; empty of a panorama, whose parameters are its size.
-        distortion: places of the lens's coefficients; None stands for zero.
+        pinhole: indices of fx, fy, cx, cy; empty for a panorama, which has only a size.
+        distortion: indices of the lens's coefficients; None stands for zero.
     """
 
     lens: Lens

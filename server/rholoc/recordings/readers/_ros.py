@@ -1,4 +1,4 @@
-"""ROS messages, of ROS 1 or 2, as cameras, transforms, times and poses."""
+"""Cameras, transforms, times and poses from ROS 1 or 2 messages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rholoc.recordings.readers._lenses import unsupported
 from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning
 
-_LENSES = {  # of a CameraInfo's distortion model: the lens, and the numbers of coefficients
+_LENSES = {  # distortion model of a CameraInfo → lens and numbers of coefficients
     "": (Lens.PINHOLE, (0, 5)),
     "plumb_bob": (Lens.PINHOLE, (4, 5)),
     "rational_polynomial": (Lens.PINHOLE, (8,)),
@@ -22,7 +22,7 @@ _LENSES = {  # of a CameraInfo's distortion model: the lens, and the numbers of 
 
 
 def stamp_ns(message: Any, logged_ns: int) -> int:
-    """A message's own time [ns]; when it was logged if it has none."""
+    """A message's own stamp [ns], or its log time if it has none."""
     stamp = message.header.stamp
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec) or logged_ns
 
@@ -73,13 +73,13 @@ def camera_of_info(
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """How frames of coordinates are mounted on each other: T_parent_child (4, 4) by child."""
+    """Tree of coordinate frames: child → parent and T_parent_child (4, 4)."""
 
     parents: dict[str, tuple[str, FloatArray]]
 
     @classmethod
     def of(cls, messages: Iterable[Any]) -> Mounting:
-        """By messages of static transforms."""
+        """From messages of static transforms."""
         parents: dict[str, tuple[str, FloatArray]] = {}
         for one in (transform for message in messages for transform in message.transforms):
             child, parent = (str(name).lstrip("/") for name in (one.child_frame_id, one.header.frame_id))
@@ -87,7 +87,7 @@ class Mounting:
         return cls(parents)
 
     def between(self, target: str, source: str) -> FloatArray | None:
-        """T_target_source (4, 4); None where nothing connects the two."""
+        """T_target_source (4, 4); None if the frames are not connected."""
         if target.lstrip("/") == source.lstrip("/"):
             return np.eye(4)
         up_target, up_source = self._above(target.lstrip("/")), self._above(source.lstrip("/"))
@@ -113,6 +113,6 @@ def pose_of(message: Any, topic: str) -> FloatArray:
 
 
 def _pose(position: Any, q: Any, source: str) -> FloatArray:
-    """A position and a quaternion as messages have them → (4, 4)."""
+    """Pose (4, 4) from a message's position and quaternion."""
     row = np.array([[position.x, position.y, position.z, q.x, q.y, q.z, q.w]], dtype=np.float64)
     return np.asarray(poses_from_rows(row, source)[0])

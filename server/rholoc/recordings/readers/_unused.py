@@ -1,4 +1,4 @@
-"""Files of a recording's folder that nothing reads."""
+"""Warn about files of a recording's folder that no reader uses."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _MAX_NAMED = 4
 
 
 def with_unused_files(recording: Recording, folder: Path, tables: tuple[str, ...]) -> Recording:
-    """The recording with a warning that names the files of its folder that are not used, if there are any.
+    """Add a warning that names the unused files of a recording's folder, if any.
 
     Args:
-        recording: as it was read from the folder.
-        tables: patterns, in small letters, of the paths of files that are neither pictures nor videos.
+        recording: as read from the folder.
+        tables: lower-case patterns of the paths of used files, except pictures and videos.
     """
     used = {path.resolve() for path in (*_files_of(recording.frames), *_depth_files(recording))}
     unused = [
@@ -52,7 +52,7 @@ def with_unused_files(recording: Recording, folder: Path, tables: tuple[str, ...
 
 
 def _described(top: str, paths: list[PurePath]) -> str:
-    """A file of the folder by its name, those of a folder within it by how many they are."""
+    """Name of a single file, or name and number of files of a subfolder."""
     return (
         top if len(paths[0].parts) == 1 else paths[0].as_posix() if len(paths) == 1 else f"{top}/ ({len(paths)} files)"
     )

@@ -6,12 +6,12 @@
     camera.json                          intrinsics, where the bag has no camera_info; beside the bag
     sensors.txt                          the same as kapture writes them: its cameras in the order of the topics' names
 
-Topics are found by their types, whatever their names: pictures (Image, CompressedImage), CameraInfo, Imu (gyroscope and
-accelerometer may be topics of their own), Odometry, poses (PoseStamped, PoseWithCovarianceStamped, TransformStamped)
-and ``tf_static``. Where there are several of a kind, the one with most messages is taken unless another is named.
-Times are those of the headers. Poses are brought to the camera by tf; of a frame that tf does not connect with the
-camera's they are taken to be the camera's own, with x forward and z up unless its name ends in ``optical_frame``
-(REP 103). The pictures themselves tell whether that holds.
+Topics are found by their types: pictures (Image, CompressedImage), CameraInfo, Imu (also one topic each for gyroscope
+and accelerometer), Odometry, poses (PoseStamped, PoseWithCovarianceStamped, TransformStamped) and ``tf_static``. Of
+several of a kind, the one with most messages is used unless another is named. Times are those of the headers. Poses
+are transformed to the camera by tf. If tf does not connect their frame with the camera's, they count as the camera's
+own, with x forward and z up unless the frame's name ends in ``optical_frame`` (REP 103); the check against the
+pictures shows whether that holds.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _POSES = (
 )
 _TF = "tf2_msgs/msg/TFMessage"
 _DEPTH = ("16UC1", "32FC1")
-_TOLD = 20  # messages of an IMU's topic, which tell what it measures
+_TOLD = 20  # messages of an IMU's topic, to find out its measurements
 _R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _S_PER_NS = 1e-9
 _MAX_NAMED = 3
@@ -79,7 +79,7 @@ def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
 
     Args:
         path: the bag.
-        topics: names of those to take where there are several of a kind.
+        topics: names of the topics to use, if there are several of a kind.
 
     Raises:
         InvalidRecording: it is damaged, has no pictures, or has no topic of a name.
@@ -175,7 +175,7 @@ def _messages(reader: AnyReader, connection: Connection) -> Iterable[tuple[int, 
 
 
 def _frames(path: Path, reader: AnyReader, found: _Topics) -> tuple[BagFrames, str, tuple[RecordingWarning, ...]]:
-    """The pictures, their frame of coordinates, and what to say of others."""
+    """The pictures, their coordinate frame, and warnings about other picture topics."""
     topic = found.picture
     logged: list[int] = []
     stamps: list[int] = []
@@ -221,13 +221,13 @@ def _is_beside(info: str, picture: str) -> bool:
     return picture.startswith(info.rpartition("/")[0] + "/")
 
 
-# -- what else was measured ------------------------------------------------------------------------------------------
+# -- other measurements ------------------------------------------------------------------------------------------
 
 
 def _imu(
     reader: AnyReader, found: _Topics, mounted: Mounting, camera_frame: str
 ) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
-    """Gyroscope and accelerometer, each of the topic that measures it: those asked for, else those with most rows."""
+    """Gyroscope and accelerometer, each from a requested topic that measures it, else from the one with most rows."""
     felt, turned = [], []
     for connection in found.of_types(_IMU):
         a, w = _measures(reader, connection)
@@ -253,7 +253,7 @@ def _imu(
 
 
 def _measures(reader: AnyReader, connection: Connection) -> tuple[bool, bool]:
-    """Whether a topic has accelerations, and whether it has rates: the other's are zero, or said to be unknown."""
+    """Whether a topic has accelerations, and whether it has rates; missing ones are zero or marked as unknown."""
     a, w = False, False
     for number, (_, message) in enumerate(_messages(reader, connection)):
         a |= bool(message.linear_acceleration_covariance[0] >= 0 and np.any(vector(message.linear_acceleration)))
@@ -266,7 +266,7 @@ def _measures(reader: AnyReader, connection: Connection) -> tuple[bool, bool]:
 def _poses(
     reader: AnyReader, found: _Topics, mounted: Mounting, camera_frame: str, frames: BagFrames
 ) -> tuple[GivenPoses | None, tuple[RecordingWarning, ...]]:
-    """The camera's poses by the topic asked for; else by one of poses, which are taken for exact, else by odometry."""
+    """The camera's poses from the requested topic, else from poses (taken as exact), else from odometry."""
     asked = [one for one in found.of_types(*_POSES, _ODOMETRY) if one.topic in found.asked]
     connection = _chosen(asked or found.of_types(*_POSES), ()) or found.chosen(_ODOMETRY)
     if connection is None:

@@ -19,7 +19,7 @@ from rholoc.geometry import FloatArray
 MAX_TABLE_BYTES = 2**29
 MAX_TABLE_ROWS = 3_000_000  # four hours at 200 Hz
 MAX_JSON_BYTES = 2**26
-_MOST_DIGITS = 300  # of an integer: more are no float
+_MAX_DIGITS = 300  # of an integer that a float can hold
 _PAPER_GROUPS = {
     "the time mark, n": {"": "timestamp"},
     "linear acceleration, m/s2": {"x": "ax", "y": "ay", "z": "az"},
@@ -31,7 +31,7 @@ _PAPER_GROUPS = {
 }
 """Tables 3 and 4 under the paper's own header: a column by its group, and by its name in the row below."""
 _PAPER_HINT = "Write one header row, as maps/README.md shows, or both rows as in the paper."
-_MOST_SHOWN = 200  # characters of a table in a message
+_MAX_SHOWN = 200  # characters of a table in a message
 
 
 def read_text(path: Path, error: type[InvalidInput] = InvalidRecording, max_bytes: int = MAX_TABLE_BYTES) -> str:
@@ -70,7 +70,7 @@ def parse_json(text: str) -> Any:
 
 
 def _integer(digits: str) -> int:
-    if len(digits) > _MOST_DIGITS:
+    if len(digits) > _MAX_DIGITS:
         raise ValueError(f"it has a number of {len(digits)} digits")
     return int(digits)
 
@@ -88,32 +88,30 @@ def read_rows(
         return header, [dict(zip(header, row, strict=True)) for row in rows]
 
 
-def read_numbers(
-    path: Path, columns: Sequence[str], error: type[InvalidInput] = InvalidRecording
-) -> dict[str, FloatArray]:
+def read_numbers(path: Path, columns: Sequence[str]) -> dict[str, FloatArray]:
     """The named columns of a CSV file with a header row, each (N,) float64, N ≥ 1; further columns are ignored.
 
     Row by row: a table takes the memory of its numbers, not of its text.
 
     Raises:
-        error: a column is missing, there are no rows or more than ``MAX_TABLE_ROWS``, or a value is not a finite
-            number.
+        InvalidRecording: a column is missing, there are no rows or more than ``MAX_TABLE_ROWS``, or a value is not a
+            finite number.
     """
     values = {column: array("d") for column in columns}
-    with table_rows(path, error, MAX_TABLE_ROWS) as (header, rows):
-        require_columns(path, header, columns, error)
+    with table_rows(path, InvalidRecording, MAX_TABLE_ROWS) as (header, rows):
+        require_columns(path, header, columns, InvalidRecording)
         places = [(header.index(column), column, values[column]) for column in columns]
         for line, row in enumerate(rows, start=2):
             for place, column, numbers in places:
-                numbers.append(parse_number(row[place], path, line, column, error))
+                numbers.append(parse_number(row[place], path, line, column, InvalidRecording))
     if not values[columns[0]]:
-        raise error(f"{path.name} has a header, but no rows.", "Record again, or leave the file out.")
+        raise InvalidRecording(f"{path.name} has a header, but no rows.", "Record again, or leave the file out.")
     return {column: np.frombuffer(numbers, dtype=np.float64) for column, numbers in values.items()}
 
 
 @contextmanager
 def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator[tuple[list[str], Iterator[list[str]]]]:
-    """A CSV file's header, and its rows as they are read; what is wrong with it is raised inside the block."""
+    """A CSV file's header and an iterator over its rows; errors in the file are raised inside the block."""
     with _raising(error, path):
         _check_size(path, error, MAX_TABLE_BYTES)
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -128,7 +126,7 @@ def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator
 
 
 def _paper_columns(groups: list[str], second: list[str], path: Path, error: type[InvalidInput]) -> list[str]:
-    """The columns of a table under the paper's header of two rows: groups, each above its first column, and parts."""
+    """Column names from the paper's two header rows: groups, each above its first column, and parts."""
     parts = [part.strip().lower().strip("$").replace("_", "") for part in second]
     columns, group = [], ""
     for above, part in zip_longest(groups, parts, fillvalue=""):
@@ -204,19 +202,19 @@ def parse_number(text: str, path: Path, line: int, column: str, error: type[Inva
 
 def shortened(text: str) -> str:
     """Text for a message: its first 200 characters."""
-    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]}…"
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}…"
 
 
-def require_increasing(times: FloatArray, path: Path, error: type[InvalidInput] = InvalidRecording) -> None:
+def require_increasing(times: FloatArray, path: Path) -> None:
     """Check that times (N,) increase strictly.
 
     Raises:
-        error: a time repeats or goes back; names the first such row.
+        InvalidRecording: a time repeats or goes back; names the first such row.
     """
     steps = np.flatnonzero(np.diff(times) <= 0)
     if len(steps):
         row = int(steps[0])
-        raise error(
+        raise InvalidRecording(
             f"{path.name}, row {row + 3}: time {times[row + 1]:.6f} s does not come after {times[row]:.6f} s.",
             "Times must increase from row to row.",
         )

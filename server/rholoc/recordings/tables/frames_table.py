@@ -20,7 +20,7 @@ def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
     """As :func:`read_frame_numbers`, with times that increase.
 
     Raises:
-        InvalidRecording: as there, or times do not increase, or span more than two days.
+        InvalidRecording: as there, or times do not increase or span more than two days.
     """
     numbers, times = read_frame_numbers(path)
     require_increasing(times, path)

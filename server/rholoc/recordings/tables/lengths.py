@@ -1,4 +1,4 @@
-"""``lengths.csv``: measured distances between places where the camera was."""
+"""``lengths.csv``: measured distances between camera positions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read_lengths_csv(path: Path, numbers: IntArray) -> tuple[KnownLength, ...]:
 
 
 def parse_length(text: str, numbers: IntArray) -> KnownLength:
-    """``12,340,2.40``: the camera was 2.40 m further in frame 340 than in frame 12.
+    """Parse ``12,340,2.40``: the camera's positions in frames 12 and 340 were 2.40 m apart.
 
     Args:
         text: two frames' numbers and metres.

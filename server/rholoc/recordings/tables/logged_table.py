@@ -1,4 +1,4 @@
-"""Tables as recorder apps write them: with or without a header, comments, units in the names, commas or spaces."""
+"""Tables of recorder apps: with or without a header, comments, units in names, commas or spaces."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
 from rholoc.recordings.tables.csv_table import MAX_TABLE_ROWS, parse_number, read_text, require_columns
 
-_UNIT = re.compile(r"\[[^\[\]]*\]|\([^()]*\)")  # of a column's name; a bracket that none closes costs nothing
+_UNIT = re.compile(r"\[[^\[\]]*\]|\([^()]*\)")  # of a column's name; linear time for unclosed brackets
 _HEAD_BYTES = 4096
 
 
@@ -26,9 +26,9 @@ class LoggedTable:
         path: its file.
         header: the columns' names, lower case, without units; empty if there is none.
         lines: one per row, all with the same number of fields.
-        columns: how many.
-        blanks: whether spaces separate them, not commas.
-        first_line: the number of the first row's line.
+        columns: number of columns.
+        blanks: whether the separator is a space, not a comma.
+        first_line: line number of the first row.
     """
 
     path: Path

@@ -20,7 +20,7 @@ MAX_WAYPOINTS = 1000
 MAX_NAME_LENGTH = 100
 DEFAULT_SIGMA_M = 0.02
 MIN_SIGMA_M, MAX_SIGMA_M = 0.001, 1.0
-MIN_SPREAD_RATIO = 0.02  # of their spread across the best-fitting line to that along it
+MIN_SPREAD_RATIO = 0.02  # spread across the best-fitting line over spread along it
 
 _NAMES_SHOWN = 5
 _COLUMNS_HINT = (
@@ -30,7 +30,7 @@ _COLUMNS_HINT = (
 
 
 class FrameTimes(Protocol):
-    """The part of a recording's frames that its waypoints are checked against."""
+    """Times and numbers of a recording's frames, to check waypoints against."""
 
     @property
     def times(self) -> FloatArray:

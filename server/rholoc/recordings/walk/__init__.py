@@ -1,1 +1,1 @@
-"""How a recording was walked: pauses, problems, figures, advice."""
+"""Analysis of a walk: pauses, problems, figures, advice."""

@@ -9,7 +9,7 @@ from rholoc.recordings.imu_normalisation import gap_rows
 from rholoc.recordings.recording import Imu, Recording
 from rholoc.reports import RecordingWarning, WarningKind
 
-_MARGIN_S = 0.5  # frames before and after the IMU's table that do not matter
+_MARGIN_S = 0.5  # tolerated time of frames before and after the IMU's table
 
 
 def whole_warnings(recording: Recording) -> tuple[RecordingWarning, ...]:

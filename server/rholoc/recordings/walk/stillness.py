@@ -9,14 +9,14 @@ from rholoc.geometry import BoolArray, FloatArray
 from rholoc.recordings.recording import Imu
 
 MIN_PAUSE_S = 1.0
-_WINDOW_S = 0.8  # shorter than a pause, so that one with soft edges still holds a window at rest
+_WINDOW_S = 0.8  # shorter than a pause, which may have soft edges
 _TREMOR = 0.12  # rad/s, rms: a resting hand trembles with up to 0.09
-_TURN = 0.045  # rad/s, of the mean, in which tremor cancels out and slow turning does not
+_TURN = 0.045  # rad/s, of the mean: tremor cancels out, slow turning does not
 _FORCE = 0.25  # m/s², standard deviation; a step feels like 1 and more
 
 
 def is_still(imu: Imu) -> BoolArray:
-    """Whether each of the IMU's times, (M,), lies in a window of 0.8 s without motion, except tremor."""
+    """Mask (M,) of the IMU's times in a window of ``_WINDOW_S`` without motion, except tremor."""
     if len(imu.times) < 2:
         return np.zeros(len(imu.times), dtype=np.bool_)
     size = max(1, round(_WINDOW_S / float(np.median(np.diff(imu.times)))))

@@ -1,4 +1,4 @@
-"""Figures of how a recording was walked, for :mod:`rholoc.recordings.walk.coaching`."""
+"""Figures of a walk, for :mod:`rholoc.recordings.walk.coaching`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _LOOK_WIDTH_PX = 640
 _CORNER_CONTRAST = 20  # grey levels
 _FEW_CORNERS = 100
 _TURN_PERCENTILE = 90.0
-_TURN_INTERVAL_S = 0.1  # poses nearer in time have more noise than turn between them
-_MOST_POSES = 400
+_TURN_INTERVAL_S = 0.1  # minimum, since over shorter intervals noise exceeds rotation
+_MAX_POSES = 400
 _SAME_WAY_DEG = 60.0
 _PAUSE_TOLERANCE_S = 0.5
 
@@ -57,7 +57,7 @@ def look_through(frames: FrameSource) -> list[Look]:
 def measure_walk(
     recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray
 ) -> WalkFigures:
-    """The figures of a walk, from its IMU, from what frames show, and from poses (N, 4, 4) at times (N,), if any."""
+    """Figures of a walk from its IMU, from ``looks`` at frames, and from poses (N, 4, 4) at times (N,), if any."""
     imu = recording.imu
     return WalkFigures(
         turn_deg_s=_turn(recording, times, T_map_camera),
@@ -70,12 +70,12 @@ def measure_walk(
 
 
 def nearest_return(T_map_camera: FloatArray) -> float | None:
-    """How near a walk's second half comes to its first, as a share of the distance walked between the two places.
+    """Minimum ratio of the distance between two poses to the path length between them.
 
-    Only pairs of poses count that are at least half of the walk apart and look the same way within 60°; 1 if there are
-    none. None for fewer than three poses, or if the camera does not move. Independent of the unit of length.
+    Over pairs at least half of the walk apart with headings within 60°; 1 without such pairs. None for fewer than three
+    poses, or if the camera does not move.
     """
-    T = T_map_camera[:: max(1, len(T_map_camera) // _MOST_POSES)]
+    T = T_map_camera[:: max(1, len(T_map_camera) // _MAX_POSES)]
     if len(T) < 3:
         return None
     positions = T[:, :3, 3]
@@ -90,7 +90,7 @@ def nearest_return(T_map_camera: FloatArray) -> float | None:
 
 
 def _turn(recording: Recording, times: FloatArray, T_map_camera: FloatArray) -> float | None:
-    """How fast the camera turned [°/s]; None if the pictures have no times."""
+    """Rate of turn [°/s]; None if the pictures have no times."""
     if not recording.frames.timed:
         return None
     if recording.imu is not None:
@@ -99,7 +99,7 @@ def _turn(recording: Recording, times: FloatArray, T_map_camera: FloatArray) -> 
 
 
 def _turn_of_imu(imu: Imu, times: FloatArray) -> float | None:
-    """While there are frames, at ``times`` (N,)."""
+    """Within the time span of frames at ``times`` (N,) [s]."""
     rows = (imu.times >= times[0]) & (imu.times <= times[-1])
     if not rows.any():
         return None
@@ -121,7 +121,7 @@ def _turn_of_poses(times: FloatArray, T_map_camera: FloatArray) -> float | None:
 
 
 def _rested_at(waypoints: Sequence[Waypoint], imu: Imu) -> int:
-    """How many of the waypoints lie in a pause, or can, if their times are unknown."""
+    """Number of waypoints in a pause; with unknown times, the maximum possible number."""
     begin, end = pauses(imu).T
     if any(np.isnan(waypoint.time) for waypoint in waypoints):
         return min(len(begin), len(waypoints))

@@ -1,1 +1,1 @@
-"""Who may do what: keys and their scopes, rates and quotas, the audit log, open streams."""
+"""Access control: keys and scopes, rates and quotas, the audit log, open streams."""

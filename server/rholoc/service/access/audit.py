@@ -1,4 +1,4 @@
-"""Who changed what: a row of the database for each request that changed something."""
+"""Audit log: a database row for each request that changed something."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _ROWS_AT_ONCE = 500
 _MAX_PATH = 300
 _MAPS = "/v1/maps/"
 _CHANGING = frozenset({"POST", "PUT", "PATCH", "DELETE"})
-_SCOPES = frozenset({KeyScope.MAP, KeyScope.ADMIN})  # what changes nothing needs less
-_PIECES = ("PATCH", "/v1/recordings/{recording}")  # of an upload, which is noted when it begins
+_SCOPES = frozenset({KeyScope.MAP, KeyScope.ADMIN})  # routes that change something need one of these
+_PIECES = ("PATCH", "/v1/recordings/{recording}")  # piece of an upload, which is logged once, at its beginning
 _log = structlog.get_logger("rholoc.service")
 
 
@@ -34,11 +34,11 @@ class Change:
 
     Attributes:
         time: seconds since the epoch.
-        who: the name of the API key, or the address where no key is needed.
+        who: name of the API key, or the address if no key is needed.
         method: of the request.
         path: of the request, without its query.
         status: of the answer.
-        job: the job that it began, empty where it began none.
+        job: id of the job that it began, or empty.
         request_id: as in the answer and the service's log.
     """
 
@@ -70,7 +70,7 @@ class AuditLog:
                 connection.execute(changes_table.delete().where(changes_table.c.id <= number - _ROWS))
 
     def changes(self, most: int, map_name: str | None = None) -> list[Change]:
-        """The last changes, the newest first; of all, or those whose path names a map. Raises SQLAlchemyError."""
+        """The last ``most`` changes, the newest first; only those of ``map_name`` if given. Raises SQLAlchemyError."""
         fields = [column for column in changes_table.c if column.name != "id"]
         wanted = sa.select(*fields).order_by(changes_table.c.id.desc()).limit(most)
         if map_name is not None:
@@ -81,12 +81,12 @@ class AuditLog:
 
 
 class Audited:
-    """ASGI middleware that notes the requests that changed something, before they are answered.
+    """ASGI middleware that logs requests that changed something, before their answers are sent.
 
     Args:
-        app: what answers them.
-        log: where they are noted.
-        lanes: threads that note them.
+        app: the next application.
+        log: the audit log.
+        lanes: threads that write to it.
     """
 
     def __init__(self, app: ASGIApp, log: AuditLog, lanes: StorageLanes) -> None:
@@ -105,7 +105,7 @@ class Audited:
                 change = _change(scope, message["status"], job)
                 try:
                     await self._lanes.database(self._audit.note, change)
-                except (SQLAlchemyError, RholocError) as error:  # the change is made
+                except (SQLAlchemyError, RholocError) as error:  # the change has been made already
                     _log.warning("change_not_noted", error=str(error)[:200], **asdict(change))
             await send(message)
 

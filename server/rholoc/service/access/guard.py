@@ -69,15 +69,14 @@ class SecurityHeaders:
 class Guard:
     """ASGI middleware that checks a request before any of its body is read.
 
-    It finds the request's route and enforces what that route declares. A request without a route does not pass, so
-    whatever is added to the application without a declaration stays closed.
+    It finds the request's route and enforces the route's declaration. Requests without a declared route are refused.
 
     Args:
         app: the application to guard.
         routes: its routes.
-        keys: the keys that exist.
-        lanes: threads that read them again.
-        policy: when a request needs one.
+        keys: the key store.
+        lanes: threads that reload the keys.
+        policy: when a request needs a key.
         host: the address that the server listens on.
         open_paths: routes that need no key, whatever they declare.
     """
@@ -184,11 +183,7 @@ def _authorization(scope: Scope, headers: Headers) -> str:
 
 
 def check_query(scope: Scope, route: RouteAccess) -> None:
-    """Refuse a query with a name that the route does not know: a mistyped option would be silently ignored.
-
-    Raises:
-        InvalidRequest: there is such a name.
-    """
+    """Raise InvalidRequest for an unknown query parameter: a mistyped option would be silently ignored."""
     if not route.path.startswith(_API_PREFIX):
         return
     given = QueryParams(scope["query_string"])
@@ -199,10 +194,10 @@ def check_query(scope: Scope, route: RouteAccess) -> None:
 
 
 def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
-    """Refuse what a page of another site makes a browser send. Programs send none of these headers.
+    """Refuse requests that a page of another site makes a browser send. Programs send none of these headers.
 
-    Following a link from another site is allowed. A server that only listens on this machine answers to local names
-    only: otherwise another site could reach it by pointing its own name here (DNS rebinding).
+    Following a link from another site is allowed. A server that listens on this machine alone accepts local host names
+    only, against DNS rebinding.
 
     Raises:
         CrossSite: another site sent it.

@@ -1,4 +1,4 @@
-"""API keys: who may do what. A key is shown once, when it is made; only its hash is kept."""
+"""API keys. A key is shown once, when it is made; only its hash is stored."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from rholoc.errors import Busy, Conflict, InvalidName, NotFound
 from rholoc.maps import Documents, FolderDocuments
 from rholoc.service.errors import QuotaExceeded
 
-HANDED_PREFIX = "handed-"  # of the names of keys that were handed on
+HANDED_PREFIX = "handed-"  # of the names of handed-on keys
 FOLDER = "keys"
 _PREFIX = "rho_"
 _BYTES = 32
 _HASH = re.compile(r"[0-9a-f]{64}")
 _MAX_NAME_LENGTH = 64
-_MAX_CHAIN = 100  # keys that were handed on one by the other
+_MAX_CHAIN = 100  # length of a chain of handed-on keys
 _MAX_HANDED = 1000  # valid at the same time, of all keys together
 _MAX_HANDED_BY = 100  # by one key, with those below it
 _NAME_BYTES = 4  # of a key that is handed on
 
 
 class Scope(StrEnum):
-    """What a key allows; each scope includes the ones before it."""
+    """Scope of a key; each scope includes the ones before it."""
 
     READ = "read"  # look at maps, jobs, cameras
     LOCALIZE = "localize"  # ask for poses
@@ -45,14 +45,14 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class KeyLimits:
-    """How much a key allows, with all keys that it handed on; None where there is no limit.
+    """Limits of a key together with all keys that it handed on; None stands for no limit.
 
     Attributes:
-        requests_per_s: requests a second, to each server.
-        burst: how many may come at once; None: those of a second, at least one.
-        maps: how many maps it may hold, those of its jobs included.
+        requests_per_s: to each server.
+        burst: maximum number of requests at once; None for those of one second, at least one.
+        maps: maximum number, including maps of its jobs.
         stored_bytes: of its maps and recordings.
-        jobs: how many of its jobs may be queued or running.
+        jobs: maximum number of queued and running jobs.
     """
 
     requests_per_s: float | None = None
@@ -63,7 +63,7 @@ class KeyLimits:
 
     @property
     def quotas(self) -> bool:
-        """Whether what it may hold is limited."""
+        """Whether maps, bytes or jobs are limited."""
         return any(limit is not None for limit in (self.maps, self.stored_bytes, self.jobs))
 
     def within(self, other: KeyLimits) -> KeyLimits:
@@ -74,16 +74,16 @@ class KeyLimits:
 
 @dataclass(frozen=True)
 class ApiKey:
-    """What is known of a key; not the key itself.
+    """Stored data of a key, without the secret.
 
     Attributes:
-        name: says whose it is; unique.
-        scope: what it allows.
+        name: unique.
+        scope: of the key.
         created: seconds since the epoch.
         expires: seconds since the epoch, or None.
-        limits: how much it allows.
-        holder: the id of the key that handed it on, and to which it counts as well; empty if none did.
-        id: the key's hash.
+        limits: of the key.
+        holder: id of the key that handed it on, whose limits include this key; empty if there is none.
+        id: hash of the secret.
     """
 
     name: str
@@ -96,20 +96,20 @@ class ApiKey:
 
     @property
     def expired(self) -> bool:
-        """Whether its time is over."""
+        """Whether its lifetime is over."""
         return self.expires is not None and time.time() >= self.expires
 
 
 class KeyStore:
     """The keys of a service: a file each, named by the key's SHA-256. Safe to share between threads and processes.
 
-    A key is 32 random bytes, which cannot be guessed, so a slow hash is not needed. A key that was handed on is valid
-    for as long as the keys above it are. :meth:`find`, :meth:`is_valid` and :meth:`chain` go by the keys in memory,
-    which each change here and each :meth:`refresh` updates; all other methods read the files.
+    A key has 32 random bytes, so a slow hash is not needed. A handed-on key is valid as long as all keys above it are.
+    :meth:`find`, :meth:`is_valid` and :meth:`chain` use the keys in memory, which each change here and each
+    :meth:`refresh` updates; all other methods read the files.
 
     Args:
-        data_dir: the folder that they are kept in.
-        files: where they are kept instead.
+        data_dir: folder of the keys.
+        files: used instead of ``data_dir``.
     """
 
     def __init__(self, data_dir: Path, files: Documents | None = None) -> None:
@@ -140,14 +140,14 @@ class KeyStore:
         limits: KeyLimits | None = None,
         handed_by: ApiKey | None = None,
     ) -> str:
-        """Make a key and return it; it cannot be seen again.
+        """Make a key and return its secret, which cannot be retrieved again.
 
         Args:
-            name: whose it is.
-            scope: what it allows.
-            lifetime_s: for how long; None: forever.
-            limits: how much it allows.
-            handed_by: the key that it is handed on by: it gets no more, and counts to it.
+            name: unique name.
+            scope: of the key.
+            lifetime_s: None for an unlimited lifetime.
+            limits: of the key.
+            handed_by: parent key, whose scope, lifetime and limits bound the new key's.
 
         Raises:
             InvalidName: the name is empty, too long or not printable.
@@ -168,16 +168,16 @@ class KeyStore:
         return secret
 
     def hand_on(self, scope: Scope, lifetime_s: float, limits: KeyLimits, by: ApiKey | None) -> tuple[str, str]:
-        """Make a temporary key. Returns its name, and the key itself, which cannot be seen again.
+        """Make a temporary key. Returns its name, and its secret, which cannot be retrieved again.
 
         Args:
-            scope: what it allows.
-            lifetime_s: for how long.
-            limits: how much it allows.
-            by: the key that it is handed on by; None where none is needed.
+            scope: of the key.
+            lifetime_s: its lifetime.
+            limits: of the key.
+            by: parent key; None if the server needs no keys.
 
         Raises:
-            QuotaExceeded: that key has handed on too many.
+            QuotaExceeded: the parent has handed on too many.
             Busy: there are too many temporary keys.
             StorageFull: the disk is full.
         """
@@ -199,7 +199,7 @@ class KeyStore:
         return name, self.create(name, scope, lifetime_s, limits, by)
 
     def limit(self, name: str, limits: KeyLimits) -> ApiKey:
-        """Set how much the key of a name allows, from the next request on; returns the key.
+        """Set the limits of the key called ``name``, from the next request on; returns the key.
 
         Raises:
             NotFound: there is no key of this name.
@@ -214,7 +214,7 @@ class KeyStore:
         return limited
 
     def named(self, name: str) -> ApiKey:
-        """The key of a name.
+        """The key called ``name``.
 
         Raises:
             NotFound: there is none.
@@ -225,19 +225,19 @@ class KeyStore:
         return key
 
     def chain(self, key: ApiKey) -> list[ApiKey]:
-        """The keys that a request with a key counts to: itself, the one that handed it on, and so on to the first."""
+        """The key, its parent, and so on to the root: all keys to which a request counts."""
         found, known = [key], self._in_memory()
         while (holder := known.get(found[-1].holder)) is not None and len(found) < _MAX_CHAIN:
             found.append(holder)
         return found
 
     def is_valid(self, key: ApiKey) -> bool:
-        """Whether a key still exists and has not expired, nor have those above it."""
+        """Whether a key and all keys above it exist and have not expired."""
         chain, known = self.chain(key), self._in_memory()
         return not chain[-1].holder and all(one.id in known and not one.expired for one in chain)
 
     def family(self, name: str) -> list[str]:
-        """The names of a key and of all keys below it that exist."""
+        """Names of a key and of all existing keys below it."""
         known = self._in_memory().values()
         return [key.name for key in known if any(one.name == name for one in self.chain(key))]
 
@@ -259,7 +259,7 @@ class KeyStore:
         self._reload()
 
     def find(self, secret: str) -> ApiKey | None:
-        """The key, expired or not, or None; None too if a key above it was revoked."""
+        """The key with this secret, also an expired one; None if it is unknown, or a key above it was revoked."""
         key = self._in_memory().get(_hash(secret))
         return None if key is None or self.chain(key)[-1].holder else key
 
@@ -283,7 +283,7 @@ class KeyStore:
         self._reload()
 
     def _read(self, hashed: str) -> ApiKey | None:
-        """A key; None where it was revoked meanwhile."""
+        """The key with this hash; None if it was revoked meanwhile."""
         try:
             stored = json.loads(self._files.read(hashed))
         except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""The streams that are open: counted for each client, listed, and ended once their key is revoked."""
+"""Open streams: counted for each client, listed, and ended when their key is revoked."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class OpenStream:
 
     Attributes:
         id: of the stream.
-        kind: what it carries.
-        client: whom it counts to: the first of its keys, or an address.
-        key: the key that it was opened with; None where none is needed.
+        kind: of the stream.
+        client: the root of its key's chain, or an address.
+        key: of its request; None if none is needed.
         path: of its request.
-        since: when it was opened, seconds since the epoch.
+        since: time of its opening [s since the epoch].
     """
 
     id: str
@@ -62,9 +62,9 @@ class OpenStreams:
     """Admits streams and keeps track of them. Use it from the event loop's thread only.
 
     Args:
-        keys: the keys that exist.
-        max_open: how many streams of each kind may be open.
-        max_of_client: how many of them by one client: a key with those that it handed on, or an address.
+        keys: the key store.
+        max_open: maximum number of open streams of each kind.
+        max_of_client: maximum number for one client: a key with those that it handed on, or an address.
     """
 
     def __init__(
@@ -78,11 +78,11 @@ class OpenStreams:
         return list(self._open.values())
 
     def count(self, kind: StreamKind) -> int:
-        """How many of a kind are open."""
+        """Number of open streams of a kind."""
         return sum(one.kind is kind for one in self._open.values())
 
     def admit(self, kind: StreamKind, scope: Scope) -> OpenStream:
-        """Count a stream in; it counts until the end of :meth:`serving`, which must follow.
+        """Add a stream; it counts until the end of :meth:`serving`, which must follow.
 
         Raises:
             TooManyRequests: the client has too many open.
@@ -102,7 +102,7 @@ class OpenStreams:
 
     @asynccontextmanager
     async def serving(self, stream: OpenStream) -> AsyncIterator[None]:
-        """While a stream is served. What the block waits for is cancelled when the stream is ended from elsewhere.
+        """Serve a stream within the block, which is cancelled when the stream is ended from elsewhere.
 
         Raises:
             Unauthorized: its key was revoked or has expired.
@@ -139,9 +139,9 @@ class EventStream(StreamingResponse):
     """Server-sent events, which end with the validity of their key.
 
     Args:
-        events: the events as they are sent.
-        streams: what keeps track of them.
-        stream: as it was admitted.
+        events: encoded events.
+        streams: the register of open streams.
+        stream: the admitted stream.
     """
 
     def __init__(self, events: AsyncIterator[str], streams: OpenStreams, stream: OpenStream) -> None:
@@ -159,7 +159,7 @@ class EventStream(StreamingResponse):
 
 
 def stream_limits(max_streams: int, max_connections: int) -> tuple[Mapping[StreamKind, int], Mapping[StreamKind, int]]:
-    """How many streams may be open: of all clients, and of one."""
+    """Maximum numbers of open streams by kind, for all clients and for one."""
     events = max(1, max_connections // 2)
     return (
         {StreamKind.FRAMES: max_streams, StreamKind.EVENTS: events},

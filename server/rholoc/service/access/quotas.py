@@ -1,4 +1,4 @@
-"""What each API key may hold: maps, bytes and jobs. All servers that share a database count together."""
+"""Quotas of API keys for maps, bytes and jobs, counted over all servers that share a database."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rholoc.storage.holdings import Holding, Holdings, Kind
 
 @dataclass(frozen=True)
 class Usage:
-    """What a key holds, with the keys that it handed on.
+    """Usage of a key together with the keys that it handed on.
 
     Attributes:
-        maps: how many, with those that its jobs will publish.
-        stored_bytes: of these maps and of recordings; an unfinished upload counts as what it will be.
-        jobs: how many are queued or running, or will be when an upload is complete.
+        maps: number, including maps that its jobs will publish.
+        stored_bytes: of maps and recordings; an unfinished upload counts with its full length.
+        jobs: number of queued and running jobs, and of unfinished uploads with a job.
     """
 
     maps: int
@@ -36,10 +36,10 @@ class HeldUpload:
 
     Attributes:
         id: of the upload.
-        map: the name of the map that it is for.
-        size_bytes: its length, once it is complete; 0 where no key is needed.
-        key: the name of the key that began it; empty where none is needed.
-        holder: the name of the first of the keys that handed ``key`` on; empty if none did.
+        map: name of the map to make.
+        size_bytes: full length; 0 if no key is needed.
+        key: name of the key that began it; empty if none is needed.
+        holder: name of the root of the key's chain; empty if the key was not handed on.
     """
 
     id: str
@@ -51,24 +51,24 @@ class HeldUpload:
 
 @dataclass(frozen=True)
 class _Present:
-    """What there is: maps, recordings or uploads, and jobs that have not ended or are to come, with their maps."""
+    """Existing maps, recordings or uploads, and jobs that have not ended (job id → map name)."""
 
     maps: frozenset[str]
     recordings: frozenset[str]
     jobs: dict[str, str]
 
     def has(self, holding: Holding) -> bool:
-        """Whether what is held is there."""
+        """Whether the held thing exists."""
         if holding.kind is Kind.MAP:
             return holding.name in self.maps or holding.name in self.jobs.values()
         return holding.name in (self.jobs if holding.kind is Kind.JOB else self.recordings)
 
 
 class Quotas:
-    """Counts what keys hold, and refuses what would be more than they may.
+    """Counts the holdings of keys and enforces their limits.
 
-    A request asks :meth:`check` before it stores something, within :meth:`counting` until it has noted it: of requests
-    to one server none is let in for what another was let in for. Two servers may both let in the last.
+    A request calls :meth:`check` before it stores something and :meth:`hold` after, both within :meth:`counting`,
+    so that concurrent requests to one server cannot exceed a limit. Requests to two servers may.
     """
 
     def __init__(
@@ -90,17 +90,13 @@ class Quotas:
 
     @asynccontextmanager
     async def counting(self, key: ApiKey | None) -> AsyncIterator[None]:
-        """While nothing else is counted to the key, or to keys that are counted with it."""
+        """Lock the counts of the key and of all keys counted with it."""
         first = "" if key is None else self._keys.chain(key)[-1].name
         async with self._locks.setdefault(first, asyncio.Lock()) if first else nullcontext():
             yield
 
     def check_upload(self, key: ApiKey | None, max_of_client: int) -> None:
-        """Refuse a resumable upload if a key with those above and below it has too many unfinished ones.
-
-        Raises:
-            QuotaExceeded: it has.
-        """
+        """Raise QuotaExceeded if a key with those above and below it has ``max_of_client`` unfinished uploads."""
         if key is None:
             return
         first = self._keys.chain(key)[-1].name
@@ -112,7 +108,7 @@ class Quotas:
             )
 
     def uploads(self) -> list[HeldUpload]:
-        """The unfinished uploads, and whose they are where keys are needed."""
+        """The unfinished uploads with their keys."""
         held = {one.name: one for one in self._holdings.all() if one.kind is Kind.RECORDING}
         nobody = Holding(Kind.RECORDING, "", "")
         found = []
@@ -133,16 +129,16 @@ class Quotas:
     def check(
         self, key: ApiKey | None, stores: str | None = None, size_bytes: int = 0, job_for: str | None = None
     ) -> None:
-        """Refuse what would be more than a key, or the one that handed it on, may hold.
+        """Check the limits of a key and of its parents before something is stored.
 
         Args:
-            key: the request's; None where no key is needed: everything is allowed.
-            stores: the map that is stored, in place of what the key holds under that name.
-            size_bytes: what is stored.
-            job_for: the map that a job is queued for; empty where it makes none.
+            key: of the request; None if no key is needed, which allows everything.
+            stores: name of the map to store, replacing the key's map of that name.
+            size_bytes: size to store.
+            job_for: name of the map that a job to queue will make; empty if it makes none.
 
         Raises:
-            QuotaExceeded: it would.
+            QuotaExceeded: a limit would be exceeded.
         """
         limited = _limited([] if key is None else self._keys.chain(key))
         if not limited:
@@ -164,37 +160,37 @@ class Quotas:
                 _check("unfinished jobs", used.jobs + 1, one.limits.jobs, used.jobs, one.name)
 
     def usage(self, name: str) -> Usage:
-        """What the key of a name holds."""
+        """Usage of the key called ``name``."""
         present = self._present()
         return self._usage(
             [one for one in self._holdings.of(self._keys.family(name) or [name]) if present.has(one)], present
         )
 
     def hold(self, key: ApiKey | None, kind: Kind, name: str, size_bytes: int = 0) -> None:
-        """Note that a key holds something."""
+        """Record that a key holds something."""
         if key is not None:
             first = self._keys.chain(key)[-1].name
             self._holdings.hold(Holding(kind, name, key.name, first if first != key.name else "", size_bytes))
 
     def hold_job(self, key: ApiKey | None, job_id: str, map_name: str) -> None:
-        """Note that a key holds a job, and the map that it will publish if there is none of that name."""
+        """Record that a key holds a job, and the map that it will publish if no map has that name."""
         self.hold(key, Kind.JOB, job_id)
         if map_name and map_name not in self._library.names():
             self.hold(key, Kind.MAP, map_name)
 
     def rename_map(self, name: str, new_name: str) -> None:
-        """Let the holder of a map hold it under its new name."""
+        """Rename a held map."""
         self._holdings.rename(Kind.MAP, name, new_name)
 
     def tidy(self) -> None:
-        """Forget who held what is not there any more."""
-        held = self._holdings.all()  # before looking at what there is, which is noted before it is held
+        """Remove holdings of things that no longer exist."""
+        held = self._holdings.all()  # before listing what exists, because things exist before they are held
         if held:
             present = self._present()
             self._holdings.drop([one for one in held if not present.has(one)])
 
     def _present(self) -> _Present:
-        """Each before what it becomes: an upload is a recording with a job, a job a map."""
+        """List uploads, jobs, then maps: each kind before the one it turns into."""
         uploads = self._uploads.unfinished()
         recordings = frozenset(entry.id for entry in self._recordings.list())
         jobs = uploads | self._jobs.unfinished()
@@ -208,7 +204,7 @@ class Quotas:
     def _map_bytes(self, name: str | None) -> int:
         try:
             return 0 if name is None else self._library.stat(name).size_bytes
-        except UnknownMap:  # a job is to publish it
+        except UnknownMap:  # not published yet
             return 0
 
 
@@ -217,7 +213,7 @@ def _limited(keys: Sequence[ApiKey]) -> list[ApiKey]:
 
 
 def _maps(held: Sequence[Holding], present: _Present) -> set[str]:
-    """The maps that are held, with those that the jobs that are held will publish."""
+    """Held maps, and maps that held jobs will publish."""
     return {
         present.jobs[one.name] if one.kind is Kind.JOB else one.name for one in held if one.kind is not Kind.RECORDING
     }

@@ -1,4 +1,4 @@
-"""How often each API key may ask: a token bucket for each, in every server."""
+"""Rate limits of API keys: a token bucket for each key, in every server."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.access.scopes import request_key
 from rholoc.service.errors import TooManyRequests
 
-_MOST_BUCKETS = 10_000  # beyond, those of keys that have not asked for long are forgotten
+_MAX_BUCKETS = 10_000  # beyond, the longest unused ones are dropped
 _LONG_S = 3600.0
 
 
 @dataclass
 class _Bucket:
-    """What may be asked at once, and when that was counted."""
+    """Number of tokens, and the time of their last update."""
 
     tokens: float
     counted_s: float
@@ -40,7 +40,7 @@ class Rates:
         """Count a request to each of some keys, or to none.
 
         Raises:
-            TooManyRequests: one of them may not ask again yet.
+            TooManyRequests: the bucket of one of them is empty.
         """
         limited = [key for key in keys if key.limits.requests_per_s is not None]
         buckets = [self._filled(key) for key in limited]
@@ -56,9 +56,9 @@ class Rates:
             bucket.tokens -= 1
 
     def _filled(self, key: ApiKey) -> _Bucket:
-        """The key's bucket with what has come into it since it was last looked at."""
+        """The key's bucket, refilled to the present time."""
         now_s = self._clock()
-        if len(self._buckets) >= _MOST_BUCKETS:
+        if len(self._buckets) >= _MAX_BUCKETS:
             self._buckets = {name: one for name, one in self._buckets.items() if now_s - one.counted_s < _LONG_S}
         bucket = self._buckets.setdefault(key.name, _Bucket(_burst(key), now_s))
         bucket.tokens = min(_burst(key), bucket.tokens + (now_s - bucket.counted_s) * _rate(key))
@@ -67,11 +67,11 @@ class Rates:
 
 
 class RateLimited:
-    """ASGI middleware that refuses requests of keys that ask too often. It stands behind the guard.
+    """ASGI middleware that enforces the keys' rates. It stands behind the guard.
 
     Args:
-        app: what answers.
-        keys: the keys that exist.
+        app: the next application.
+        keys: the key store.
     """
 
     def __init__(self, app: ASGIApp, keys: KeyStore) -> None:

@@ -1,7 +1,7 @@
-"""Which key scope a route needs: each route declares it, and OpenAPI shows it.
+"""Key scopes that routes need: each route declares its own, and OpenAPI shows it.
 
-A route is added with ``dependencies=[NEEDS_READ]``, or another of the constants below. The guard reads the declaration
-and checks the key before any of the body is read; a route that declares nothing is refused to everyone.
+A route is added with ``dependencies=[NEEDS_READ]``, or another of the constants below. The guard checks the key against
+the declaration before any of the body is read. Routes without a declaration are refused.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from rholoc.service.access.keys import ApiKey, Scope
 from rholoc.service.caller import CLIENT
 from rholoc.service.errors import Forbidden
 
-_KEY = "api_key"  # members of a request's state: its key,
-_GRANTED = "granted"  # what the key allows,
-_FOUND = "found_route"  # its route,
-_CLIENT = "counted_to"  # and whom it counts to
+_KEY = "api_key"  # members of a request's state: its key …
+_GRANTED = "granted"  # … its granted scope …
+_FOUND = "found_route"  # … its route …
+_CLIENT = "counted_to"  # … and its client
 _bearer = HTTPBearer(
     scheme_name="ApiKey",
     description="A key from `rholoc key create`. A server that only listens on its own machine needs none.",
@@ -34,31 +34,31 @@ _bearer = HTTPBearer(
 
 
 def grant(request_scope: RequestScope, scope: Scope, key: ApiKey | None = None) -> None:
-    """Record what a request may do, and its key: None where no key is needed."""
+    """Record a request's granted scope and its key; None if no key is needed."""
     state = request_scope.setdefault("state", {})
     state[_GRANTED], state[_KEY] = scope, key
 
 
 def granted_key(request: Request) -> tuple[Scope, float | None, bool]:
-    """What a request may do, until when (seconds since the epoch; None: forever), and whether a key was required."""
+    """Granted scope, its expiry (seconds since the epoch; None: never), and whether a key was required."""
     key: ApiKey | None = getattr(request.state, _KEY, None)
     return getattr(request.state, _GRANTED), None if key is None else key.expires, key is not None
 
 
 def request_key(request_scope: RequestScope) -> ApiKey | None:
-    """The key that a request was let in with; None where none is needed."""
+    """The request's key; None if none is needed."""
     key: ApiKey | None = request_scope.get("state", {}).get(_KEY)
     return key
 
 
 def note_client(request_scope: RequestScope, name: str) -> None:
-    """Record whom a request counts to: the first of its keys, or an address where no key is needed."""
+    """Record a request's client: the root of its key's chain, or an address if no key is needed."""
     CLIENT.set(name)
     request_scope.setdefault("state", {})[_CLIENT] = name
 
 
 def client_of(request_scope: RequestScope) -> str:
-    """Whom a request counts to; empty if it is open to everyone."""
+    """A request's client; empty if the route is open to everyone."""
     return str(request_scope.get("state", {}).get(_CLIENT, ""))
 
 
@@ -78,10 +78,10 @@ def forbidden(held: Scope, needed: Scope) -> Forbidden:
 def check_granted(
     request: Request, needed: SecurityScopes, _key: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
 ) -> None:
-    """The dependency of every route that needs a key: makes sure that the guard granted the route's scopes.
+    """Dependency of every route that needs a key: check that the guard granted the route's scopes.
 
     Raises:
-        Forbidden: it did not.
+        Forbidden: the guard did not.
     """
     held: Scope | None = getattr(request.state, _GRANTED, None)
     for scope in map(Scope, needed.scopes):
@@ -119,16 +119,16 @@ _CHECKS = (check_granted, check_stream_granted)
 
 
 def undeclared() -> Forbidden:
-    """The error for a route without a declaration: a bug in the service, which exposes nothing."""
+    """The error for a route without a declaration, a bug in the service."""
     return Forbidden("This route does not declare who may use it.", "Report this to whoever runs the service.")
 
 
 @dataclass(frozen=True)
 class Access:
-    """Who may use a route.
+    """Required access of a route.
 
     Attributes:
-        scope: what a key must allow; None where no key is needed.
+        scope: required of the key; None if no key is needed.
     """
 
     scope: Scope | None
@@ -136,12 +136,12 @@ class Access:
 
 @dataclass(frozen=True)
 class RouteAccess:
-    """A route and who may use it.
+    """A route with its required access.
 
     Attributes:
         path: as in OpenAPI, with ``{parameters}``.
         methods: the HTTP methods that it supports.
-        access: None where the route declares nothing.
+        access: None without a declaration.
         query: the names of its query parameters.
         parses_body: whether the framework reads and parses its body.
     """
@@ -156,11 +156,11 @@ class RouteAccess:
 
 @dataclass(frozen=True)
 class FoundRoute:
-    """What the router will do with a request.
+    """Result of routing a request.
 
     Attributes:
-        route: the route that takes it, or None.
-        methods: those that the path supports, if the request's is not one of them; empty if no route has the path.
+        route: the matching route, or None.
+        methods: if only the method does not match, the methods of the path; else empty.
     """
 
     route: RouteAccess | None
@@ -173,7 +173,7 @@ def route_access(routes: Sequence[BaseRoute]) -> list[RouteAccess]:
 
 
 def find_route(routes: Sequence[RouteAccess], request_scope: RequestScope) -> FoundRoute:
-    """The first route for a request's path and method; recorded, so that :func:`found_route` returns it."""
+    """The first route for a request's path and method, recorded for :func:`found_route`."""
     methods: frozenset[str] = frozenset()
     for route in routes:
         match, _ = route.context.matches(request_scope)

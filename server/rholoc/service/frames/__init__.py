@@ -1,1 +1,1 @@
-"""A frame → its pose: queries, localizers, the choice of maps, answers."""
+"""Localization of frames: queries, localizers, choice of maps, answers."""

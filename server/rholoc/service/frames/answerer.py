@@ -29,8 +29,8 @@ from rholoc.service.threads.storage import StorageLanes
 
 T = TypeVar("T")
 
-_FETCHING_S = 1.0  # for a map among several that is not on this machine; then it is passed over
-_LOADING_GRACE_S = 0.5  # for a map that was not in memory, beyond the deadline
+_FETCHING_S = 1.0  # maximum wait for one of several maps, before it is skipped
+_LOADING_GRACE_S = 0.5  # extension of the deadline for a map that was not in memory
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class Answerer:
 
     Attributes:
         settings: of the service.
-        library, sites: the maps, and the sites in whose frames answers are given too.
+        library, sites: the maps, and the sites for poses in their frames.
         localizers: of the maps.
         finder: chooses from many maps.
-        compute: where frames are localized.
-        learner, live, metrics: what takes notice of answers.
-        lanes: threads in which maps are looked up and fetched.
+        compute: threads for localization.
+        learner, live, metrics: observers of answers.
+        lanes: threads for looking up and fetching maps.
     """
 
     settings: Settings
@@ -59,7 +59,7 @@ class Answerer:
     lanes: StorageLanes
 
     async def check_known(self, names: Iterable[str]) -> None:
-        """Refuse an unknown map before a request takes a place in the queue. Known ones cost no wait for a disk.
+        """Refuse unknown maps before a request enters the queue, without disk access for known ones.
 
         Raises:
             InvalidName, UnknownMap: by the library.
@@ -69,7 +69,7 @@ class Answerer:
                 await self.lanes.files(self.library.stat, name)
 
     async def localizer(self, name: str) -> AnyLocalizer:
-        """The localizer of a map, which is fetched first if necessary. Raises as :meth:`Localizers.get`."""
+        """The localizer of a map; fetches the map if necessary. Raises as :meth:`Localizers.get`."""
         if not await self.lanes.files(self.library.is_here, name):
             await self.lanes.fetches(self.library.path, name)
         return await self.lanes.files(self.localizers.get, name)
@@ -116,7 +116,7 @@ class Answerer:
         )
 
     async def landscape(self, frame: Frame, name: str, clock: Stopwatch) -> LandscapeOut:
-        """What the densities of a map say around a frame's pose."""
+        """Landscape of a map's densities around a frame's pose."""
         return await self._compute(
             lambda localizers: landscape_of(frame, name, localizers, self.settings, clock), Effort.LARGE
         )
@@ -130,10 +130,7 @@ class Answerer:
         effort: Effort,
         expected: Sequence[float] | None = None,
     ) -> LocalizationOut:
-        """The answer that a thread finds, or at the deadline the answer that it was too late.
-
-        ``expected``: the prior's position.
-        """
+        """Answer of ``localize`` in a thread; a refusal at the deadline. ``expected`` is the prior's position."""
         await self.check_known(maps.names if maps.named else ())
         try:
             async with asyncio.timeout(deadline_s - clock.elapsed_s):
@@ -156,12 +153,12 @@ class Answerer:
         return late_answer(name, localizer, clock)
 
     async def _compute(self, work: Callable[[LocalizerSource], T], effort: Effort, needs_all: bool = True) -> T:
-        """The result of ``work`` in a compute thread; it begins again whenever a map had to be fetched first.
+        """The result of ``work`` in a compute thread; restarted whenever a map had to be fetched first.
 
         Args:
-            work: given the localizers.
+            work: function of the localizers.
             effort: of the work.
-            needs_all: whether a map that is not fetched soon is waited for, or passed over.
+            needs_all: whether to wait for a map that takes long to fetch; otherwise it is skipped.
         """
         localizers, patience_s = _RequestLocalizers(self.localizers), None if needs_all else _FETCHING_S
         while True:
@@ -180,7 +177,7 @@ class Answerer:
 
 
 class _RequestLocalizers:
-    """The localizers for one request, which keep what prevented a map from being fetched for it."""
+    """The localizers for one request, with the errors of maps that could not be fetched for it."""
 
     def __init__(self, localizers: Localizers) -> None:
         self._localizers = localizers

@@ -1,4 +1,4 @@
-"""Ask maps for a frame, one after another, and take the best answer."""
+"""Query maps for a frame one after another, and choose the best answer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _log = structlog.get_logger("rholoc.service")
 
 
 def chosen(maps: MapChoice, features_by: Callable[[Extractor], FeatureSet], clock: Stopwatch) -> Candidates:
-    """The maps to ask for a frame, the likeliest first; what extracting its features takes is not part of the stage."""
+    """Candidate maps for a frame, the likeliest first; the stage's time excludes feature extraction."""
     before_ms, start_s = clock.worked_ms, time.perf_counter()
     found = maps.candidates(features_by)
     if found.are_ranked:

@@ -34,7 +34,7 @@ class FrameFeatures:
 
     @lazy
     def image(self) -> ByteArray | None:
-        """The picture (H, W, 3); None if features were sent instead. It is decoded when it is first asked for."""
+        """The picture (H, W, 3), decoded on first use; None if features were sent instead."""
         if self._frame.image is None:
             return None
         with self._clock.stage("decode"):
@@ -58,7 +58,7 @@ class FrameFeatures:
         return camera.width, camera.height
 
     def by(self, extractor: Extractor) -> FeatureSet:
-        """The features as this extractor gives them, or as they were sent."""
+        """The features by this extractor, or as they were sent."""
         if extractor not in self._extracted:
             if self.image is not None:
                 with self._clock.stage("extract"):
@@ -71,11 +71,11 @@ class FrameFeatures:
         return self._extracted[extractor]
 
     def by_quick(self, extractor: Extractor) -> FeatureSet:
-        """The features that a quick look at the frame finds."""
+        """The features by the extractor's quick variant."""
         return self.by(extractor.quick)
 
     def more_by(self, extractor: Extractor) -> Callable[[], FeatureSet] | None:
-        """A function that finds more features than the quick extractor does; None where there are no more."""
+        """Function that extracts the full set of features; None if the quick variant has extracted it already."""
         image = self.image
         if image is None or extractor.quick is extractor:
             return None

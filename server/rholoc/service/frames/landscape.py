@@ -1,4 +1,4 @@
-"""What the densities say around a frame's pose. Runs in a thread of the compute pool."""
+"""Landscape of the densities around a frame's pose. Runs in a compute thread."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class LandscapeOut(AnswerModel):
 def landscape_of(
     frame: Frame, name: str, localizers: LocalizerSource, settings: Settings, clock: Stopwatch
 ) -> LandscapeOut:
-    """The landscape around the pose of a frame, or around the best optimum where it has no pose.
+    """The landscape around a frame's pose, or around the best optimum if it has no pose.
 
     Raises:
         DeadlineExceeded: the deadline passed first.

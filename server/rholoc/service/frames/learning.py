@@ -1,4 +1,4 @@
-"""What sure answers saw is kept, so that maps learn from it: after the answer, in a thread of its own."""
+"""Keep the features of confident answers for maps to learn from, in a background thread."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from rholoc.service.access.keys import HANDED_PREFIX
 from rholoc.service.settings import Settings
 from rholoc.service.threads.compute import lower_priority
 
-TEACHES_FROM = 0.8  # a confidence
-_MOST_WAITING = 8
+TEACHES_FROM = 0.8  # minimum confidence
+_MAX_WAITING = 8
 _STOP_S = 5.0
 _SALT_FILE = "askers.salt"
 _SALT_BYTES = 16
@@ -39,9 +39,9 @@ class Lesson:
     Attributes:
         map_id: of the map that answered.
         extractor: of its features.
-        camera: that the frame was taken with.
-        answer: surely localized.
-        features: what finds the frame's features by the extractor.
+        camera: of the frame.
+        answer: a confident pose.
+        features: extracts the frame's features.
     """
 
     map_id: str
@@ -55,28 +55,28 @@ Listener = Callable[[Lesson], None]
 
 
 class Learner:
-    """Keeps the features of sure answers. An answer waits for nothing: what there is no time for is dropped.
+    """Stores the features of confident answers. It never delays answers: lessons beyond its capacity are dropped.
 
     Args:
-        store: where they are kept.
-        settings: whether, and whose.
-        salts: where the salt of their pseudonyms is kept: in common with whom the queries are.
+        store: of the queries.
+        settings: whether queries are kept, and whose.
+        salts: files with the salt of the askers' pseudonyms, shared with the same servers as the queries.
     """
 
     def __init__(self, store: QueryStore, settings: Settings, salts: Documents) -> None:
         self.store, self._settings, self._salts = store, settings, salts
         self._barred = {name.strip() for name in settings.learn_not_from.split(",")} - {""}
-        self._waiting: queue.Queue[tuple[Lesson, str] | None] = queue.Queue(_MOST_WAITING)
+        self._waiting: queue.Queue[tuple[Lesson, str] | None] = queue.Queue(_MAX_WAITING)
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Begin to listen, where the settings say so."""
+        """Start, if the settings enable it."""
         if self._settings.learn:
             self._thread = threading.Thread(target=self._keep_all, name="rholoc-learner", daemon=True)
             self._thread.start()
 
     def close(self) -> None:
-        """Stop; what still waits is dropped."""
+        """Stop; pending lessons are dropped."""
         if self._thread is None:
             return
         with suppress(queue.Empty):
@@ -86,8 +86,8 @@ class Learner:
         self._thread.join(_STOP_S)
 
     def listener(self, asker: str) -> Listener | None:
-        """What hears the sure answers that somebody is given, by the name of their key or their address; None where
-        they teach nothing."""
+        """Listener for confident answers to ``asker``, the name of a key or an address; None if their queries are not
+        kept."""
         if self._thread is None or asker in self._barred:
             return None
         if asker.startswith(HANDED_PREFIX) and not self._settings.learn_from_handed:
@@ -108,7 +108,7 @@ class Learner:
         return self._thread is not None
 
     def pseudonym(self, asker: str) -> str:
-        """12 hex digits that stand for an asker, and tell nobody who does not have the salt who it is.
+        """12 hex digits that stand for an asker, irreversible without the salt.
 
         Raises:
             StorageFull, InvalidInput: there is no salt yet, and it cannot be stored.
@@ -122,7 +122,7 @@ class Learner:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing waits to be kept."""
+        """Whether no lessons are pending."""
         return self._waiting.unfinished_tasks == 0
 
     def _keep_all(self) -> None:

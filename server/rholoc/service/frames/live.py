@@ -1,4 +1,4 @@
-"""Who is asking for poses, and where requests failed: only if the settings enable it, and in memory only."""
+"""Live askers and failed requests, in memory only, if the settings enable it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rholoc.service.caller import ASKER
 from rholoc.service.frames.answers import LocalizationOut
 
 UNSURE_BELOW = 0.8  # a confidence
-LIVE_S = 10.0  # how long a client is shown after its last request
+LIVE_S = 10.0  # time for which a client is shown after its last request
 DAY_S = 24 * 3600.0
 _MAX_ASKERS = 1000
 _MAX_FAILURES = 20_000
@@ -25,13 +25,13 @@ class Sighting:
 
     Attributes:
         number: increases with every answer of this server.
-        asker: who asked.
-        map: its name.
+        asker: name of a key, or an address.
+        map: name of the map.
         time: seconds since the epoch.
-        position, heading: of the pose; None without a pose.
+        position, heading: of the pose; None if there is none.
         T_map_camera: 4 × 4, likewise.
-        localized: whether the answer has a pose.
-        reason: why it has none.
+        localized: whether this answer has a pose.
+        reason: why it has no pose.
         confidence: 0 to 1.
         sigma_m: the pose's standard deviation along its worst axis.
     """
@@ -51,14 +51,14 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Failure:
-    """A request that found no pose, or an unsure one; without who asked.
+    """A request without a confident pose. The asker is not stored.
 
     Attributes:
-        map: its name.
+        map: name of the map.
         time: seconds since the epoch.
         position, heading: of the unsure pose, else of the request's prior; None where there is neither.
         confidence: 0 to 1.
-        reason: why there is no pose; None where there is an unsure one.
+        reason: why there is no pose; None for an unsure one.
     """
 
     map: str
@@ -73,7 +73,7 @@ class Live:
     """The last answer for each asker, and the failures of a day. Use it from the event loop's thread only.
 
     Args:
-        shown: whether it is shown who asks.
+        shown: whether askers are shown.
         keeps_failures: whether failures are kept.
     """
 
@@ -124,10 +124,10 @@ class Live:
         self._failures.append(failure)
 
     def after(self, map_name: str, number: int) -> list[Sighting]:
-        """The last answer in a map to everyone who asked recently, if it came after answer ``number``.
+        """The last answer in a map to each recent asker, if it came after answer ``number``.
 
         Raises:
-            Conflict: this server does not show it.
+            Conflict: this server does not show askers.
         """
         if not self._shown:
             raise Conflict("This server does not show who asks for poses.", "Set RHOLOC_LIVE=true to enable it.")
@@ -139,7 +139,7 @@ class Live:
         """The failures of the last day in a map, the oldest first.
 
         Raises:
-            Conflict: this server does not keep them.
+            Conflict: this server does not keep failures.
         """
         if not self._keeps_failures:
             raise Conflict(

@@ -18,7 +18,7 @@ class MapNotHereError(Exception):
 
 
 class LocalizerSource(Protocol):
-    """Where the localizers for one request come from."""
+    """Source of localizers for one request."""
 
     def get(self, name: str) -> AnyLocalizer:
         """The localizer of the current map."""
@@ -28,8 +28,8 @@ class LocalizerSource(Protocol):
 class Localizers:
     """Keeps one localizer per map name. Safe to call from several threads.
 
-    A map that leaves the library's memory takes its localizer with it. A request keeps the localizer that it has, and
-    so its map, even if the map is replaced in the meantime.
+    A localizer is dropped when its map is evicted from memory. A request keeps its localizer, and so its map, even if
+    the map is replaced meanwhile.
     """
 
     def __init__(self, library: MapLibrary, min_recognized: float) -> None:

@@ -1,4 +1,4 @@
-"""Requests → queries: images and descriptor sets, intrinsics, priors."""
+"""Convert requests to queries: images and descriptor sets, intrinsics, priors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _GUESSED_FOCAL = 0.8  # of the longer side: phones and webcams are near it
 class Frame:
     """One frame as it was sent: either an encoded image or a descriptor set, and the options.
 
-    ``stored`` is the camera that the options name, if any; ``effort`` is how long localizing the frame will take.
+    ``stored`` is the camera named in the options, if any; ``effort`` is the expected localization effort.
     """
 
     options: LocalizeOptions
@@ -43,17 +43,17 @@ class Frame:
 
 
 def effort_of(image: bytes) -> Effort:
-    """How long localizing a picture will take, judged by its header."""
+    """Expected localization effort for a picture, by its header."""
     return Effort.LARGE if visited_pixels(image) > _ORDINARY_PIXELS else Effort.ORDINARY
 
 
 def effort_of_set(body: bytes) -> Effort:
-    """How long localizing a descriptor set will take, judged by the lists in its JSON: one for each feature's pixel."""
+    """Expected localization effort for a descriptor set, by the number of lists in its JSON, one per feature."""
     return Effort.LARGE if body.count(b"[") > _ORDINARY_FEATURES else Effort.ORDINARY
 
 
 def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camera:
-    """The intrinsics of a frame of ``size`` (width, height) px: those stored under a name, or given, or the map's own.
+    """Intrinsics of a frame of ``size`` (width, height) [px]: those of the named camera, or given, or the map's own.
 
     They are scaled if they belong to another size of the same aspect ratio. If they are unknown, the principal point is
     the image's centre and the focal length a guess.
@@ -136,7 +136,7 @@ def gravity_of(given: list[float] | None) -> FloatArray | None:
 
 
 def max_sigmas(options: LocalizeOptions) -> tuple[float, float]:
-    """The greatest standard deviations that a request accepts: metres and radians, infinite where it names none."""
+    """Maximum accepted standard deviations of a request [m] and [rad]; infinite by default."""
     max_deg = math.inf if options.max_sigma_deg is None else options.max_sigma_deg
     return math.inf if options.max_sigma_m is None else options.max_sigma_m, math.radians(max_deg)
 

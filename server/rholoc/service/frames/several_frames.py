@@ -1,4 +1,4 @@
-"""Several frames → one answer. Runs in a thread of the compute pool."""
+"""Localize several frames together. Runs in a compute thread."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from rholoc.errors import InvalidImage, InvalidInput
 from rholoc.geometry import Camera, Pose
 from rholoc.localization import (
-    FEWEST_FRAMES,
-    MOST_FRAMES,
+    MAX_FRAMES,
+    MIN_FRAMES,
     AnyLocalizer,
     JointLocalization,
     Query,
@@ -47,9 +47,9 @@ class Frames:
             InvalidImage: a picture is not base64.
         """
         count = len(query.frames)
-        if not FEWEST_FRAMES <= count <= MOST_FRAMES:
+        if not MIN_FRAMES <= count <= MAX_FRAMES:
             raise InvalidInput(
-                f"{count} frames; {FEWEST_FRAMES} to {MOST_FRAMES} can be localized together.",
+                f"{count} frames; {MIN_FRAMES} to {MAX_FRAMES} can be localized together.",
                 "Send a single frame by itself, and long sequences in parts.",
             )
         strange = sorted(set(images) - set(range(count)))
@@ -89,7 +89,7 @@ def localize_frames(
     clock: Stopwatch,
     deadline_s: float,
 ) -> LocalizationOut:
-    """The best answer of some maps for several frames; of many, those are asked that the first frame is most like.
+    """The best answer of some maps for several frames; of many maps, only those most similar to the first frame.
 
     Raises:
         As :func:`rholoc.service.frames.single_frame.localize_frame`.

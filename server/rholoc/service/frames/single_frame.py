@@ -1,4 +1,4 @@
-"""One frame → one answer, timed stage by stage. Runs in a thread of the compute pool."""
+"""Localize one frame, with the time of each stage. Runs in a compute thread."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rholoc.service.frames.queries import Frame, camera_for, gravity_of, max_sig
 from rholoc.service.frames.stopwatch import Stopwatch, frame_deadline_s
 from rholoc.service.settings import Settings
 
-_Answered = tuple[str, AnyLocalizer, Localization]  # by which map
+_Answered = tuple[str, AnyLocalizer, Localization]  # map, its localizer, its answer
 
 
 def localize_frame(
@@ -35,11 +35,10 @@ def localize_frame(
     clock: Stopwatch,
     listener: Listener | None = None,
 ) -> LocalizationOut:
-    """The best answer of some maps: the one whose place is recognized most surely, with a pose if any has one.
+    """The best answer of some maps: one with a pose if possible, with the largest probability of the right place.
 
-    Of several maps, those whose features or camera do not fit the frame are passed over; where nobody named them, so
-    are those that cannot be used for any other reason. ``listener`` hears of a pose found by a camera whose
-    intrinsics are known.
+    Of several maps, those with unsuitable features or camera are skipped; if the request did not name them, so are maps
+    unusable for any other reason. ``listener`` is called with a pose found with known intrinsics.
 
     Raises:
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
@@ -104,11 +103,10 @@ def _looking_twice(
     surest: Callable[[Candidates], _Answered],
     clock: Stopwatch,
 ) -> _Answered:
-    """The surest answer of the maps that a quick look at a frame finds; where it is not sure, of those that a closer
-    look finds as well.
+    """The surest answer of the maps found with quick features; if not conclusive, of those found with all features too.
 
     Raises:
-        RholocError: none of them could be asked.
+        RholocError: no map could be used.
     """
     answers, refused = [], None
     try:

@@ -14,7 +14,7 @@ _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 
 
 def in_site(answer: LocalizationOut, sites: SiteLibrary, asked: str | None = None) -> LocalizationOut:
-    """The answer with its pose in a site's frame: the one that was ``asked``, else the first that has the map."""
+    """Add the pose in the frame of the site ``asked``, by default of the first site with the map."""
     name = asked or sites.site_of(answer.map)
     if answer.pose is None or name is None:
         return answer

@@ -1,4 +1,4 @@
-"""The time that each stage of a request takes."""
+"""Time of each stage of a request."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Stopwatch:
 
     @property
     def worked_ms(self) -> float:
-        """All stages together."""
+        """Sum of all stages."""
         return sum(self.stages_ms.values())
 
     @property
@@ -47,5 +47,5 @@ class Stopwatch:
 
 
 def frame_deadline_s(asked_ms: float | None, settings: Settings) -> float:
-    """How long after its request arrived a frame is answered at the latest, with a pose or without."""
+    """Deadline of a frame's answer, in seconds after its request arrived."""
     return (asked_ms or settings.default_deadline_ms) / 1000

@@ -1,1 +1,1 @@
-"""HTTP itself: bodies, connections, errors' bodies, middlewares, the OpenAPI document, the page's files."""
+"""HTTP: bodies, connections, middlewares, the OpenAPI document, the page's files."""

@@ -29,14 +29,14 @@ PieceListener = Callable[[bytes], None]
 
 
 def media_type(request: Request) -> str:
-    """The body's content type without parameters, lower case; empty where none is given."""
+    """The body's content type without parameters, lower case; empty if none is given."""
     message = Message()
     message["content-type"] = request.headers.get("content-type", "")
     return message.get_content_type() if request.headers.get("content-type") else ""
 
 
 def declared_length(request: Request) -> int:
-    """How many bytes the body says that it has; 0 where it does not say."""
+    """The body's declared length [bytes]; 0 if none is declared."""
     declared = request.headers.get("content-length", "")
     return int(declared) if declared.isdecimal() else 0
 
@@ -45,7 +45,7 @@ async def limited_stream(request: Request, max_bytes: int) -> AsyncIterator[byte
     """The body's chunks.
 
     Raises:
-        TooLarge: the body is, or says that it is, longer than ``max_bytes``.
+        TooLarge: the body's length or declared length exceeds ``max_bytes``.
         ClientDisconnect: the sender broke off.
     """
     too_large = TooLarge(f"The body is longer than {max_bytes} bytes.", "Send less, or raise the service's limit.")
@@ -64,8 +64,8 @@ class HeldBodies:
     """Limits the memory that the bodies of all requests in progress take together.
 
     Args:
-        max_bytes: the limit on what the bodies take beyond ``free_bytes`` each.
-        free_bytes: how much of each body does not count: about the size of a camera's frame.
+        max_bytes: limit on the total size of all bodies beyond ``free_bytes`` each.
+        free_bytes: part of each body that does not count: about the size of a camera's frame.
     """
 
     def __init__(self, max_bytes: int, free_bytes: int = _FRAME_BYTES) -> None:
@@ -74,10 +74,10 @@ class HeldBodies:
 
     @contextmanager
     def hold(self) -> Iterator[PieceListener]:
-        """Count one body for as long as it is needed. Call what this yields with each piece, in the event loop.
+        """Count one body within the block. Call the yielded function with each piece, in the event loop.
 
         Raises:
-            Busy: from that call, once the limit is reached.
+            Busy: raised by that function at the limit.
         """
         length = taken = 0
 

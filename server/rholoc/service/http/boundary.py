@@ -18,7 +18,7 @@ from rholoc.service.errors import Internal, as_rholoc_error, error_body, error_h
 REQUEST_ID_HEADER = "X-Request-ID"
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _REFUSED = 400  # statuses from here on
-_REFUSAL_TAKES_S = 0.02  # at least: a client that repeats invalid requests without pause would starve the others
+_REFUSAL_TAKES_S = 0.02  # minimum, against clients that repeat invalid requests without pause
 _log = structlog.get_logger("rholoc.service")
 
 

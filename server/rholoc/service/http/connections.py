@@ -1,4 +1,4 @@
-"""Closes connections of clients that send slowly or nothing at all, so that they cannot take up all connections."""
+"""Close connections of slow or silent clients, so that they cannot take up all connections."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from rholoc.service.access.scopes import client_of
 from rholoc.service.errors import RequestTimeout, TooManyRequests
 
 _HEAD_TIMEOUT_S = 20.0  # for a request's line and headers
-_LEAST_BYTES_PER_S = 500.0  # of a body, on average
-_LEFTOVER_BYTES_PER_S = 4e6  # of a body that was refused before it arrived: reading it slows the others down
+_MIN_BYTES_PER_S = 500.0  # of a body, on average
+_LEFTOVER_BYTES_PER_S = 4e6  # of a refused body, whose reading slows other requests down
 _RETRY_AFTER_S = 5.0
 _STALLED_READER_S = 30.0
 _FOR_PROBES = 128  # connections beyond the limit
-_YOUNG_S = 1.0  # a connection is not taken for idle before
-BEYOND_LIMIT = "beyond_limit"  # member of a request's state: its connection is one of these
+_YOUNG_S = 1.0  # minimum age of an idle connection
+BEYOND_LIMIT = "beyond_limit"  # member of a request's state, set for connections beyond the limit
 _STREAMED_BYTES = 8 * 2**20  # of one message of a WebSocket
 
 
 class PatientProtocol(H11Protocol):
     """Uvicorn's HTTP/1.1, which closes a connection whose request's head does not arrive in time.
 
-    Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then.
-    At the limit of connections, a new one replaces the one that has been idle for longest. If none is idle, a few more
-    are let in, in which only probes are answered, and of which each new one replaces the oldest. A connection is broken
-    off if its client does not read what is sent.
+    Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then. At
+    the limit of connections, a new one replaces the one idle for longest. If none is idle, ``_FOR_PROBES`` more are
+    accepted for probes only; each further one replaces the oldest of these. A connection is aborted if its client does
+    not read.
     """
 
     head_timeout_s = _HEAD_TIMEOUT_S
@@ -86,7 +86,7 @@ class PatientProtocol(H11Protocol):
         return self.cycle is None or self.cycle.response_complete
 
     def _replace(self, other: PatientProtocol) -> None:
-        self.connections.discard(other)  # at once: many may come before its connection_lost is called
+        self.connections.discard(other)  # now: many may arrive before its connection_lost is called
         other.transport.close()
 
     def data_received(self, data: bytes) -> None:
@@ -103,7 +103,7 @@ class PatientProtocol(H11Protocol):
         self._stop_breaking_off()
 
     def _watch_head(self) -> None:
-        """Let the time run from a head's first byte, not from its last."""
+        """Start the timeout at a head's first byte, not its last."""
         if self.conn.their_state is not h11.IDLE:
             self._stop_watching()
         elif self._giving_up is None:
@@ -125,7 +125,7 @@ def _full() -> Busy:
 
 
 def protocol_of(max_connections: int, stalled_reader_s: float = _STALLED_READER_S) -> type[PatientProtocol]:
-    """The protocol for a server with this limit of connections, and of seconds in which a client reads nothing."""
+    """The protocol class with a limit of connections and a timeout for clients that do not read."""
     limits = {"max_connections": max_connections, "stalled_reader_s": stalled_reader_s}
     return type("PatientProtocol", (PatientProtocol,), limits)
 
@@ -141,11 +141,11 @@ def websocket_options(max_request_bytes: int) -> dict[str, Any]:
 
 
 class ConcurrencyLimited:
-    """ASGI middleware that refuses a client that has too many requests under way. It stands behind the guard.
+    """ASGI middleware that limits each client's concurrent requests. It stands behind the guard.
 
     Args:
-        app: what answers.
-        max_of_client: how many requests a key with those that it handed on, or an address, may have under way.
+        app: the next application.
+        max_of_client: maximum number for a key with those that it handed on, or for an address.
     """
 
     def __init__(self, app: ASGIApp, max_of_client: int) -> None:
@@ -157,7 +157,7 @@ class ConcurrencyLimited:
         """Answer one request.
 
         Raises:
-            TooManyRequests: its client has too many under way.
+            TooManyRequests: the client is at its limit.
         """
         client = client_of(scope) if scope["type"] == "http" else ""
         if not client:
@@ -177,7 +177,7 @@ class ConcurrencyLimited:
 
 
 class ProbesOnly:
-    """ASGI middleware for connections beyond the limit: they are answered if they ask what is open to everyone.
+    """ASGI middleware for connections beyond the limit: only routes open to everyone are served.
 
     It stands behind the guard, which finds the route.
     """
@@ -189,7 +189,7 @@ class ProbesOnly:
         """Answer one request.
 
         Raises:
-            Busy: it is no probe.
+            Busy: the route is not open to everyone.
         """
         if scope.get("state", {}).get(BEYOND_LIMIT) and client_of(scope):
             raise _full()
@@ -200,8 +200,8 @@ class SlowBodies:
     """ASGI middleware that ends requests whose body stalls or trickles in.
 
     Args:
-        app: what reads the bodies.
-        silence_s: how long nothing may arrive, and how far a body may lag behind 500 bytes a second.
+        app: the next application.
+        silence_s: maximum silence, and maximum lag behind ``_MIN_BYTES_PER_S``.
     """
 
     def __init__(self, app: ASGIApp, silence_s: float) -> None:
@@ -232,7 +232,7 @@ class SlowBodies:
             waited_s += time.monotonic() - begun
             received += len(message.get("body", b""))
             whole = not message.get("more_body", False)
-            if not whole and waited_s > self._silence_s + received / _LEAST_BYTES_PER_S:
+            if not whole and waited_s > self._silence_s + received / _MIN_BYTES_PER_S:
                 raise RequestTimeout(
                     "The request's body arrives too slowly.", "Send it again over a better connection."
                 )

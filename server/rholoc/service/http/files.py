@@ -1,4 +1,4 @@
-"""Responses that a browser may keep, and those with files that may be replaced or deleted while they are sent."""
+"""Cacheable responses, and responses with files that may be replaced or deleted while they are sent."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class OpenedFile(FileResponse):
         self._descriptor = os.open(path, os.O_RDONLY)
         try:
             status = os.fstat(self._descriptor)
-            # This name opens the same file again, even once its own name is gone.
+            # This name opens the same file even after it was deleted.
             same = f"/proc/self/fd/{self._descriptor}"
             super().__init__(same, headers=headers, media_type=media_type, stat_result=status)
         except BaseException:
@@ -45,7 +45,7 @@ class OpenedFile(FileResponse):
 
 
 def _is_range(value: str) -> bool:
-    """Whether a ``Range`` is of bytes, each span of it from a first to no earlier a last one."""
+    """Whether a ``Range`` header holds valid spans of bytes."""
     unit, _, spans = value.partition("=")
     found = [_SPAN.fullmatch(span) for span in spans.split(",")]
     return unit.strip().lower() == "bytes" and all(
@@ -54,16 +54,16 @@ def _is_range(value: str) -> bool:
 
 
 def caching_headers(etag: str) -> dict[str, str]:
-    """A browser may cache the answer, and revalidates it before each use."""
+    """Headers that let a browser cache the answer and revalidate it before each use."""
     return {"ETag": etag, "Cache-Control": "private, no-cache"}
 
 
 def is_kept(request: Request, etag: str) -> bool:
-    """Whether the browser already has this version."""
+    """Whether the browser has this version already."""
     kept = {tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")}
     return etag in kept or "*" in kept
 
 
 def unchanged(etag: str) -> Response:
-    """The answer where the browser already has this version."""
+    """The answer 304 to a browser that has this version already."""
     return Response(status_code=304, headers=caching_headers(etag))

@@ -1,7 +1,7 @@
-"""JSON from clients: measured before it is parsed, so that no body takes more time or memory than its limits allow.
+"""Limit JSON bodies before they are parsed, to bound time and memory.
 
-A parser holds the interpreter until it is done, and a validator notes every error it finds. Counting the bytes that
-begin a value takes a thousandth of the time and bounds both.
+A parser blocks the interpreter, and a validator collects every error. Counting the bytes that begin a value takes a
+thousandth of the time and bounds both.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _BYTES_PER_VALUE = 4
 
 @dataclass(frozen=True)
 class JsonLimits:
-    """What a JSON body may hold.
+    """Limits on a JSON body.
 
     Attributes:
-        length: in bytes.
-        values: how many numbers, strings, lists and objects.
-        members: how many names with values, in all objects together.
+        length: [bytes].
+        values: number of numbers, strings, lists and objects.
+        members: number of members of all objects together.
     """
 
     length: int
@@ -47,7 +47,7 @@ class JsonLimits:
 
     @classmethod
     def of_features(cls, max_bytes: int, max_features: int) -> JsonLimits:
-        """For a descriptor set of so many features."""
+        """For a descriptor set of ``max_features`` features."""
         return cls(max_bytes, _VALUES_PER_FEATURE * max_features + _MAX_MEMBERS)
 
     def check(self, body: bytes) -> None:

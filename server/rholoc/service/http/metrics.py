@@ -18,8 +18,8 @@ from rholoc.service.access.scopes import found_route
 _log = structlog.get_logger("rholoc.service")
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _KEPT_S = 0.5
-_MOST_MAPS = 200  # that have counters of their own: each has one for every outcome
-_OTHER_MAPS = "other maps"  # no map can be called so
+_MAX_MAPS = 200  # with their own counters, one for each outcome
+_OTHER_MAPS = "other maps"  # not a valid map name
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
 
 
@@ -60,9 +60,9 @@ class Metrics:
         self._requests.labels(method, route, str(status)).observe(duration_s)
 
     def localization(self, map_name: str, reason: str | None, timings_ms: Mapping[str, float]) -> None:
-        """Count a frame: the map that answered, why it has no pose, if it has none, and how long each stage took."""
+        """Count a frame by map and reason (None for a pose), with the time of each stage."""
         self._localizations.labels(reason or "localized").inc()
-        if len(self._maps) < _MOST_MAPS:
+        if len(self._maps) < _MAX_MAPS:
             self._maps.add(map_name)
         self._of_maps.labels(map_name if map_name in self._maps else _OTHER_MAPS, reason or "localized").inc()
         for stage, duration_ms in timings_ms.items():
@@ -73,7 +73,7 @@ class Metrics:
         self._registry.register(_Gauge(name, text, label, read))
 
     def text(self) -> bytes:
-        """All metrics in Prometheus's format; at most half a second old, because making the text takes a while."""
+        """All metrics in Prometheus's format, cached for half a second."""
         with self._making:
             if time.monotonic() - self._made_s > _KEPT_S:
                 self._text, self._made_s = generate_latest(self._registry), time.monotonic()
@@ -91,7 +91,7 @@ class _Gauge(Collector):
         family = GaugeMetricFamily(self._name, self._text, labels=[self._label])
         try:
             values = self._read()
-        except Exception as error:  # whatever a database's driver raises: the other metrics are still wanted
+        except Exception as error:  # of any driver; must not prevent other metrics
             _log.warning("gauge_unread", gauge=self._name, error=repr(error)[:200])
             values = {}
         for value, number in values.items():
@@ -123,7 +123,7 @@ class Metered:
             await self._app(scope, receive, send_noting_status)
         finally:
             route, duration_s = found_route(scope), time.perf_counter() - begun
-            if route is None:  # neither made-up paths nor made-up methods become labels
+            if route is None:  # invented paths and methods must not become labels
                 self._metrics.request("other", "other", status, duration_s)
             else:
                 self._metrics.request(method, route.path, status, duration_s)

@@ -1,4 +1,4 @@
-"""What the models of requests and answers share: their bases, numbers and vectors, intrinsics."""
+"""Base classes and common types of requests and answers: numbers, vectors, intrinsics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""OpenAPI for what FastAPI cannot see: bodies that are read by hand, and the errors of each route."""
+"""OpenAPI for bodies that routes parse themselves, and for the errors of each route."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def request_body(content: dict[str, Any]) -> dict[str, Any]:
 def declared(
     access: object, summary: str, *errors: type[RholocError], also: Mapping[int, dict[str, Any]] | None = None
 ) -> dict[str, Any]:
-    """What a route declares.
+    """Keyword arguments that declare a route.
 
     Args:
-        access: who may use it, of :mod:`rholoc.service.access.scopes`.
-        summary: its title in the OpenAPI document.
-        errors: that it answers with, besides those that all routes may answer with.
+        access: required access, of :mod:`rholoc.service.access.scopes`.
+        summary: title in the OpenAPI document.
+        errors: of this route, in addition to those common to all routes.
         also: further answers by status; one of 200 without a model is the route's only answer.
     """
     also = also or {}
@@ -97,8 +97,8 @@ def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
 
 
 def _add_common_failures(operation: dict[str, Any]) -> None:
-    """Add the ``responses`` that an operation may have because of what is common to all: keys, queries, bodies."""
-    kinds: list[type[RholocError]] = [InvalidRequest]  # of a query that it does not take
+    """Add the ``responses`` common to all operations: errors of keys, queries and bodies."""
+    kinds: list[type[RholocError]] = [InvalidRequest]  # unknown query parameters
     if "security" in operation:
         kinds += [Unauthorized, Forbidden, CrossSite, TooManyRequests, QuotaExceeded]
     if "requestBody" in operation:

@@ -1,7 +1,7 @@
-"""Frames first: while one is being localized, other requests wait after each of their steps.
+"""Priority for frames: while one is being localized, other requests wait after each of their steps.
 
-A frame takes many small steps that need the interpreter, which runs one thread at a time: anything else that runs in
-this process slows them down, however many cores there are and whatever its priority.
+Localization often needs the interpreter, which runs one thread at a time: any other Python code in this process slows
+it down, regardless of cores and priorities.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from rholoc.service.access.keys import Scope as KeyScope
 from rholoc.service.access.scopes import found_route
 
-_SHARE = 0.2  # of the time, for everything that is not a frame
+_SHARE = 0.2  # of the time, for everything except frames
 _LONGEST_S = 1.0
 
 
 class Pace:
-    """Limits the steps of everything that shares it to ``share`` of the time in all.
+    """Limits the total time of all steps that share it to ``share`` of the time.
 
     Args:
         share: of the time.
-        longest_s: the longest wait after one step, however many are waiting.
+        longest_s: maximum wait after one step.
         clock: the time in seconds.
     """
 
@@ -34,10 +34,10 @@ class Pace:
         self._share = share
         self._longest_s = longest_s
         self._clock = clock
-        self._free_s = 0.0  # when the waits for all steps so far are over
+        self._free_s = 0.0  # end of the waits for all steps so far
 
     def delay_s(self, took_s: float) -> float:
-        """How long to wait after a step that took so long."""
+        """Time to wait after a step of ``took_s``."""
         now_s = self._clock()
         self._free_s = min(max(now_s, self._free_s) + took_s / self._share, now_s + self._longest_s)
         return self._free_s - now_s
@@ -46,13 +46,12 @@ class Pace:
 class FramesFirst:
     """ASGI middleware: requests other than frames wait before each piece of their body and before their answer.
 
-    How long depends on the time spent since the piece before. Routes that localize, and those that are open to
-    everyone, never wait.
+    The wait depends on the time since the piece before. Routes that localize and routes open to everyone never wait.
 
     Args:
-        app: what answers.
-        busy: whether frames are being worked on.
-        pace: of those who wait.
+        app: the next application.
+        busy: whether frames are being localized.
+        pace: shared by the waiting requests.
     """
 
     def __init__(self, app: ASGIApp, busy: Callable[[Scope], bool], pace: Pace | None = None) -> None:

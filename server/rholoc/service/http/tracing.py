@@ -1,4 +1,4 @@
-"""A trace of each request, in the caller's where it names one (W3C ``traceparent``)."""
+"""Trace each request, as part of the caller's trace if it sends a W3C ``traceparent``."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _FAILED = 500  # statuses from here on
 
 
 class Traced:
-    """ASGI middleware that traces the requests to routes which need a key: not the page, and no probes.
+    """ASGI middleware that traces requests to routes that need a key, so neither the page nor probes.
 
     Args:
-        app: what answers.
+        app: the next application.
     """
 
     def __init__(self, app: ASGIApp) -> None:

@@ -1,6 +1,6 @@
-"""tus 1.0, the protocol of resumable uploads (tus.io/protocols/resumable-upload): its headers, read and written.
+"""Headers of tus 1.0, the protocol of resumable uploads (tus.io/protocols/resumable-upload).
 
-:class:`rholoc.jobs.UploadStore` knows what is stored and when an upload is complete.
+:class:`rholoc.jobs.UploadStore` keeps the uploads themselves.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _OVERRIDE = "X-HTTP-Method-Override"
 
 
 class Tus:
-    """ASGI middleware: what the protocol requires of every request and every answer."""
+    """ASGI middleware for the protocol's requirements on every request and answer."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -55,7 +55,7 @@ class Tus:
 
 
 def abilities(max_bytes: int) -> dict[str, str]:
-    """The headers that say what this server supports."""
+    """Headers with the server's capabilities."""
     return {
         RESUMABLE: TUS_VERSION,
         "Tus-Version": TUS_VERSION,
@@ -66,7 +66,7 @@ def abilities(max_bytes: int) -> dict[str, str]:
 
 
 def standing(upload: Upload) -> dict[str, str]:
-    """The headers that say where an upload is, and its job once there is one."""
+    """Headers with an upload's offset, and its job once there is one."""
     headers = {"Upload-Offset": str(upload.offset), "Upload-Length": str(upload.length), "Cache-Control": "no-store"}
     if upload.expires is not None:
         headers["Upload-Expires"] = formatdate(upload.expires, usegmt=True)

@@ -39,7 +39,7 @@ class _PageFiles(StaticFiles):
 def install(app: FastAPI) -> None:
     """Serve the page's files with the app, to everyone."""
     for suffix, kind in _TYPES.items():
-        mimetypes.add_type(kind, suffix)  # operating systems disagree about them
+        mimetypes.add_type(kind, suffix)  # operating systems have different types
     files = _PageFiles(directory=web_folder())
     served = {
         f"{PREFIX}/swagger/{{file:path}}": _file(_PageFiles(packages=[_SWAGGER_UI])),

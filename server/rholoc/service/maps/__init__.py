@@ -1,1 +1,1 @@
-"""Maps and sites as clients see and change them, and the jobs that make maps."""
+"""Descriptions, corrections and exports of maps, site documents, and events of mapping jobs."""

@@ -1,4 +1,4 @@
-"""Maps as they are described to clients."""
+"""Descriptions of maps for clients."""
 
 from __future__ import annotations
 

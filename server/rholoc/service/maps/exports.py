@@ -1,4 +1,4 @@
-"""Long exports of maps: each is made by a process, which is ended once the client has gone."""
+"""Long exports of maps, each in a child process that ends when the client disconnects."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from rholoc.exports import ExportFormat
 from rholoc.exports.process import REFUSED
 from rholoc.processes import AsyncProgram
 
-SHORT_NUMBERS = 4_000_000  # a few seconds' work: less than a process needs to start on a busy machine
+SHORT_NUMBERS = 4_000_000  # a few seconds' work, less than the start of a process on a busy machine
 _NUMBERS_PER_SURFACE = 40_000
-_VARIABLES, _DEGREE = 8, 2  # of the tensor form of equation (3), as it is written where no degree is given
+_VARIABLES, _DEGREE = 8, 2  # of the tensor form of equation (3), the default degree
 _AT_ONCE = 1
 _MAX_WAITING = 8
 _PIECE_BYTES = 2**16

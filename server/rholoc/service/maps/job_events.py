@@ -1,4 +1,4 @@
-"""Jobs as they change, for any number of watchers: each job is looked up once for all that watch it."""
+"""Events of changed jobs; each job is looked up once for all its watchers."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class JobEvents:
 
     Args:
         jobs: the queue.
-        database: the threads that ask it.
+        database: threads for its queries.
     """
 
     def __init__(self, jobs: JobQueue, database: StorageThreads) -> None:
@@ -89,7 +89,7 @@ class JobEvents:
         self._looks: dict[str, tuple[float, asyncio.Task[JobEvent]]] = {}
 
     async def latest(self, job_id: str) -> JobEvent:
-        """The job's state, at most half a second old; one that had ended is looked up again, as it may be retried.
+        """The job's state, at most half a second old; ended jobs are looked up again because they may be retried.
 
         Raises:
             UnknownJob: no job has this id.
@@ -120,6 +120,6 @@ def job_out(job: Job) -> JobOut:
 
 
 def begun(job: Job, response: Response) -> JobOut:
-    """The answer of a request that began a job, whose address goes into a header of its response."""
+    """The answer to a request that began a job; sets the ``Location`` header."""
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return job_out(job)

@@ -1,4 +1,4 @@
-"""Follows the library: a thread of low priority that keeps the index of all maps' views up to date."""
+"""A low-priority thread that keeps the index of all maps' views up to date."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ _log = structlog.get_logger("rholoc.service")
 
 
 class MapWatch:
-    """A thread that refreshes a finder whenever the folder of maps has changed, by whomever.
+    """A thread that refreshes a finder whenever the folder of maps has changed.
 
     Args:
-        finder: what is refreshed.
-        every_s: how often the folder is looked at.
+        finder: to refresh.
     """
 
-    def __init__(self, finder: MapFinder, every_s: float = _EVERY_S) -> None:
-        self._finder, self._every_s = finder, every_s
+    def __init__(self, finder: MapFinder) -> None:
+        self._finder = finder
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="map-watch", daemon=True)
 
@@ -51,4 +50,4 @@ class MapWatch:
             if self._finder.trouble not in ("", said):
                 said = self._finder.trouble
                 _log.warning("map_index_not_stored", error=said[:200])
-            self._stopped.wait(self._every_s)
+            self._stopped.wait(_EVERY_S)

@@ -1,4 +1,4 @@
-"""Put a map that was sent into the library, once it has been shown that the service can use it."""
+"""Publish an uploaded map after a check that the service can use it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rholoc.service.settings import Settings
 
 
 def publish_file(library: MapLibrary, name: str, arrived: Path, settings: Settings) -> None:
-    """Publish a ``.rho`` file or a Table 5, if the service can do with it everything that it does with maps.
+    """Publish a ``.rho`` file or a Table 5, if all operations of the service succeed on it.
 
     Raises:
         TooLarge, InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
@@ -60,10 +60,10 @@ def _check_features(map_: Map) -> None:
 
 
 def _rehearse(map_: Map, name: str, size_bytes: int, min_recognized: float) -> None:
-    """Do with a map what requests for it will need, so that a map that fails is refused.
+    """Try the operations of later requests on a map, to refuse a map that would fail.
 
     Raises:
-        InvalidMap: something of it cannot be done.
+        InvalidMap: an operation failed.
     """
     check_usable(map_)
     try:

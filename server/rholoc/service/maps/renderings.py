@@ -1,7 +1,7 @@
-"""Pictures of maps and figures for people: made once for each version, by a process of its own, and kept.
+"""Pictures and figures of maps: made once for each version in a child process, and cached.
 
-The threads that answer robots are not involved: there is one process, at low priority, and its output is served from a
-file, with an ETag, until the map changes.
+One low-priority process draws them, so the threads that localize are not involved. Its output is served from a file,
+with an ETag, until the map changes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rholoc.pictures.rendering import Rendering
 from rholoc.processes import AsyncProgram
 from rholoc.service.threads.storage import StorageLanes
 
-_IDLE_S = 120.0  # after which the process is ended, which frees its memory
+_IDLE_S = 120.0  # then the process ends and frees its memory
 _MAX_WAITING = 200
 _RETRY_AFTER_S = 5.0
 _ATTEMPTS = 2  # the process may be killed for its memory
@@ -48,7 +48,7 @@ class Renderings:
     Args:
         folder: of the renderings.
         library: the maps.
-        threads: which read both.
+        threads: for reading both.
     """
 
     def __init__(self, folder: Path, library: MapLibrary, threads: StorageLanes) -> None:
@@ -110,7 +110,7 @@ class Renderings:
             raise kind_of_error(answer["error"], answer["hint"])
 
     async def _ask(self, request: dict[str, str]) -> dict[str, str] | None:
-        """The process's answer; None where it ended without one."""
+        """The process's answer; None if it ended without one."""
         if self._idle is not None:
             self._idle.cancel()
         if self._program is None or not self._program.running:

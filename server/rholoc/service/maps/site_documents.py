@@ -1,4 +1,4 @@
-"""Sites as they are sent, and as they are shown."""
+"""Models of sites in requests and answers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 from pydantic import Field
 
-from rholoc.maps import MOST_MAPS, FramePose, LinkOrigin, Site, SiteLink, SiteMap, SiteOnEarth, check_site
+from rholoc.maps import MAX_MAPS, FramePose, LinkOrigin, Site, SiteLink, SiteMap, SiteOnEarth, check_site
 from rholoc.service.http.models import AnswerModel, Number, RequestModel
 
 
@@ -55,7 +55,7 @@ class SiteEarthIn(RequestModel):
 class SiteIn(RequestModel):
     """A site: maps in one frame."""
 
-    maps: list[SiteMapIn] = Field(max_length=MOST_MAPS)
+    maps: list[SiteMapIn] = Field(max_length=MAX_MAPS)
     links: list[SiteLinkIn] = Field(default_factory=list, max_length=10_000)
     earth: SiteEarthIn | None = None
     version: int | None = Field(default=None, description="the version that this was made from; default: whichever")
@@ -85,7 +85,7 @@ class SiteOut(AnswerModel):
 
 
 def site_of(given: SiteIn) -> Site:
-    """The site that was sent, its poses not found yet.
+    """The sent site, before poses are solved from links.
 
     Raises:
         InvalidInput, InvalidName: it cannot be one.

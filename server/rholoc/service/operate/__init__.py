@@ -1,1 +1,1 @@
-"""What operators do: backups, certificates, checks."""
+"""Tools for operators: backups, certificates, checks."""

@@ -1,7 +1,7 @@
-"""Everything that a server cannot make again, in one file, and back.
+"""Back up a server's irreplaceable data to one file, and restore it.
 
-The file is a tar archive whose last entry, the manifest, has the size and SHA-256 of each of the others: one that was
-cut off has none.
+The file is a tar archive. Its last entry, the manifest, has the size and SHA-256 of all others, so that a truncated
+file is detected.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class BackedUp:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a backup holds.
+    """Content of a backup.
 
     Attributes:
         created: seconds since the epoch.
@@ -63,15 +63,15 @@ class Manifest:
     files: dict[str, BackedUp] = field(default_factory=dict)
 
     def count(self, pattern: str) -> int:
-        """How many of the files' paths match a pattern."""
+        """Number of files with a path that matches ``pattern``."""
         return sum(PurePosixPath(path).match(pattern) for path in self.files)
 
 
 def back_up(file: Path, stores: Stores, recordings: bool = False) -> Manifest:
-    """Write maps with the versions that they replaced, cameras, sites and keys, which are hashes, to a file.
+    """Write maps with their previous versions, cameras, sites and hashes of keys to a file.
 
-    Servers may run meanwhile: all maps are those of one moment, and each file is whole. Jobs, uploads that
-    are not finished and what can be made again are left out; recordings too, unless they are asked for.
+    Servers may run meanwhile: the maps are a consistent snapshot, and each file is complete. Jobs, unfinished uploads
+    and reproducible data are left out; so are recordings, unless ``recordings``.
 
     Raises:
         Conflict: the file exists.
@@ -93,13 +93,13 @@ def back_up(file: Path, stores: Stores, recordings: bool = False) -> Manifest:
 
 
 def restore(file: Path, stores: Stores) -> tuple[Manifest, MovedIn]:
-    """Bring everything in a backup into stores; nothing that is there is replaced.
+    """Restore a backup into stores without replacing anything.
 
-    What is there as it is in the backup is left, so that a restoration that broke off can be repeated.
+    Identical data is skipped, so that an interrupted restoration can be repeated.
 
     Raises:
         InvalidInput: the file is none, was cut off or changed, or cannot be read. Nothing was restored.
-        Conflict: something of it is there and is different; says what. Nothing was restored.
+        Conflict: the stores have different data of the same name, as the message says. Nothing was restored.
         StorageUnavailable, StorageFull: what came before is there; try again.
     """
     with temporary_folder(stores.data_dir) as folder:
@@ -127,14 +127,14 @@ def unpack_backup(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
 
 
 def _other_maps(folder: MapLibrary, library: MapLibrary) -> Iterator[str]:
-    """The maps of a folder of which the library has others."""
+    """Names of maps that differ between a folder and the library."""
     for name in sorted({*folder.names()} & {*library.names()}):
         if not library.holds(name, folder.path(name)):
             yield f"{_MAPS}/{folder.path(name).name}"
 
 
 def _other_documents(folder: Path, stores: Stores) -> Iterator[str]:
-    """The small files of folders of which the stores have others."""
+    """Names of small files that differ between a folder and the stores."""
     for kind, path in _FOLDERS.items():
         files, stored = FolderDocuments(folder / path), stores.documents(kind)
         for name in sorted({*files.names()} & {*stored.names()}):
@@ -173,7 +173,7 @@ def _write(file: Path, sources: Iterable[tuple[str, Path]]) -> Manifest:
 
 
 def _contents(stores: Stores, folder: Path, recordings: bool) -> Generator[tuple[str, Path]]:
-    """Paths in the backup and files, each of which may be gone when the next one is asked for."""
+    """Paths in the backup and files; each file may be gone when the next one is requested."""
     for name, number, file in stores.library.snapshot():
         yield f"{_MAPS}/{place_of(name, number)}", file
     for kind, path in _FOLDERS.items():
@@ -240,7 +240,7 @@ def _add_manifest(tar: tarfile.TarFile, manifest: Manifest) -> None:
 
 
 def _unpacked(file: Path, staged: dict[str, Path]) -> Manifest:
-    """A backup's files in folders apart, once they are found to be whole.
+    """Unpack a backup into staging folders, and verify it.
 
     Raises:
         InvalidInput: they are not.
@@ -283,7 +283,7 @@ def _manifest(file: Path, text: bytes) -> Manifest:
 
 
 def _checked(file: Path, name: str) -> str:
-    """The path of an entry, if a backup may have it: nothing is written elsewhere.
+    """The path of an entry, checked to stay within a backup's folders.
 
     Raises:
         InvalidInput: it may not.
@@ -316,7 +316,7 @@ def _move(source: Path, target: Path) -> None:
     """Give a file its place, unless there is one already.
 
     Raises:
-        FileExistsError: there is.
+        FileExistsError: there is one.
     """
     try:
         os.link(source, target)

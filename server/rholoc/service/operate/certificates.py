@@ -1,4 +1,4 @@
-"""HTTPS without a domain: a certificate for this machine's addresses, signed by an authority of its own.
+"""HTTPS without a domain: a certificate for this machine's addresses, signed by our own authority.
 
 Browsers give camera and motion sensors to pages over HTTPS only. The authority is created once and kept, so that a
 phone that trusts it also trusts later certificates, whatever address the machine then has.
@@ -27,7 +27,7 @@ _ORGANIZATION = "rholoc"
 _PROBED_ADDRESSES = (
     ("192.0.2.1", socket.AF_INET),
     ("2001:db8::1", socket.AF_INET6),
-)  # documentation addresses: they have a route, and nobody behind it
+)  # documentation addresses: routable, but unused
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Is everything as a server needs it? Each finding says what to do."""
+"""Check a server's environment. Each finding says what to do."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from rholoc.recordings.frames.video import read_video
 from rholoc.service.access.keys import KeyStore
 from rholoc.service.settings import KeyPolicy, Settings, keys_needed
 
-_LEAST_FREE_BYTES, _LITTLE_FREE_BYTES = 2**28, 2**32
+_MIN_FREE_BYTES, _LITTLE_FREE_BYTES = 2**28, 2**32
 _CLOCK_TOLERANCE_S = 5.0
-_EARLIEST_S = 1_767_225_600.0  # 2026-01-01: no clock that runs right is before
+_EARLIEST_S = 1_767_225_600.0  # 2026-01-01, before which no correct clock can be
 _GREY, _GREY_TOLERANCE = 128, 12  # of the clips' frames
 _CLIPS = {"H.264": "h264.mp4", "HEVC": "hevc.mp4", "VP8": "vp8.webm", "VP9": "vp9.webm"}
 _GIB = 2**30
 
 
 class Level(StrEnum):
-    """How bad a finding is."""
+    """Severity of a finding."""
 
     OK = "ok"
-    WARNING = "warning"  # it works, but not as it might be expected to
+    WARNING = "warning"  # works, but perhaps not as expected
     ERROR = "error"  # something does not work
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found.
+    """Result of a check.
 
     Attributes:
-        check: what was looked at, such as ``storage``.
-        level: how bad it is.
-        message: one line: what is so.
-        hint: one line: what to do; empty where nothing is.
+        check: subject of the check, such as ``storage``.
+        level: severity.
+        message: one line: what was found.
+        hint: one line: what to do; empty if nothing.
     """
 
     check: str
@@ -58,7 +58,7 @@ class Finding:
 
 
 def examine(settings: Settings) -> list[Finding]:
-    """What all checks find, in the order in which they are made; a check that fails itself is a finding."""
+    """Run all checks and return their findings in order; a check that raises becomes a finding."""
     found: list[Finding] = []
     for check, look in _CHECKS.items():
         try:
@@ -92,7 +92,7 @@ def _storage(settings: Settings) -> _Found:
             continue
         free = shutil.disk_usage(folder).free
         space = f"{folder} can be written to; {free / _GIB:.1f} GiB are free"
-        if free < _LEAST_FREE_BYTES:
+        if free < _MIN_FREE_BYTES:
             yield Level.ERROR, f"{space}, which is too little for a map.", "Free some space."
         elif free < _LITTLE_FREE_BYTES:
             yield Level.WARNING, f"{space}, which a few recordings fill.", "Free some space."

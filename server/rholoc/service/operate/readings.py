@@ -1,4 +1,4 @@
-"""What probes and metrics say of the database, the storage and the disks, as last known."""
+"""Last known state of database, storage and disks, for probes and metrics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rholoc.storage import ObjectStorage
 
 OK = "ok"
 _MIN_FREE_BYTES = 2**26
-_PROBED = "probe"  # a folder of the storage in which nothing lies
+_PROBED = "probe"  # an empty folder of the storage
 
 
 T = TypeVar("T")
@@ -27,10 +27,10 @@ _WAIT_S = 0.25
 
 
 class LastKnown(Generic[T]):
-    """The last value of a function that may take long, called in a thread of its own, once at a time.
+    """The last value of a slow function, called in a background thread, once at a time.
 
     Args:
-        read: the function. It may raise any exception, which is then what is known.
+        read: the function. An exception that it raises becomes the value.
         initial: the value until ``read`` has returned once.
     """
 
@@ -45,7 +45,7 @@ class LastKnown(Generic[T]):
 
     @property
     def unanswered_s(self) -> float:
-        """How long the call that is under way has taken so far; 0 if there is none."""
+        """Duration of the present call so far [s]; 0 without one."""
         return 0.0 if self._under_way is None or self._begun_s is None else time.monotonic() - self._begun_s
 
     @property
@@ -54,7 +54,7 @@ class LastKnown(Generic[T]):
         return None if self._known_s is None else time.monotonic() - self._known_s
 
     async def refresh(self) -> None:
-        """Ask again, for all who want to know together; wait for the answer a quarter of a second at most."""
+        """Call the function again, once for concurrent callers; wait at most 0.25 s for its value."""
         if self._under_way is None:
             self._begun_s = time.monotonic()
             self._under_way = asyncio.wrap_future(self._executor.submit(self._read))
@@ -81,9 +81,9 @@ class Readings:
     """The last known state of what a server depends on. Use it from the event loop's thread only.
 
     Args:
-        settings: name the folders.
+        settings: with the folders.
         jobs: the queue.
-        stores: where the maps are.
+        stores: with the maps.
     """
 
     def __init__(self, settings: Settings, jobs: JobQueue, stores: Stores) -> None:
@@ -107,11 +107,11 @@ class Readings:
         self._all = (self.maps, self.data, self.jobs, self.waiting, self.worker)
 
     async def refresh(self) -> None:
-        """Ask for everything, waiting a quarter of a second at most."""
+        """Refresh all values; waits at most 0.25 s."""
         await asyncio.gather(*(one.refresh() for one in self._all))
 
     def job_ages(self) -> Mapping[str, float]:
-        """Age of the last known numbers of jobs in seconds; empty while they were never known."""
+        """Age of the last known job counts [s]; empty before the first."""
         age_s = self.jobs.age_s
         return {} if age_s is None else {"now": age_s}
 
@@ -122,7 +122,7 @@ class Readings:
 
 
 def text_of(known: LastKnown[str], what: str) -> str:
-    """A reading in words: what was read, or that it is not answered."""
+    """A reading in words: its value, or that there is no answer."""
     return unanswered(known, what) or known.value
 
 

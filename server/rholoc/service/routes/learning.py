@@ -17,7 +17,7 @@ from rholoc.errors import (
     StorageUnavailable,
     UnknownMap,
 )
-from rholoc.mapping import FEWEST_QUERIES
+from rholoc.mapping import MIN_QUERIES
 from rholoc.reports import LearningReport
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.http.models import AnswerModel
@@ -82,7 +82,7 @@ async def get_learning(map_name: str, service: Service) -> LearningOut:
         map=map_name,
         learns=service.learning.listens,
         **asdict(found.kept),
-        fewest=FEWEST_QUERIES,
+        fewest=MIN_QUERIES,
         last=from_users[-1] if from_users else None,
         job=None if found.job is None else found.job.id,
         latest=None if found.latest is None else job_out(found.latest),

@@ -1,1 +1,1 @@
-"""Threads beside the event loop: for computing, and for what waits for a disk, a database or a storage."""
+"""Threads beside the event loop, for computing and for blocking calls."""

@@ -28,10 +28,10 @@ _T = TypeVar("_T")
 _SMOOTHING = 0.2  # weight of the newest duration in the running mean
 _FIRST_GUESS_S = 0.2
 _CLOSE_TIMEOUT_S = 5.0
-_BUSY_AFTER_S = 0.1  # between the frames of a client that sends one after another, the pool still counts as busy
-_NICENESS = 5  # of large work; more would let it hold the interpreter while it waits for a core
+_BUSY_AFTER_S = 0.1  # the pool counts as busy for this time after a frame, to bridge the gaps in a client's stream
+_NICENESS = 5  # of large work; with more it might hold the interpreter while it waits for a core
 _THREADS = "rholoc-compute"
-_COSTLY_S, _COSTLY_RATIO = 0.25, 3.0  # a mean time on a core that is too much beside clients of a third of it
+_COSTLY_S, _COSTLY_RATIO = 0.25, 3.0  # minimum mean core time of a costly client, and its ratio to another client's
 _ACTIVE_S = 5.0
 _MAX_CLIENTS = 1000
 
@@ -46,10 +46,10 @@ class Effort(Enum):
 class ComputePool:
     """Runs up to ``concurrency`` functions of each effort at a time; up to ``queue_length`` more of each may wait.
 
-    Large work has threads and a queue of its own, one thread fewer where there are several: however much of it there
-    is, ordinary work never waits for it and has a core left. In each queue the client goes first that has had the least
-    of the threads' time. A client whose ordinary work costs several times that of others goes with large work while
-    others are active, so that theirs never waits for it. Use it from the event loop's thread only.
+    Large work has its own queue and threads, one fewer than ``concurrency`` if that is over one, so that ordinary work
+    never waits for it and always has a core. In each queue, the client with the least used core time goes first. A
+    client whose ordinary work costs several times that of others counts as large while others are active. Use it from
+    the event loop's thread only.
     """
 
     def __init__(self, concurrency: int, queue_length: int) -> None:
@@ -61,12 +61,12 @@ class ComputePool:
 
     @property
     def taken(self) -> int:
-        """How many calls run or wait."""
+        """Number of running and waiting calls."""
         return sum(lane.taken for lane in self._lanes.values())
 
     @property
     def busy(self) -> bool:
-        """Whether calls of ordinary effort run or wait, or did a moment ago."""
+        """Whether calls of ordinary effort run or wait, or did within ``_BUSY_AFTER_S``."""
         return self._lanes[Effort.ORDINARY].busy
 
     @property
@@ -93,7 +93,7 @@ class ComputePool:
         return result
 
     def _is_costly(self, client: str) -> bool:
-        """Whether a client's calls have lately cost several times those of another client that is active."""
+        """Whether a client's recent calls cost ``_COSTLY_RATIO`` times those of another active client."""
         own, now_s = self._costs.get(client), time.monotonic()
         if own is None or own.mean_s <= _COSTLY_S:
             return False
@@ -108,7 +108,7 @@ class ComputePool:
         self._costs[client] = _Cost(mean_s, now_s)
 
     def close(self) -> None:
-        """Accept no more work, and wait a few seconds for what is running: nobody needs its result any more."""
+        """Accept no more work, and wait at most a few seconds for running calls."""
         for lane in self._lanes.values():
             lane.close()
         deadline_s = time.monotonic() + _CLOSE_TIMEOUT_S
@@ -123,7 +123,7 @@ def compute_threads() -> list[threading.Thread]:
 
 @dataclass(frozen=True)
 class _Cost:
-    """What a client's ordinary calls cost: their mean time on a core, and when the last one ended."""
+    """Mean core time of a client's ordinary calls, and the end of the last one."""
 
     mean_s: float
     last_s: float
@@ -131,7 +131,7 @@ class _Cost:
 
 @dataclass(eq=False)
 class _Call:
-    """A call that runs or waits; ``result`` gets what it returned, and its time on a core [s]."""
+    """A running or waiting call; ``result`` gets its return value and its core time [s]."""
 
     client: str
     work: Callable[[], Any]
@@ -149,7 +149,7 @@ class _Lane:
         self._mean_s = _FIRST_GUESS_S
         self._running = 0
         self._waiting: dict[str, deque[_Call]] = {}
-        self._used_s: dict[str, float] = {}  # each client's time on a core, at least that of the client served last
+        self._used_s: dict[str, float] = {}  # core time of each client, at least that of the client served last
         self._served_s = 0.0
         self._last_end_s = -math.inf
 
@@ -166,7 +166,7 @@ class _Lane:
         return self.taken >= self._concurrency + self._queue_length
 
     def check_room(self, client: str) -> None:
-        """Raise Busy if the queue is full and nobody has more in it than ``client`` would have."""
+        """Raise Busy if the queue is full and no client has more calls in it than ``client`` would have."""
         if self.full and self._greediest(client) is None:
             raise self._busy()
 
@@ -204,11 +204,11 @@ class _Lane:
             if not self._waiting[client]:
                 del self._waiting[client]
             self._served_s = max(self._served_s, self._used_s[client])
-            # Until it is known what it costs, it counts as a mean one: a client's calls do not all begin together.
+            # Counts as a mean call until its cost is known, so that a client's calls do not all start at once.
             call.expected_s = self._mean_s
             self._used_s[client] += call.expected_s
             self._running += 1
-            # A thread cannot be stopped, and keeps its place until its work ends, even if nobody waits any more.
+            # A thread cannot be stopped: it keeps its place until its work ends, even without a waiting caller.
             self._executor.submit(_timed, call.work).add_done_callback(partial(self._from_thread, loop, call))
 
     def _from_thread(self, loop: asyncio.AbstractEventLoop, call: _Call, ended: Future[_Ended]) -> None:
@@ -237,7 +237,7 @@ class _Lane:
 
 @dataclass(frozen=True)
 class _Ended:
-    """What a call returned or raised, and its time on a core [s]."""
+    """Return value or exception of a call, and its core time [s]."""
 
     value: Any
     error: BaseException | None
@@ -260,7 +260,7 @@ def _keep_to_one_core() -> None:
 
 
 def lower_priority() -> None:
-    """As :func:`_keep_to_one_core`; and where cores are few, ordinary work gets them first."""
+    """As :func:`_keep_to_one_core`, with a lower priority than ordinary work."""
     _keep_to_one_core()
     if sys.platform == "linux":  # which has priorities per thread
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)

@@ -1,4 +1,4 @@
-"""Threads for calls that may wait for the database, the storage or a disk, so that the event loop never does."""
+"""Threads for calls that block on database, storage or disk, so that the event loop never does."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _NAME = "rholoc-storage"
 class StorageThreads:
     """Runs calls in a few threads of its own; ``await threads(library.get, name)``. Use it from the event loop only.
 
-    A call that a silent database holds up keeps its thread until the database's own timeout, but its caller is answered
-    after ``timeout_s``. While such calls hold all threads, further ones are refused at once.
+    A call blocked by a database that does not answer keeps its thread until the database's own timeout, but its caller
+    gets an error after ``timeout_s``. While such calls hold all threads, further calls are refused at once.
 
     Args:
-        threads: how many calls run at a time; any number may wait for a thread.
-        timeout_s: how long a call may take, including its wait for a thread.
+        threads: maximum number of running calls; any number may wait.
+        timeout_s: of a call, including its wait for a thread.
     """
 
     def __init__(self, threads: int, timeout_s: float) -> None:
@@ -67,11 +67,11 @@ class StorageThreads:
         return offloaded
 
     def close(self) -> None:
-        """Accept no more calls; those that are under way are not waited for."""
+        """Accept no more calls, without waiting for running ones."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _give_up(self, future: Future[T], waiting: asyncio.Future[T]) -> None:
-        """Take a call out of the queue, or note that it holds a thread for nobody."""
+        """Remove a call from the queue, or count its thread as blocked."""
         loop = asyncio.get_running_loop()
         waiting.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
         if future.cancel():
@@ -85,13 +85,13 @@ class StorageThreads:
 
 @dataclass(frozen=True)
 class StorageLanes:
-    """Threads by what a call may wait for, so that a silent database or storage holds up only what needs it.
+    """Threads by resource, so that a database or storage that does not answer blocks only its own users.
 
     Attributes:
         database: SQL, and small files of the data folder.
-        files: maps and pictures that are on this machine.
-        fetches: maps that are fetched from the storage.
-        transfers: maps and recordings that are stored, however long that takes.
+        files: maps and pictures on this machine.
+        fetches: fetching maps from the storage.
+        transfers: storing maps and recordings, which may take long.
     """
 
     database: StorageThreads = field(default_factory=lambda: StorageThreads(16, 8.0))
@@ -106,7 +106,7 @@ class StorageLanes:
 
 
 def storage_threads() -> list[threading.Thread]:
-    """The threads of this process that have not ended; a call that nothing answers keeps one."""
+    """Living threads of this process's lanes; a blocked call keeps one alive."""
     return [thread for thread in threading.enumerate() if thread.name.startswith(_NAME)]
 
 

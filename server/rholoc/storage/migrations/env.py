@@ -1,4 +1,4 @@
-"""What Alembic runs migrations by: on the connection that it is handed, in the caller's transaction."""
+"""Alembic's environment: runs migrations on the given connection, in the caller's transaction."""
 
 from __future__ import annotations
 

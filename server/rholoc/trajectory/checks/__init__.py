@@ -1,1 +1,1 @@
-"""What speaks against frame poses: waypoints, gaps, a second reconstruction."""
+"""Checks of frame poses: waypoints, gaps, a second reconstruction."""

@@ -1,4 +1,4 @@
-"""Whether two reconstructions from different keyframes are the same: without an IMU, a bent one looks perfect."""
+"""Compare two reconstructions from different keyframes: without an IMU, a bent one has small residuals too."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import numpy as np
 
 from rholoc.geometry import BoolArray, FloatArray, IntArray, align_poses, posed_alignment, rotation_angles
 
-_FEWEST_COMMON = 0.7  # the share of the second's keyframes that both must have placed
-_MAX_LINE_WIDTH = 0.02  # spread across a line, as a share of that along it, of positions that count as on it
-_MAX_DISTANCE = 0.02  # of the median depth, between two reconstructions that count as the same …
-_MAX_DISTANCE_OF_MOST = 0.04  # … and of nine in ten of their keyframes: a part may be wrong, the rest right
+_MIN_COMMON = 0.7  # share of the second reconstruction's keyframes that both must have placed
+_MAX_LINE_WIDTH = 0.02  # of collinear positions: spread across the line over spread along it
+_MAX_DISTANCE = 0.02  # median distance of equal reconstructions, as a share of the median depth …
+_MAX_DISTANCE_OF_MOST = 0.04  # … and its 90th percentile: one part may be wrong, the rest right
 _MAX_ANGLE_DEG = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """How far two reconstructions are apart.
+    """Differences between two aligned reconstructions of the same keyframes.
 
     Attributes:
-        distance: between the same keyframes, the median, as a share of the median depth; NaN without a second.
-        distance_of_most: likewise, of nine in ten.
-        angle_deg: the median angle.
-        common: how many keyframes could be compared.
-        of: how many there might have been.
+        distance: median distance over common keyframes, as a share of the median depth; NaN without a second one.
+        distance_of_most: 90th percentile of these distances.
+        angle_deg: median angle [deg].
+        common: number of keyframes placed by both.
+        of: number of keyframes of the second reconstruction.
     """
 
     distance: float
@@ -35,13 +35,13 @@ class Agreement:
 
     @property
     def same(self) -> bool:
-        """Whether they count as the same."""
+        """Whether the reconstructions are equal within tolerance."""
         close = self.distance <= _MAX_DISTANCE and self.distance_of_most <= _MAX_DISTANCE_OF_MOST
         return close and self.angle_deg <= _MAX_ANGLE_DEG
 
     @property
     def why(self) -> str:
-        """One line on it."""
+        """One line that states the differences."""
         if not np.isfinite(self.distance):
             return f"Only {self.common} of {self.of} keyframes could be checked by a second reconstruction."
         verb = "agree" if self.same else "disagree"
@@ -54,17 +54,17 @@ class Agreement:
 def compare(
     T: FloatArray, placed: BoolArray, some: IntArray, other: FloatArray, other_placed: BoolArray, median_depth: float
 ) -> Agreement:
-    """Hold a reconstruction against one from ``some`` of its keyframes, of any frame and scale.
+    """Compare a reconstruction with one from ``some`` of its keyframes, in any frame and scale.
 
     Args:
-        T: (K, 4, 4), of which ``placed`` (K,) count.
-        some: (N,) the keyframes of the other.
-        other: (N, 4, 4), of which ``other_placed`` (N,) count.
-        median_depth: of the points before the cameras, in the first's unit.
+        T: (K, 4, 4) poses of the first, valid where ``placed`` (K,).
+        some: (N,) keyframe numbers of the other.
+        other: (N, 4, 4) poses of the other, valid where ``other_placed`` (N,).
+        median_depth: of the first's points before its cameras, in its unit.
     """
     both = placed[some] & other_placed
     common = int(both.sum())
-    if common < max(3, _FEWEST_COMMON * len(some)):
+    if common < max(3, _MIN_COMMON * len(some)):
         return Agreement(np.nan, np.nan, np.nan, common, len(some))
     a, b = T[some[both]], other[both]
     on_a_line = _is_line(a[:, :3, 3])
@@ -81,6 +81,6 @@ def compare(
 
 
 def _is_line(positions: FloatArray) -> bool:
-    """Whether positions (N, 3) leave the rotation about their line open."""
+    """Whether positions (N, 3) are collinear, so that they do not fix the rotation about their line."""
     along, across, _ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
     return bool(across < _MAX_LINE_WIDTH * along)

@@ -1,4 +1,4 @@
-"""Parts of a recording that could not be placed, and what they show instead."""
+"""Parts of a recording without poses, and the probable cause."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from rholoc.trajectory.visual.flow import Flow
 
 _SHORTEST_S = 0.4
 _DARK = 25.0  # grey value
-_BLURRED = 0.25  # of the walk's usual sharpness
-_PLAIN = 10.0  # grey values, the contrast of a wall that is lit from one side
+_BLURRED = 0.25  # of the walk's median sharpness
+_PLAIN = 10.0  # contrast in grey values, of a wall lit from one side
 _FEW_CORNERS = 60
 _MAX_NAMED = 4  # spans in a message
 
 
 def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[MissingSpan, ...]:
-    """Spans between keyframes ``rows`` (K,) that are ``placed`` (K,), where other keyframes lie between, and why.
+    """Spans of keyframes ``rows`` (K,) without a pose between ``placed`` (K,) ones, each with its probable cause.
 
-    Of timed frames those of at least ``_SHORTEST_S``; of pictures without times all.
+    With measured times, spans shorter than ``_SHORTEST_S`` are omitted.
     """
     if not placed.any():
         return ()
@@ -39,7 +39,7 @@ def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[Missin
 
 
 def _span(flow: Flow, first: int, last: int) -> MissingSpan | None:
-    """The span from row ``first`` to before ``last``; None if it is too short to matter."""
+    """Span of rows ``first`` to ``last`` - 1; None if it is too short to matter."""
     numbers = int(flow.numbers[first]), int(flow.numbers[last - 1])
     why = _reason(flow, np.arange(first, last))
     if not flow.timed:
@@ -50,10 +50,9 @@ def _span(flow: Flow, first: int, last: int) -> MissingSpan | None:
 
 
 def describe(spans: tuple[MissingSpan, ...]) -> str:
-    """The spans in plain words, or an empty text.
+    """The first ``_MAX_NAMED`` spans in plain words; empty without spans.
 
-    "0:12–0:15 shows a blank wall." where times are known, else "Each of the pictures 12 to 18 is blurred." Of more than
-    a few spans, the first are named.
+    "0:12–0:15 shows a blank wall." with times, "Each of the pictures 12 to 18 is blurred." without.
     """
     named = [f"{_place(span)} {span.why}." for span in spans[:_MAX_NAMED]]
     rest = len(spans) - len(named)

@@ -1,4 +1,4 @@
-"""Whether poses that came with a recording agree with its pictures, and in which axes they are written."""
+"""Check a recording's own poses against its pictures, and find their axis convention."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rholoc.recordings import Recording
 from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
 from rholoc.trajectory.visual.two_view import ratio_matches, relative_pose, unit_descriptors
 
-_ANCHORS = 10  # frames spread over the recording, each compared with …
-_APART = (1, 4)  # … the frame so many rows later, and …
-_NEAREST = 2  # … so many of those nearest to it that look the same way
+_ANCHORS = 10  # frames spread over the recording; each is compared with …
+_APART = (1, 4)  # … the frames this many rows later, and …
+_NEAREST = 2  # … this many of the nearest frames with the same heading
 _SAME_WAY_RAD = np.radians(25)
 _MIN_MATCHES = 30
 _MIN_PAIRS = 3
-_TOLERANCE = 2.5e-3  # of the focal length: how far a match may be from its epipolar line
-_MAX_EXACT = 2.0e-3  # epipolar error of poses that are exact, as a share of the focal length
-_MAX_USABLE = 12e-3  # … and of poses that an adjustment can start from
-_CLEARLY = 0.5  # times the error of the axes as documented, for other axes to be taken
+_TOLERANCE = 2.5e-3  # maximum distance of a match from its epipolar line, as a share of the focal length
+_MAX_EXACT = 2.0e-3  # epipolar error of exact poses, as a share of the focal length
+_MAX_USABLE = 12e-3  # … and of poses good enough to start an adjustment
+_CLEARLY = 0.5  # other axes must reduce the error of the documented ones by this factor
 
 
 class PoseAxes(StrEnum):
-    """How poses are written."""
+    """Axis convention of a recording's poses."""
 
     AS_DOCUMENTED = "as documented"  # T_map_camera, camera x right, y down, z forward
     LOOKING_BACK = "of a camera that looks along −z with y up (OpenGL, ARKit)"
@@ -47,13 +47,13 @@ _READ: dict[PoseAxes, Callable[[FloatArray], FloatArray]] = {
 
 @dataclass(frozen=True)
 class PoseCheck:
-    """Given poses held against the pictures.
+    """Agreement of a recording's poses with its pictures.
 
     Attributes:
-        axes: the axes in which they agree best.
+        axes: convention with the least error.
         error: median epipolar error of correct matches, as a share of the focal length; NaN if nothing could be
             compared.
-        pairs: pairs of frames that were compared.
+        pairs: number of frame pairs compared.
     """
 
     axes: PoseAxes
@@ -62,7 +62,7 @@ class PoseCheck:
 
     @property
     def exact(self) -> bool:
-        """Whether the poses agree with the pictures as exactly as features are found."""
+        """Whether the error is at most that of feature detection."""
         return self.error <= _MAX_EXACT
 
     @property
@@ -71,13 +71,13 @@ class PoseCheck:
         return self.error <= _MAX_USABLE
 
     def read(self, T: FloatArray) -> FloatArray:
-        """Poses (N, 4, 4) as T_map_camera with OpenCV's camera axes."""
+        """Convert poses (N, 4, 4) in ``axes`` to T_map_camera with OpenCV's camera axes."""
         return np.asarray(_READ[self.axes](T))
 
 
 @dataclass(frozen=True, eq=False)
 class _Matched:
-    """Matches of two frames that some relative pose explains: rays (M, 3) in the frame of each."""
+    """Inlier matches of two frames: rays (M, 3) in each camera's frame."""
 
     first: int
     second: int
@@ -86,10 +86,10 @@ class _Matched:
 
 
 def check_given_poses(recording: Recording, camera: Camera) -> PoseCheck:
-    """Hold a recording's poses against its pictures by the epipolar error over pairs of frames.
+    """Measure the epipolar error of a recording's poses over pairs of its frames.
 
-    Matches are first filtered by the relative pose that the pictures themselves show, so that false matches do not
-    count against the poses. Raises InvalidRecording if a frame cannot be decoded.
+    Outliers of the pictures' own relative pose are removed first, so that false matches do not count against the poses.
+    Raises InvalidRecording if a frame cannot be decoded.
     """
     assert recording.poses is not None
     rows = np.flatnonzero(recording.poses.known)
@@ -105,7 +105,7 @@ def check_given_poses(recording: Recording, camera: Camera) -> PoseCheck:
 
 
 def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of rows that may overlap: near in order, and near in place with much the same direction."""
+    """Pairs of rows that may overlap: close in the sequence, or close in position and heading."""
     anchors = np.unique(np.linspace(0, len(rows) - 1, _ANCHORS).astype(np.int64)).tolist()
     pairs: set[tuple[int, int]] = set()
     for anchor in anchors:
@@ -137,7 +137,7 @@ def _matched(recording: Recording, camera: Camera, pairs: list[tuple[int, int]])
 
 
 def _error(matched: list[_Matched], read: Callable[[FloatArray], FloatArray], T: FloatArray) -> float:
-    """Median over pairs of the median epipolar error (Sampson's distance) as :func:`epipolar_errors` has it."""
+    """Median over pairs of each pair's median :func:`epipolar_errors`."""
     medians = []
     for one in matched:
         T_first, T_second = read(T[[one.first, one.second]])
@@ -146,10 +146,10 @@ def _error(matched: list[_Matched], read: Callable[[FloatArray], FloatArray], T:
 
 
 def epipolar_errors(T_second_first: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Sampson's distances (M,) of matches, rays ``a`` and ``b`` (M, 3), under a relative pose (4, 4).
+    """Sampson distances (M,) of matched rays ``a`` and ``b`` (M, 3) under a relative pose (4, 4).
 
-    Hartley and Zisserman, Multiple View Geometry, equation 11.9: on the plane z = 1 where that shows all rays, else in
-    radians on the unit sphere. Of cameras at one place the angle between the rays.
+    Hartley and Zisserman, Multiple View Geometry, equation 11.9: on the plane z = 1 if all rays meet it, else in
+    radians on the unit sphere. Without a baseline, the angle between the rays.
     """
     R, t = T_second_first[:3, :3], T_second_first[:3, 3]
     length = float(np.linalg.norm(t))

@@ -1,1 +1,1 @@
-"""From a reconstruction's own frame to the map's: up, waypoints, scale."""
+"""Align a reconstruction with the map frame: up, waypoints, scale."""

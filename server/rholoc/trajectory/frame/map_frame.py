@@ -1,4 +1,4 @@
-"""A reconstruction of its own frame → the map's frame, by what is trusted most."""
+"""Align a reconstruction with the map frame by the most reliable measurements."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rholoc.trajectory.frame.upright import rotation_to_upright, up_without_roll
 from rholoc.trajectory.frame.waypoint_alignment import UpMeasurement, WaypointAlignment, align_to_waypoints
 from rholoc.trajectory.trajectory import Scale
 
-_GRAVITY_SIGMA_DEG = 0.3  # what the adjustment's own uncertainty does not see: the mounting, the model
+_GRAVITY_SIGMA_DEG = 0.3  # not in the adjustment's covariance: mounting and model errors
 _NO_ROLL_SIGMA_DEG = 1.5
-_MAX_TILT_DEG = 15.0  # between the waypoints' z axis and the measured up, above which they are not the same
-_MAX_SCALE_SIGMA = 0.1  # relative; a scale less certain than this is no scale
+_MAX_TILT_DEG = 15.0  # between the waypoints' z axis and the measured upward direction, for them to agree
+_MAX_SCALE_SIGMA = 0.1  # relative, of a scale measurement that counts
 _MAX_SCALE_CONTRADICTION = 0.15  # between waypoints and another measurement of the scale …
 _SIGMAS = 4.0  # … and as many of the measurement's standard deviations
-_CLEARER = 2.0  # times worse must the next best choice of pauses fit …
-_EXACT_M = 0.02  # … than the best, or than this where that fits better
+_CLEARER = 2.0  # by how much the best choice of pauses must fit better than the next …
+_EXACT_M = 0.02  # … where residuals below this count as this
 
 
 class ScaleSource(StrEnum):
-    """What measured the scale of a reconstruction, as a sentence begins with it."""
+    """What measured the scale of a reconstruction; values begin a sentence."""
 
     ACCELEROMETER = "The accelerometer"
     DEPTH = "Depth pictures"
@@ -49,8 +49,8 @@ class ScaleMeasurement:
     Attributes:
         source: what measured it.
         ratio: metres in the reconstruction's unit of length.
-        sigma: relative standard deviation of the ratio; inf where the measurement leaves it open.
-        is_adjusted: whether the reconstruction's covariances contain it already.
+        sigma: relative standard deviation of the ratio; inf if the measurement does not fix it.
+        is_adjusted: whether the reconstruction's covariances include it already.
     """
 
     source: ScaleSource
@@ -64,28 +64,28 @@ class ScaleMeasurement:
         return self.sigma <= _MAX_SCALE_SIGMA
 
     def contradicts(self, ratio: float, sigma: float = 0.0) -> bool:
-        """Whether another measurement's ratio, of relative standard deviation ``sigma``, is clearly different."""
+        """Whether another ``ratio`` of relative standard deviation ``sigma`` is significantly different."""
         limit = max(_MAX_SCALE_CONTRADICTION, _SIGMAS * float(np.hypot(self.sigma, sigma)))
         return self.usable and abs(self.ratio / ratio - 1) > limit
 
     def verb(self, singular: str, plural: str) -> str:
-        """The form of a verb that agrees with the source."""
+        """``singular`` or ``plural``, whichever agrees with the source."""
         return plural if self.source is ScaleSource.DEPTH else singular
 
 
 @dataclass(frozen=True, eq=False)
 class MapFrame:
-    """How a reconstruction comes to the map frame.
+    """Alignment of a reconstruction with the map frame.
 
     Attributes:
-        similarity: from its own frame to the map's.
-        scale: whether lengths are metres now.
+        similarity: from the reconstruction's frame to the map frame.
+        scale: whether lengths in the map frame are metres.
         upright: whether the z axis is known to point up.
         why_up, why_scale: one line each on what fixes them.
-        waypoints: with the times at which the camera was at them.
+        waypoints: with the times at which the camera was there.
         tilt_deg: between the waypoints' z axis and the measured upward direction, or None.
-        doubts: why the trajectory is not to be trusted, one line each.
-        scale_sigma: relative standard deviation of the scale that the adjustment's covariances do not contain.
+        doubts: reasons not to trust the trajectory, one line each.
+        scale_sigma: relative standard deviation of the scale, as far as the adjustment's covariances do not include it.
     """
 
     similarity: Similarity
@@ -100,12 +100,12 @@ class MapFrame:
 
 
 def up_by_gravity() -> tuple[UpMeasurement, str]:
-    """The z axis of a reconstruction that the accelerometer has levelled, and what to say about it."""
+    """Upward direction (z) of a reconstruction levelled by the accelerometer, and one line on it."""
     return UpMeasurement(np.array([0.0, 0.0, 1.0]), _GRAVITY_SIGMA_DEG), "The accelerometer measured gravity."
 
 
 def up_by_pictures(R_world_camera: FloatArray) -> tuple[UpMeasurement | None, str]:
-    """The upward direction by the no-roll prior, from rotations (K, 3, 3), and what to say about it."""
+    """Upward direction from rotations (K, 3, 3) by the no-roll prior, and one line on it; None if the prior fails."""
     prior = up_without_roll(R_world_camera)
     figures = f"the cameras' x axes are {prior.roll_deg:.1f}° off one plane and spread {prior.turn_deg:.0f}° in it"
     if prior.holds:
@@ -120,11 +120,11 @@ def frame_of_first_camera(
     median_depth: float,
     scales: Sequence[ScaleMeasurement] = (),
 ) -> MapFrame:
-    """Origin at the first of the cameras (N, 4, 4), which looks along x; upright where ``up`` is known.
+    """Map frame at the first of the cameras (N, 4, 4), which looks along x; upright if ``up`` is known.
 
     Args:
-        median_depth: of the landmarks; the unit of length where nothing measured fixes it.
-        scales: what measured the scale; the most certain one fixes it.
+        median_depth: of the landmarks; the unit of length if no measurement fixes it.
+        scales: scale measurements; the most certain one is used.
     """
     best = min(scales, key=lambda one: one.sigma, default=None)
     direction = None if up is None else up.direction
@@ -151,16 +151,16 @@ def frame_of_waypoints(
     why_up: str,
     scales: Sequence[ScaleMeasurement] = (),
 ) -> MapFrame:
-    """The waypoints' own frame, from cameras (N, 4, 4) at ``times`` (N,).
+    """Map frame of the waypoints, from cameras (N, 4, 4) at ``times`` (N,) [s].
 
     Args:
-        choices: the waypoints at their times; where those are not known, every way to tell them, the best of which is
-            taken.
-        up: the upward direction in the frame of the cameras, or None.
-        scales: what else measured the scale; what contradicts the waypoints is a doubt.
+        choices: the waypoints with their times; if these are unknown, all possible assignments to pauses. The best is
+            used.
+        up: upward direction in the frame of the cameras, or None.
+        scales: other scale measurements; a contradiction to the waypoints becomes a doubt.
 
     Raises:
-        MappingFailed: the camera's path misses the waypoints, however they are taken.
+        MappingFailed: the camera's path misses the waypoints in all choices.
     """
     waypoints, alignment, next_best_m = _best_choice(times, T_world_camera[:, :3, 3], choices)
     doubts = []
@@ -183,7 +183,7 @@ def frame_of_waypoints(
 def _best_choice(
     times: FloatArray, positions: FloatArray, choices: Iterable[Sequence[Waypoint]]
 ) -> tuple[tuple[Waypoint, ...], WaypointAlignment, float]:
-    """The choice whose worst waypoint is missed least, its alignment, and by how much the next best misses its own."""
+    """Choice with the least maximum residual, its alignment, and the maximum residual of the next best choice."""
     found: list[tuple[float, tuple[Waypoint, ...], WaypointAlignment]] = []
     failure: MappingFailed | None = None
     for waypoints in choices:
@@ -205,7 +205,7 @@ def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
 
 
 def _scale_contradictions(ratio: float, others: Sequence[ScaleMeasurement], sigma: float = 0.0) -> list[str]:
-    """One line for each other measurement that contradicts a scale of ``ratio`` metres a unit."""
+    """One line for each measurement that contradicts a scale of ``ratio`` metres per unit."""
     return [
         f"{one.source} {one.verb('says', 'say')} that the walk is {one.ratio / ratio:.2f} times as large."
         for one in others
@@ -214,7 +214,7 @@ def _scale_contradictions(ratio: float, others: Sequence[ScaleMeasurement], sigm
 
 
 def _at_camera(T_world_camera: FloatArray, up: FloatArray | None, unit: float) -> Similarity:
-    """The frame of a camera (4, 4): it stands at the origin and looks along x, upright where up is known."""
+    """Similarity to the frame with a camera (4, 4) at its origin, looking along x; upright if ``up`` is known."""
     up = -T_world_camera[:3, 1] if up is None else up
     R = rotation_to_upright(up)
     heading = R @ T_world_camera[:3, 2]

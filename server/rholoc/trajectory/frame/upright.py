@@ -1,4 +1,4 @@
-"""Which way is up: the no-roll prior."""
+"""Upward direction by the no-roll prior."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from rholoc.geometry import FloatArray
 
-_MAX_ROLL_DEG = 3.0  # the root mean square over the frames up to which the cameras count as not rolled
-_MIN_TURN_DEG = 15.0  # how far the x axes must spread for their common normal to be defined
+_MAX_ROLL_DEG = 3.0  # RMS over the frames, for the prior to hold
+_MIN_TURN_DEG = 15.0  # RMS spread of the x axes, for their common normal to be defined
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,8 +18,8 @@ class Up:
 
     Attributes:
         direction: (3,), unit, in the frame of the poses.
-        roll_deg: how far the cameras' x axes are off the horizontal, root mean square.
-        turn_deg: how far the x axes spread about the direction, root mean square.
+        roll_deg: RMS angle between the cameras' x axes and the horizontal.
+        turn_deg: RMS spread of the x axes about the direction.
     """
 
     direction: FloatArray
@@ -33,10 +33,10 @@ class Up:
 
 
 def up_without_roll(R_world_camera: FloatArray) -> Up:
-    """The direction that all camera x axes avoid, from rotations (N, 3, 3): least squares over the unit sphere.
+    """Direction most nearly perpendicular to all camera x axes, from rotations (N, 3, 3), by least squares.
 
     The paper's upright model: the camera pitches and turns but does not roll, so its x axis stays horizontal. The sign
-    is that in which the cameras' y axes point down.
+    makes the cameras' y axes point down.
     """
     _, singular, Vt = np.linalg.svd(R_world_camera[:, :, 0], full_matrices=False)
     direction = Vt[2]

@@ -1,4 +1,4 @@
-"""A trajectory of arbitrary frame and scale → the waypoints' metric frame."""
+"""Align a trajectory of arbitrary frame and scale with the waypoints' metric frame."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from rholoc.errors import InvalidWaypoints, MappingFailed
 from rholoc.geometry import FloatArray, Similarity, umeyama
 from rholoc.recordings import Waypoint, check_waypoints_fix_frame
 
-_WAYPOINT_SIGMA_M = 0.02  # how well a phone is held to a measured point
-_ROBUST_FROM = 5  # waypoints; fewer cannot outvote a wrong one
-_MAX_RMS_M, _MAX_RMS_OF_WAY = 0.25, 0.005  # by which a walk misses its waypoints, and of the way between them
-MAX_GAP_S = 0.5  # a waypoint further from any posed frame has no place on the trajectory
-_AGREEING_M = 0.06  # rms of the waypoints left when a mistaken one is taken out …
-_MISTAKE_M = 0.15  # … from which that one is at least this far off
-_CLEARER = 2.0  # times worse do the others fit without any other one
-_ONE_AXIS = 0.9  # the share of the error that lies along the coordinate that is named
+_WAYPOINT_SIGMA_M = 0.02  # of a phone held at a measured point
+_ROBUST_FROM = 5  # minimum number of waypoints that can outvote a wrong one
+_MAX_RMS_M, _MAX_RMS_OF_WAY = 0.25, 0.005  # maximum RMS residual [m], or as a share of the path between the waypoints
+MAX_GAP_S = 0.5  # a waypoint further in time from all posed frames is not used
+_AGREEING_M = 0.06  # maximum RMS of the other waypoints without a mistaken one …
+_MISTAKE_M = 0.15  # … and minimum residual of the mistaken one
+_CLEARER = 2.0  # any other waypoint left out instead must give an RMS this many times larger
+_ONE_AXIS = 0.9  # share of the error along one coordinate, for a message to name that coordinate
 
 
 @dataclass(frozen=True, eq=False)
 class UpMeasurement:
-    """An upward direction (3,) in the trajectory's own frame, and how well it is known."""
+    """An upward direction (3,) in the trajectory's own frame, and its standard deviation [deg]."""
 
     direction: FloatArray
     sigma_deg: float
@@ -34,12 +34,12 @@ class UpMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class WaypointAlignment:
-    """How a trajectory comes to the waypoints.
+    """Alignment of a trajectory with its waypoints.
 
     Attributes:
         similarity: from the trajectory's frame to the waypoints'.
-        residuals_m: (W,) how far the camera's path misses each waypoint; NaN where it has no place near one.
-        mistake: the number of the waypoint that contradicts all others, and was left out, or None.
+        residuals_m: (W,) distance between path and waypoint; NaN if no frame is near in time.
+        mistake: number of the waypoint left out because it contradicts all others, or None.
         explanation: one line on the mistake, or empty.
     """
 
@@ -50,7 +50,7 @@ class WaypointAlignment:
 
     @property
     def worst_m(self) -> float:
-        """The largest residual of the waypoints that were used."""
+        """Largest residual of the used waypoints [m]."""
         used = self.residuals_m if self.mistake is None else np.delete(self.residuals_m, self.mistake)
         return float(np.nanmax(used))
 
@@ -58,20 +58,20 @@ class WaypointAlignment:
 def align_to_waypoints(
     times: FloatArray, positions: FloatArray, waypoints: Sequence[Waypoint], up: UpMeasurement | None = None
 ) -> WaypointAlignment:
-    """The similarity that takes the trajectory to the waypoints' frame.
+    """Least-squares similarity from the trajectory's frame to the waypoints' frame.
 
-    Least squares over the waypoints' positions and, where measured, the upward direction, which waypoints close to one
-    line leave open. Of five or more, one that contradicts all others (a mistyped coordinate) is found and left out.
+    Fits the waypoints' positions and the upward direction, if measured: nearly collinear waypoints do not fix it. With
+    five or more waypoints, one that contradicts all others (a mistyped coordinate) is left out.
 
     Args:
         times: (N,) seconds, increasing.
-        positions: (N, 3) in a frame and scale of their own.
-        waypoints: at their times; those further than 0.5 s from all ``times`` are left out.
+        positions: (N, 3) in any frame and scale.
+        waypoints: with times; those further than ``MAX_GAP_S`` from all ``times`` are left out.
         up: the upward direction in the frame of ``positions``.
 
     Raises:
         InvalidWaypoints: fewer than three, or collinear.
-        MappingFailed: the trajectory cannot be brought to the waypoints; one of the two is wrong.
+        MappingFailed: trajectory and waypoints do not fit each other; one of the two is wrong.
     """
     check_waypoints_fix_frame(waypoints)
     near = np.array([np.abs(times - waypoint.time).min() <= MAX_GAP_S for waypoint in waypoints])
@@ -98,7 +98,7 @@ def align_to_waypoints(
 
 
 def positions_at(times: FloatArray, positions: FloatArray, at: FloatArray) -> FloatArray:
-    """Positions (M, 3) at the times ``at`` (M,), by a cubic spline through ``positions`` (N, 3) at ``times`` (N,)."""
+    """Interpolate ``positions`` (N, 3) at ``times`` (N,) to the times ``at`` (M,) by a cubic spline: (M, 3)."""
     if len(times) < 2:
         return np.repeat(positions, len(at), axis=0)
     inside = np.clip(at, times[0], times[-1])
@@ -106,7 +106,7 @@ def positions_at(times: FloatArray, positions: FloatArray, at: FloatArray) -> Fl
 
 
 def _way(times: FloatArray, positions: FloatArray, waypoints: Sequence[Waypoint]) -> float:
-    """How far the camera went from the first to the last of the waypoints, in the unit of ``positions``."""
+    """Path length from the first to the last waypoint, in the unit of ``positions``."""
     stops = [waypoint.time for waypoint in waypoints]
     between = (times >= min(stops)) & (times <= max(stops))
     return float(np.linalg.norm(np.diff(positions[between], axis=0), axis=1).sum())
@@ -149,7 +149,7 @@ def _fit(own: FloatArray, measured: FloatArray, up: UpMeasurement | None) -> Sim
 
 
 def _mistake(waypoints: Sequence[Waypoint], own: FloatArray) -> int | None:
-    """Which of five or more waypoints all others agree without, if there is exactly one that is far off from them."""
+    """Number of the only waypoint that is far off while all others agree; None otherwise, or below five waypoints."""
     if len(waypoints) < _ROBUST_FROM:
         return None
     measured = np.array([waypoint.position for waypoint in waypoints])
@@ -169,7 +169,7 @@ def _mistake(waypoints: Sequence[Waypoint], own: FloatArray) -> int | None:
 
 
 def _explain(waypoint: Waypoint, off: FloatArray) -> str:
-    """What is wrong with a waypoint that lies ``off`` (3,) metres from where the camera was."""
+    """One line on a waypoint whose measured position is ``off`` (3,) [m] from the camera's."""
     text = f"{waypoint.name} is {np.linalg.norm(off):.2f} m off the walk, while all others agree; it was left out."
     axis = int(np.argmax(np.abs(off)))
     if abs(off[axis]) < _ONE_AXIS * np.linalg.norm(off):

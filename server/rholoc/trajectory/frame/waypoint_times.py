@@ -1,4 +1,4 @@
-"""Waypoints of which only the order is known: the pauses of the walk say when each was reached."""
+"""Times of waypoints whose order alone is known, from the pauses of the walk."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rholoc.geometry import FloatArray
 from rholoc.recordings import Imu, Waypoint
 from rholoc.recordings.walk.stillness import MIN_PAUSE_S, is_still
 
-_STILL_IMAGE = 0.1  # image widths a second, up to which an image alone shows a camera at rest
-_TREMBLING_IMAGE = 0.15  # … and up to which it does not contradict an IMU that feels rest
+_STILL_IMAGE = 0.1  # image widths a second: maximum at rest without an IMU …
+_TREMBLING_IMAGE = 0.15  # … and at rest by the IMU
 _MOMENT_S = 0.3
-_TOLERANCE_S = 0.1  # a pause this much too short still counts: its ends blur in the mean over a moment
-_MOST_CHOICES = 2000
+_TOLERANCE_S = 0.1  # a pause may be this much too short: the moving average blurs its ends
+_MAX_CHOICES = 2000
 
 
 def find_pauses(times: FloatArray, motion: FloatArray, imu: Imu | None) -> FloatArray:
-    """Start and end (P, 2), in seconds, of every rest of a second or more, as the IMU feels and the images show it.
+    """Start and end (P, 2) [s] of every rest of a second or more, by IMU and images.
 
     Args:
-        times: (N,) seconds, of the frames.
+        times: (N,) of the frames [s].
         motion: (N,) image motion before each frame, as a share of the image's width.
-        imu: of the same recording, or None: then the images decide alone.
+        imu: of the same recording; None to use the images alone.
     """
     interval_s = float(np.median(np.diff(times)))
     rate = uniform_filter1d(motion / interval_s, max(1, round(_MOMENT_S / interval_s)), mode="nearest")
@@ -48,9 +48,9 @@ def times_are_known(waypoints: Sequence[Waypoint]) -> bool:
 
 
 def choices_of_pauses(waypoints: Sequence[Waypoint], pauses: FloatArray) -> Iterator[tuple[Waypoint, ...]]:
-    """Every way to take pauses (P, 2) for the waypoints in their order, the longest pauses first; each at its middle.
+    """All ordered assignments of waypoints to pauses (P, 2) [s], longest pauses first; a waypoint's time is the middle.
 
-    Of very many pauses only the longest are taken, so that the choices remain few.
+    Only the longest pauses are used if there are many.
 
     Raises:
         InvalidWaypoints: there are fewer pauses than waypoints.
@@ -62,7 +62,7 @@ def choices_of_pauses(waypoints: Sequence[Waypoint], pauses: FloatArray) -> Iter
             "Stand still for a second and a half at each waypoint, or give each its time or frame.",
         )
     taken = len(pauses)
-    while comb(taken, count) > _MOST_CHOICES:
+    while comb(taken, count) > _MAX_CHOICES:
         taken -= 1
     longest = np.argsort(pauses[:, 0] - pauses[:, 1], kind="stable")[:taken]
     for chosen in combinations(longest.tolist(), count):

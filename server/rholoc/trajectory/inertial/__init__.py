@@ -1,1 +1,1 @@
-"""What the IMU measures against the cameras."""
+"""Calibration of the IMU against the cameras."""

@@ -1,4 +1,4 @@
-"""The gyroscope against the cameras' rotations: time offset, bias, mounting, and which rotations it contradicts."""
+"""Calibrate the gyroscope against camera rotations: time offset, bias, mounting."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from scipy.spatial.transform import Rotation, Slerp
 from rholoc.geometry import FloatArray, aligning_rotation, rotation_angles
 from rholoc.recordings import Imu
 
-_NARROW_OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)  # between clocks that are meant to be one …
-_WIDE_OFFSETS_S = np.arange(-2.0, 2.001, 0.01)  # … and where none of those fits well
-_USUAL_RESIDUAL_DEG, _BETTER = 0.3, 0.5  # that share of its residual must another offset leave to be believed
+_NARROW_OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)  # searched first, for clocks meant to be the same …
+_WIDE_OFFSETS_S = np.arange(-2.0, 2.001, 0.01)  # … and if none of these fits well
+_USUAL_RESIDUAL_DEG, _BETTER = 0.3, 0.5  # maximum residual ratio of another offset
 _FINE_OFFSETS_S = np.arange(-0.01, 0.0101, 0.001)
 _MIN_INTERVAL_S = 0.2  # rotations over shorter times are mostly noise
-_FEWEST_INTERVALS = 7
-_MAX_RESIDUAL_DEG = 2.0  # over short intervals, of a gyroscope that belongs to the camera
-_LARGEST_ERROR_RAD = np.radians(5.0)  # of an interval; larger ones count as this
-_OFFSET_COST_RAD_S = 1e-3  # so that nothing is shifted in time for nothing
-_OTHER_MOUNTING_RAD = np.radians(15.0)  # from which two mountings are not the same
-_CLEARLY_BETTER = 3.0  # times smaller is the residual of a mounting that is believed against the recording
-_MAX_MOUNTING_SIGMA_DEG = 3.0  # of a mounting that counts as found
-_NORM_TO_SIGMA = 0.65  # of an axis, from the median norm of a three-vector of normal errors
-_MAX_APART_RAD = np.radians(6.0)  # between a camera's rotation and the gyroscope's, at once …
-_MAX_GAP_S = 0.1  # in the IMU's table, and as many of its intervals
+_MIN_INTERVALS = 7
+_MAX_RESIDUAL_DEG = 2.0  # over short intervals, of a gyroscope mounted on the camera
+_MAX_ERROR_RAD = np.radians(5.0)  # of an interval; larger errors are clipped
+_OFFSET_COST_RAD_S = 1e-3  # prior towards an offset of zero
+_OTHER_MOUNTING_RAD = np.radians(15.0)  # maximum angle between equal mountings
+_CLEARLY_BETTER = 3.0  # residual ratio by which another mounting overrules the recording's
+_MAX_MOUNTING_SIGMA_DEG = 3.0  # of an estimated mounting that counts as known
+_NORM_TO_SIGMA = 0.65  # sigma of one axis from the median norm of a normal three-vector
+_MAX_APART_RAD = np.radians(6.0)  # between a camera's rotation and the gyroscope's: a constant …
+_MAX_GAP_S = 0.1  # between readings; also this many median intervals
 _MAX_GAP_INTERVALS = 5
-_DRIFT_RAD_S = np.radians(0.1)  # … and more for every second between
+_DRIFT_RAD_S = np.radians(0.1)  # … plus this for every second
 
 
 @dataclass(frozen=True, eq=False)
 class GyroCalibration:
-    """How the gyroscope relates to the camera.
+    """Calibration of a gyroscope to a camera.
 
     Attributes:
-        time_offset_s: to be added to a frame's time to get the IMU's.
-        time_offset_sigma_s: its standard uncertainty; large where the camera hardly turns.
-        bias: (3,) rad/s, of the gyroscope.
-        bias_sigma: rad/s, its standard uncertainty in every axis.
-        R_camera_imu: (3, 3), as the recording says, or found where it does not or is wrong.
-        contradicts_recording: whether it is far from what the recording says.
-        mounting_sigma_deg: the standard uncertainty of a rotation that was found, in its weakest axis; else 0.
-        residual_deg: the median angle between the camera's rotation and the gyroscope's over short intervals.
+        time_offset_s: IMU time minus frame time.
+        time_offset_sigma_s: standard deviation; large if the camera hardly turns.
+        bias: (3,) of the gyroscope [rad/s].
+        bias_sigma: standard deviation in every axis [rad/s].
+        R_camera_imu: (3, 3) the recording's, or estimated if the recording has none or a wrong one.
+        contradicts_recording: whether it differs much from the recording's.
+        mounting_sigma_deg: standard deviation of an estimated rotation in its weakest axis; 0 if not estimated.
+        residual_deg: median angle between camera and gyroscope rotations over short intervals.
     """
 
     time_offset_s: float
@@ -55,17 +55,17 @@ class GyroCalibration:
 
     @property
     def mounting_is_known(self) -> bool:
-        """Whether the camera turned enough to show how the IMU is mounted, where that was not known."""
+        """Whether the recording states the IMU's mounting or the camera turned enough to estimate it."""
         return self.mounting_sigma_deg <= _MAX_MOUNTING_SIGMA_DEG
 
     @property
     def fits(self) -> bool:
-        """Whether camera and gyroscope turn together at all."""
+        """Whether camera and gyroscope measure the same rotations."""
         return self.residual_deg <= _MAX_RESIDUAL_DEG
 
 
 def orientations(imu: Imu, bias: FloatArray) -> Rotation:
-    """The gyroscope integrated: R_start_imu at every IMU time, midpoint rule."""
+    """Integrate the gyroscope by the midpoint rule: R_start_imu at every IMU time."""
     rate = imu.angular_velocity - bias
     steps = Rotation.from_rotvec(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu.times)[:, None])
     R = np.empty((len(imu.times), 3, 3))
@@ -76,11 +76,11 @@ def orientations(imu: Imu, bias: FloatArray) -> Rotation:
 
 
 def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
-    """Fit the gyroscope to the rotations (N, 3, 3) of the camera at ``times`` (N,); None without common rotations.
+    """Calibrate the gyroscope to camera rotations (N, 3, 3) at ``times`` (N,) [s]; None without common intervals.
 
-    The time offset is searched, bias and (where unknown) mounting are solved for: Wahba's problem on rotation vectors.
-    A mounting that the recording states is not believed where another one fits several times better: a phone turned to
-    landscape, a recorder with axes of its own.
+    Searches the time offset; solves for the bias and, if unknown, the mounting (Wahba's problem on rotation vectors).
+    A stated mounting is replaced if another fits several times better: a phone turned to landscape, a recorder with its
+    own axes.
     """
     stated = _fit(times, R_world_camera, imu)
     if stated is None or imu.R_camera_imu is None:
@@ -106,7 +106,7 @@ def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArr
     rows = spaced_rows(times, _MIN_INTERVAL_S)
     margin = offsets[-1] + _FINE_OFFSETS_S[-1]
     rows = rows[(times[rows] > imu.times[0] + margin) & (times[rows] < imu.times[-1] - margin)]
-    if len(rows) <= _FEWEST_INTERVALS:
+    if len(rows) <= _MIN_INTERVALS:
         return None
     t, R = times[rows], Rotation.from_matrix(R_world_camera[rows])
     spans = np.diff(t)
@@ -124,7 +124,7 @@ def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArr
             remaining = gyro - camera @ mounting
             drift = np.median(remaining / spans[:, None], axis=0)
             error = np.linalg.norm(remaining - drift * spans[:, None], axis=1)
-            cost = float(np.mean(np.minimum(error, _LARGEST_ERROR_RAD))) + _OFFSET_COST_RAD_S * abs(candidate)
+            cost = float(np.mean(np.minimum(error, _MAX_ERROR_RAD))) + _OFFSET_COST_RAD_S * abs(candidate)
             fits.append((cost, candidate, drift, mounting, error))
         _, offset, drift, R_camera_imu, error = min(fits, key=lambda fit: fit[0])
         bias = bias + drift
@@ -143,19 +143,19 @@ def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArr
 
 
 def camera_rotations(imu: Imu, gyro: GyroCalibration, times: FloatArray) -> Rotation:
-    """R_start_camera at the frames' ``times`` (N,) by the gyroscope alone; at rest outside the IMU's own times."""
+    """R_start_camera at the frames' ``times`` (N,) [s] by the gyroscope alone; constant outside the IMU's times."""
     there = np.clip(times + gyro.time_offset_s, imu.times[0], imu.times[-1])
     mounting = Rotation.from_matrix(gyro.R_camera_imu)
     return mounting * Slerp(imu.times, orientations(imu, gyro.bias))(there) * mounting.inv()
 
 
 def allowed_apart(seconds: FloatArray) -> FloatArray:
-    """The angle in radians by which a camera's rotation over so many seconds may differ from the gyroscope's."""
+    """Maximum angle [rad] between a camera's rotation over ``seconds`` and the gyroscope's."""
     return np.asarray(_MAX_APART_RAD + _DRIFT_RAD_S * np.abs(seconds))
 
 
 def longest_interval_s(imu: Imu) -> float:
-    """From one reading of an IMU's table to the next: over a longer interval it carries nothing."""
+    """Maximum interval between two IMU readings [s]; a longer one is a gap."""
     return max(_MAX_GAP_S, _MAX_GAP_INTERVALS * float(np.median(np.diff(imu.times))))
 
 
@@ -169,12 +169,12 @@ def spaced_rows(times: FloatArray, interval_s: float) -> np.ndarray[tuple[int], 
 
 
 def _time_sigma_s(imu: Imu, t: FloatArray, sigma: float) -> float:
-    """Of the time offset: shifted in time, an interval's rotation changes by the rates' difference between its ends."""
+    """Standard deviation of the time offset; a shift changes an interval's rotation by its ends' rate difference."""
     rate = np.column_stack([np.interp(t, imu.times, axis) for axis in imu.angular_velocity.T])
     return sigma / max(float(np.linalg.norm(np.diff(rate, axis=0))), 1e-9)
 
 
 def _mounting_sigma_deg(camera: FloatArray, sigma: float) -> float:
-    """Of Wahba's rotation, from the rotation vectors (N, 3) it rests on: about an axis, only those across it tell."""
+    """Standard deviation of Wahba's rotation in its weakest axis, from its rotation vectors (N, 3)."""
     information = np.sum(camera**2) * np.eye(3) - camera.T @ camera
     return float(np.degrees(sigma / np.sqrt(max(float(np.linalg.eigvalsh(information)[0]), 1e-12))))

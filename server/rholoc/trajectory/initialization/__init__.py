@@ -1,1 +1,1 @@
-"""Where an adjustment starts: all rotations, then all positions, from no guess."""
+"""Initial values for the adjustment: all rotations, then all positions, without a first guess."""

@@ -1,6 +1,6 @@
-"""Positions of cameras whose rotations are known, all at once and from no guess: global positioning.
+"""Global positioning: all camera positions at once from known rotations and bearings, without a first guess.
 
-From bearings of points alone (Pan et al., 2024, "Global Structure-from-Motion Revisited"), by pycolmap.
+Pan et al., 2024, "Global Structure-from-Motion Revisited"; by pycolmap.
 """
 
 from __future__ import annotations
@@ -15,26 +15,24 @@ from rholoc.geometry import FloatArray, IntArray, on_plane
 from rholoc.geometry.resection import is_narrow
 from rholoc.trajectory.visual.sphere import on_sphere, sphere_camera
 
-_UNIT_PX = 1000.0  # focal length of the ideal pinhole camera that pycolmap is given
-_SIDE_PX = 4000  # its image is large enough for any field of view of a narrow lens
+_UNIT_PX = 1000.0  # focal length of the ideal pinhole camera passed to pycolmap
+_SIDE_PX = 4000  # of its image: wide enough for any narrow lens
 _CAMERA = 1
+_SEED = 1  # of the random initial positions
 
 
-def global_positions(
-    R_world_camera: FloatArray, keyframes: IntArray, tracks: IntArray, rays: FloatArray, seed: int = 1
-) -> FloatArray:
-    """The cameras' positions (K, 3), in a frame and scale of their own.
+def global_positions(R_world_camera: FloatArray, keyframes: IntArray, tracks: IntArray, rays: FloatArray) -> FloatArray:
+    """Camera positions (K, 3) in the frame of the rotations, at an arbitrary scale.
 
     Args:
         R_world_camera: (K, 3, 3).
-        keyframes, tracks: (N,) which camera sees which point.
-        rays: (N, 3) where, in the camera frame.
-        seed: of the random positions from which it starts.
+        keyframes, tracks: (N,) camera and point of each sighting.
+        rays: (N, 3) of each sighting, in the camera frame.
 
     Raises:
         MappingFailed: no positions were found.
     """
-    pycolmap.logging.minloglevel = 3  # what fails is said by the error raised
+    pycolmap.logging.minloglevel = 3  # a failure raises an error instead
     model = pycolmap.Reconstruction()
     camera, pixels = _ideal_camera(rays)
     model.add_camera_with_trivial_rig(camera)
@@ -58,7 +56,7 @@ def global_positions(
         model.add_point3D(np.zeros(3), track, np.zeros(3, np.uint8))
     options = pycolmap.GlobalPositionerOptions()
     options.use_gpu = False
-    options.random_seed = seed
+    options.random_seed = _SEED
     if not pycolmap.run_global_positioning(options, pycolmap.PoseGraph(), model):
         raise MappingFailed(
             "No positions of the camera explain what the pictures show.", "Walk slower, keep more texture in view."
@@ -67,7 +65,7 @@ def global_positions(
 
 
 def _ideal_camera(rays: FloatArray) -> tuple[pycolmap.Camera, FloatArray]:
-    """An ideal camera that sees rays (N, 3), and its pixels (N, 2): a pinhole, of wide lenses a panorama."""
+    """An ideal camera that sees rays (N, 3), and its pixels (N, 2): a pinhole, or a panorama for wide lenses."""
     if not is_narrow(rays):
         return sphere_camera(_CAMERA), on_sphere(rays)
     centre = _SIDE_PX / 2

@@ -1,9 +1,8 @@
-"""Positions of all keyframes, metric and upright, from the IMU and the directions between pairs of them.
+"""Metric, upright positions of all keyframes from the IMU and the directions between pairs of keyframes.
 
-With all rotations known, the equations of motion between keyframes are linear in positions, velocities, gravity and the
-accelerometer's bias, and so is "the way from this keyframe to that one has this direction". One sparse least-squares
-problem holds both: no guess is needed to start from, the scale is the accelerometer's, and where pictures show nothing
-for a second or two the IMU alone carries the walk across.
+With known rotations, the equations of motion are linear in positions, velocities, gravity and accelerometer bias, and
+so are measured directions. One sparse least-squares problem holds both: it needs no first guess, the accelerometer
+gives the scale, and the IMU bridges a second or two without usable pictures.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ from rholoc.trajectory.visual.directions import PairDirection
 
 _BIAS_SIGMA = 0.3  # m/s²
 _GRAVITY_SIGMA = 0.05  # m/s², once its direction is known
-_NOISE = 0.03  # m/s² / √Hz, of the accelerometer and of all that the model leaves out
+_NOISE = 0.03  # m/s² / √Hz, of accelerometer and model errors
 _PLACE_SIGMA_M = 0.002
-_USUAL_SPEED_M_S = 0.3  # of a walker with a phone, until the way between two keyframes is known …
+_USUAL_SPEED_M_S = 0.3  # of a walker with a phone, until the distance between two keyframes is known …
 _LONGEST_WAY_M = 1.0
-_LEAST_WAY_M = 0.02  # … and the shortest, for a direction's uncertainty to be a distance's
+_MIN_WAY_M = 0.02  # … and the minimum distance, to convert angular sigmas to lengths
 _ROUNDS = 12
 _CAUCHY = 2.0
-_BACKWARD = 3.0  # sigmas, added where a way leads backward
-_UNCOVERED = 1e-3  # the weight of the equations of motion over a gap of the IMU's table
-_UNKNOWNS_APART = 6  # gravity and bias, before every keyframe's velocity and position
+_BACKWARD = 3.0  # sigmas, added to a displacement against its direction
+_UNCOVERED = 1e-3  # weight of the equations of motion across a gap in the IMU table
+_UNKNOWNS_APART = 6  # gravity and bias, stored before the velocities and positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ class InertialStart:
         positions: (K, 3) metres.
         velocities: (K, 3) m/s.
         accelerometer_bias: (3,) m/s².
-        residual: of the accelerations, the median, in units of the noise that is expected.
+        residual: median residual of the accelerations, in units of the expected noise.
     """
 
     up: FloatArray
@@ -56,14 +55,14 @@ class InertialStart:
 def inertial_start(
     times: FloatArray, R: FloatArray, directions: Sequence[PairDirection], imu: Imu, gyro: GyroCalibration
 ) -> InertialStart | None:
-    """Positions from the IMU and directions; None where the IMU covers too little of the walk.
+    """Solve for positions from the IMU and directions; None if the IMU covers too little of the walk.
 
     Args:
-        times: (K,) seconds, of the keyframes.
+        times: (K,) of the keyframes [s].
         R: (K, 3, 3) R_world_camera.
-        directions: between pairs of keyframes; wrong ones are outvoted.
+        directions: between pairs of keyframes; outliers are down-weighted.
         imu: of the same recording.
-        gyro: how it relates to the camera.
+        gyro: calibration of the gyroscope to the camera.
     """
     t = times + gyro.time_offset_s
     covered = _covered(t, imu)
@@ -86,7 +85,7 @@ def inertial_start(
     for _ in range(_ROUNDS):
         A = _stacked(motion, _direction_rows(first, second, toward))
         measured = np.concatenate([motion.measured, way_wanted.ravel()])
-        sigmas = np.concatenate([motion.sigmas, np.repeat(sigma * np.maximum(way, _LEAST_WAY_M), 3)])
+        sigmas = np.concatenate([motion.sigmas, np.repeat(sigma * np.maximum(way, _MIN_WAY_M), 3)])
         weights = np.sqrt(np.repeat(robust, 3)) / sigmas
         weighted = diags_array(weights) @ A
         information = (weighted.T @ weighted).tocsc()
@@ -111,38 +110,38 @@ def inertial_start(
 
 
 def _weights_of_motion(felt: FloatArray) -> FloatArray:
-    """Cauchy's weights (N,) of equations of motion that are so many sigmas off, or of times the usual."""
+    """Cauchy weights (N,) of equations of motion, from residuals in sigmas, or in medians if the median is larger."""
     return np.asarray(1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2))
 
 
 def _weights_of_directions(between: FloatArray, unit: FloatArray, sigma_rad: FloatArray) -> FloatArray:
-    """The weights (N,) of directions (N, 3), from the ways (N, 3) that were found: next to none of one that is off.
+    """Geman–McClure weights (N,) of directions ``unit`` (N, 3), from the estimated displacements ``between`` (N, 3).
 
-    Geman and McClure's, whose doubt grows faster than Cauchy's. A way that leads backward is some sigmas further off.
+    A displacement against its direction counts as ``_BACKWARD`` sigmas further off.
     """
     way_m = np.linalg.norm(between, axis=1)
     along = np.sum(between * unit, axis=1)
     across = np.linalg.norm(between - along[:, None] * unit, axis=1)
-    off = across / (sigma_rad * np.maximum(way_m, _LEAST_WAY_M)) + _BACKWARD * (along < 0)
+    off = across / (sigma_rad * np.maximum(way_m, _MIN_WAY_M)) + _BACKWARD * (along < 0)
     return np.asarray(1 / (1 + (off / _CAUCHY) ** 2) ** 2)
 
 
 def _turned_to(between: FloatArray, unit: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Along which (N, 3) a way's length stays free, and what is wanted (N, 3) of it across that, to have a direction.
+    """Free directions (N, 3) of the displacements, and the targets (N, 3) of their components across these.
 
-    Ways without a part across their directions were the first aim; but so is no way at all. From then on a way is to
-    turn to its direction, and its length is the IMU's alone.
+    A zero target would also be met by a displacement of zero length. These targets turn a displacement towards its
+    measured direction and leave its length to the IMU.
     """
     way_m = np.linalg.norm(between, axis=1)
-    ahead = (np.sum(between * unit, axis=1) > 0) & (way_m > _LEAST_WAY_M)
-    toward = np.where(ahead[:, None], between / np.maximum(way_m, _LEAST_WAY_M)[:, None], unit)
+    ahead = (np.sum(between * unit, axis=1) > 0) & (way_m > _MIN_WAY_M)
+    toward = np.where(ahead[:, None], between / np.maximum(way_m, _MIN_WAY_M)[:, None], unit)
     return toward, way_m[:, None] * (unit - np.sum(unit * toward, axis=1)[:, None] * toward)
 
 
 def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:
-    """The solution of the normal equations: keyframes share rows with their neighbours alone, and with what is apart.
+    """Solve the normal equations: a band matrix, apart from the first ``_UNKNOWNS_APART`` unknowns.
 
-    Without the unknowns apart the matrix is a band, which is factorized in time that grows with the walk.
+    Factorizing the band takes time linear in the length of the walk.
     """
     n = _UNKNOWNS_APART
     band, border = information[n:, n:].tocsc(), information[n:, :n].toarray()
@@ -154,7 +153,7 @@ def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """The equations of motion: entries of a sparse matrix, what was measured (6 (K - 1),), its deviations."""
+    """Equations of motion: entries of a sparse matrix, measured values (6 (K - 1),), standard deviations."""
 
     rows: IntArray
     columns: IntArray
@@ -164,7 +163,7 @@ class _Motion:
 
 
 def _covered(t: FloatArray, imu: Imu) -> BoolArray:
-    """Which intervals (K - 1,) between keyframes the IMU's table covers without a gap."""
+    """Mask (K - 1,) of the intervals between keyframes that the IMU table covers without a gap."""
     inside = (t[:-1] >= imu.times[0]) & (t[1:] <= imu.times[-1])
     gaps = np.flatnonzero(np.diff(imu.times) > longest_interval_s(imu))
     for gap in gaps.tolist():
@@ -227,9 +226,9 @@ def _stacked(motion: _Motion, directions: tuple[IntArray, IntArray, FloatArray])
 def _integrated(
     imu: Imu, gyro: GyroCalibration, t: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """What the force felt between one keyframe and the next does: changes of velocity and displacements (K - 1, 3).
+    """Velocity changes and displacements (K - 1, 3) by the specific force between keyframes, in the rotations' frame.
 
-    In the frame of the rotations; and their derivatives (K - 1, 3, 3) by the accelerometer's bias.
+    Also their derivatives (K - 1, 3, 3) by the accelerometer bias.
     """
     R_start_imu = orientations(imu, gyro.bias).as_matrix()
     n = len(t) - 1

@@ -1,4 +1,4 @@
-"""First poses of pictures by pycolmap's incremental and global mappers, from our own verified matches."""
+"""First poses of pictures by pycolmap's incremental and global mappers, from verified matches."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rholoc.geometry import Camera, FloatArray, IntArray, Lens, on_plane
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.sphere import on_sphere, sphere_camera
 
-_LEAST_PIECE = 3  # pictures
+_MIN_PIECE = 3  # pictures
 _SEED = 1
 _THREADS = 2
 _CAMERA = 1
@@ -23,7 +23,7 @@ _CENTRE_SHIFT = 0.5  # COLMAP's pixel (0.5, 0.5) is the centre of the top-left o
 
 
 class Mapper(StrEnum):
-    """A way to the first poses."""
+    """A method for first poses."""
 
     OWN = "own"  # rotation averaging, then global positioning
     GLOBAL = "global"  # pycolmap's global mapper
@@ -35,8 +35,8 @@ class Piece:
     """First poses of some of K pictures, in a frame and unit of their own.
 
     Attributes:
-        mapper: where the poses come from.
-        members: (N,) the pictures, increasing.
+        mapper: which produced the poses.
+        members: (N,) picture numbers, increasing.
         T_world_camera: (N, 4, 4).
         camera: the intrinsics.
     """
@@ -50,16 +50,16 @@ class Piece:
 def largest_piece(
     mapper: Mapper, camera: Camera, is_known: bool, pixels: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
 ) -> Piece | None:
-    """The largest piece that a mapper of pycolmap places; None if it places none.
+    """Largest model of a pycolmap mapper; None if it has fewer than three pictures.
 
     Args:
         mapper: ``GLOBAL`` or ``INCREMENTAL``.
         camera: of all pictures.
-        is_known: whether the intrinsics are held, or refined from a guess.
-        pixels: of K pictures the features, (F, 2) each.
+        is_known: whether to hold the intrinsics; otherwise they are refined.
+        pixels: features of each of K pictures, (F, 2).
         pairs: verified matches.
     """
-    pycolmap.logging.minloglevel = 3  # what fails is said by the result
+    pycolmap.logging.minloglevel = 3  # a failure shows in the result
     with tempfile.TemporaryDirectory(prefix="rholoc-mapper-") as name:
         folder = Path(name)
         database = folder / "pictures.db"
@@ -72,7 +72,7 @@ def largest_piece(
 
 
 def _model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camera, list[FloatArray]]:
-    """An ideal camera for pycolmap in place of one that is known, and its pixels."""
+    """An ideal camera for pycolmap in place of a calibrated one, and its pixels."""
     rays = [camera.rays(some) for some in pixels]
     if camera.lens is not Lens.PINHOLE:
         return sphere_camera(_CAMERA), [on_sphere(some) for some in rays]
@@ -82,7 +82,7 @@ def _model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camer
 
 
 def _guessed_model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camera, list[FloatArray]]:
-    """A camera with one coefficient of distortion, to be refined, and the pixels as pycolmap counts them."""
+    """A camera with one distortion coefficient, to be refined, and the pixels in pycolmap's convention."""
     centre = camera.cx + _CENTRE_SHIFT, camera.cy + _CENTRE_SHIFT
     model = _pycolmap_camera(camera, "SIMPLE_RADIAL", [camera.focal, *centre, 0.0])
     return model, [some + _CENTRE_SHIFT for some in pixels]
@@ -95,7 +95,7 @@ def _pycolmap_camera(camera: Camera, kind: str, params: list[float]) -> pycolmap
 
 
 def _write(path: Path, model: pycolmap.Camera, places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> None:
-    """Write pictures, features and verified matches; each pair is told to be a plane, a turn, or general."""
+    """Write pictures, features and verified matches; pycolmap classifies each pair as planar, rotation or general."""
     database = pycolmap.Database.open(str(path))
     try:
         camera_id = database.write_camera(model)
@@ -133,7 +133,7 @@ def _run(mapper: Mapper, database: Path, folder: Path, is_known: bool) -> list[p
         if mapper is Mapper.GLOBAL:
             return list(pycolmap.global_mapping(*arguments, _global_options(is_known)).values())
         return list(pycolmap.incremental_mapping(*arguments, _incremental_options(is_known)).values())
-    except (RuntimeError, ValueError):  # pycolmap's words for a mapper that cannot begin
+    except (RuntimeError, ValueError):  # raised by a mapper without an initial pair
         return []
 
 
@@ -141,7 +141,7 @@ def _global_options(is_known: bool) -> pycolmap.GlobalPipelineOptions:
     options = pycolmap.GlobalPipelineOptions()
     options.mapper.bundle_adjustment.refine_focal_length = not is_known
     options.mapper.bundle_adjustment.refine_extra_params = not is_known
-    options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _LEAST_PIECE
+    options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _MIN_PIECE
     return options
 
 
@@ -149,7 +149,7 @@ def _incremental_options(is_known: bool) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     options.ba_refine_focal_length = options.ba_refine_extra_params = not is_known
     options.extract_colors = False
-    options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _LEAST_PIECE
+    options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _MIN_PIECE
     return options
 
 

@@ -1,4 +1,4 @@
-"""Rotations of all keyframes from rotations between some of them, and from the gyroscope: robust rotation averaging."""
+"""Robust rotation averaging: rotations of all keyframes from relative rotations and the gyroscope."""
 
 from __future__ import annotations
 
@@ -13,24 +13,23 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.trajectory.visual.two_view import PairRotation
 
-_PAIR_SIGMA_RAD = np.radians(0.4)  # of a rotation between two views that see enough of the same
-_CAUCHY = 2.0  # sigmas, from which a pair is doubted
-_NEIGHBOURS = 12  # keyframes apart at most
-_GYRO_SIGMA_RAD = np.radians(0.02)  # of the gyroscope's rotation, at once …
-_GYRO_WALK_RAD = np.radians(0.05)  # … for the square root of every second …
-_GYRO_BIAS_RAD_S = 1e-3  # … and for every second, from what remains of its bias
+_PAIR_SIGMA_RAD = np.radians(0.4)  # of a relative rotation between two views with enough matches
+_CAUCHY = 2.0  # sigmas
+_NEIGHBOURS = 12  # maximum distance in keyframes
+_GYRO_SIGMA_RAD = np.radians(0.02)  # of the gyroscope's rotation: a constant …
+_GYRO_WALK_RAD = np.radians(0.05)  # … a part times the square root of the seconds …
+_GYRO_BIAS_RAD_S = 1e-3  # … and a part times the seconds, from the remaining bias
 
 
 def average_rotations(
     count: int, pairs: Sequence[PairRotation], times: FloatArray, felt: Rotation | None
 ) -> tuple[FloatArray, IntArray]:
-    """R_world_camera (K, 3, 3) of ``count`` keyframes, the first's the identity, and what is connected (K,).
+    """R_world_camera (K, 3, 3) of ``count`` keyframes, the first's the identity, and the component (K,) of each.
 
-    With a gyroscope all are. Without one, keyframes are numbered by the component of the graph of pairs in which they
-    are; every component has a frame of its own.
+    With a gyroscope there is one component. Without one, each connected component of the pairs has its own frame.
 
     Args:
-        pairs: rotations between keyframes; wrong ones are outvoted (Cauchy's loss).
+        pairs: relative rotations of keyframes; outliers are down-weighted (Cauchy's loss).
         times: (K,) seconds.
         felt: R_start_camera of the K keyframes by the gyroscope, or None.
     """
@@ -58,9 +57,9 @@ def _gyro_sigma_rad(seconds: float) -> float:
 
 
 def _spread(count: int, pairs: Sequence[PairRotation]) -> tuple[FloatArray, IntArray]:
-    """Rotations along the best supported tree of pairs, and the component (K,) of every keyframe.
+    """Rotations along the maximum spanning tree by support, and the component (K,) of every keyframe.
 
-    Pairs of neighbours come before pairs that seem to show a place seen again: places may look alike.
+    Pairs of neighbours precede loop closures, because different places may look alike.
     """
     R = np.tile(np.eye(3), (count, 1, 1))
     component = np.full(count, -1, dtype=np.int64)

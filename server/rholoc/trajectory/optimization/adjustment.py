@@ -1,9 +1,8 @@
-"""One least-squares problem over all that a walk measured: pictures, gyroscope, accelerometer, waypoints.
+"""Joint least-squares adjustment of a walk's pictures, gyroscope, accelerometer and waypoints.
 
-The unknowns are the keyframes' poses and the points that they see; with an IMU its pose, velocity and biases at every
-keyframe, gravity, how it is mounted on the camera and how far apart their clocks are; and the intrinsics where they
-were not given. IMU readings between keyframes are preintegrated (Forster et al., 2017). Solved by gtsam, every kind of
-measurement with its own noise; sightings and waypoints under Cauchy's loss.
+Unknowns: keyframe poses and points; with an IMU its pose, velocity and biases at every keyframe, gravity, its mounting
+on the camera and its clock offset; the intrinsics if they were not given. IMU readings between keyframes are
+preintegrated (Forster et al., 2017). Solved by gtsam; sightings and waypoints have Cauchy's loss.
 """
 
 from __future__ import annotations
@@ -20,18 +19,28 @@ import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, angles_between, cross, on_plane, pose_matrix
+from rholoc.geometry import (
+    BoolArray,
+    Camera,
+    FloatArray,
+    IntArray,
+    PosedCameras,
+    angles_between,
+    cross,
+    on_plane,
+    pose_matrix,
+)
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, longest_interval_s
 from rholoc.trajectory.visual.tracks import Observations
 
-_PIXEL_SIGMA_PX = 0.7  # of a sighting, at first
+_PIXEL_SIGMA_PX = 0.7  # of a sighting
 _CAUCHY_PIXELS = 2.0  # sigmas
 _CAUCHY_WAYPOINTS = 3.0
 _CAUCHY_STEPS = 3.0
-_MIN_PARALLAX_DEG = 1.5  # between the rays to a point that is used
-_FEWEST_SIGHTINGS = 3
-_ACCELEROMETER_NOISE = 0.01  # m/s² / √Hz: a phone's, and what its rate leaves out of a hand's motion
+_MIN_PARALLAX_DEG = 1.5  # between the rays to a usable point
+_MIN_SIGHTINGS = 3
+_ACCELEROMETER_NOISE = 0.01  # m/s² / √Hz: a phone's, and hand motion between its readings
 _GYROSCOPE_NOISE = 5e-4  # rad/s / √Hz
 _INTEGRATION_NOISE = 1e-4  # m / √s
 _ACCELEROMETER_WALK = 2e-3  # m/s² / √s
@@ -40,28 +49,28 @@ _ACCELEROMETER_BIAS_SIGMA = 0.3  # m/s²
 _GYROSCOPE_BIAS_SIGMA = 0.02  # rad/s
 _MOUNTING_SIGMA_RAD = 0.02
 _LEVER_SIGMA_M = 0.03  # between camera and IMU: the size of a phone
-_CLOCK_SIGMA_S = 3e-3  # what remains of the time offset
-_IMU_COORDINATES = 9  # of a turn, a way and a change of speed, that one interval's readings are measured in
+_CLOCK_SIGMA_S = 3e-3  # of the calibrated time offset
+_IMU_COORDINATES = 9  # of a preintegrated interval: rotation, displacement, velocity change
 _GRAVITY_SIGMA = 0.05  # m/s², of its length as accelerometers read it
 _LEVEL_SIGMA_RAD = np.radians(0.5)  # of the waypoints' z axis
 _GAUGE_SIGMA = 1e-4
 _TIE_SIGMA_RAD, _TIE_SIGMA_M = 2e-4, 5e-4
 _FIXED = 1e-9
 _CAUCHY_DEPTHS = 2.0  # sigmas
-_DEPTH_SIGMA_M = 0.01  # of a depth picture's pixel, besides a share of the depth
+_DEPTH_SIGMA_M = 0.01  # of a depth picture's pixel, in addition to a share of the depth
 _DEPTHS_PER_KEYFRAME = 40
-_COARSE, _FINE = 1e-3, 2e-4  # the share of the cost by which a step must lower it to be followed by another
-_FEWEST_SEEN = 4  # sightings that hold a keyframe by themselves
-_UNSEEN_SIGMA_RAD = 1.0  # of a keyframe that nothing holds
+_COARSE, _FINE = 1e-3, 2e-4  # minimum relative cost decrease of a step before another one
+_MIN_SEEN = 4  # sightings that fix a keyframe without other measurements
+_UNSEEN_SIGMA_RAD = 1.0  # of a keyframe that no measurement fixes
 _FIRST_DAMPING = 10.0
 _SETTLING_STEPS = 6
-_SHARES = (1.0, 0.5, 0.25)  # of a step that leads up, at which it is tried again with every point settled anew
-_HOLDS = (1e-2, 0.3, 10.0)  # how firmly points are held where a step fails with less
+_SHARES = (1.0, 0.5, 0.25)  # of a failed step, to retry with every point re-optimized
+_HOLDS = (1e-2, 0.3, 10.0)  # increasing strengths of the points' prior, each used if a step fails with the one before
 
 
 @dataclass(frozen=True)
 class CameraSigmas:
-    """How well intrinsics are known before the walk has its say.
+    """Prior standard deviations of the intrinsics.
 
     Attributes:
         focal: of the focal length, relative.
@@ -75,17 +84,17 @@ class CameraSigmas:
 
 
 GUESSED = CameraSigmas(0.05, 0.01, 0.15)
-GIVEN = CameraSigmas(5e-4, 1e-5, 0.01)  # what most calibrations leave open is a little distortion
+GIVEN = CameraSigmas(5e-4, 1e-5, 0.01)  # most calibrations leave some distortion uncertain
 
 
 @dataclass(frozen=True)
 class Fix:
-    """A measured point: the camera's place at a keyframe.
+    """A measured camera position.
 
     Attributes:
-        keyframe: its number.
-        position: metres in the map frame.
-        sigma_m: of each coordinate.
+        keyframe: number of the keyframe.
+        position: in the map frame [m].
+        sigma_m: standard deviation of each coordinate.
     """
 
     keyframe: int
@@ -95,7 +104,7 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A measured step from one keyframe to another, as a tracker (ARKit) or wheels report it.
+    """A relative pose of two keyframes, measured by a tracker (ARKit) or wheels.
 
     Attributes:
         first, second: keyframe numbers.
@@ -113,13 +122,13 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class InertialState:
-    """What is known of the IMU at K keyframes.
+    """State of the IMU at K keyframes.
 
     Attributes:
         velocities: (K, 3) m/s in the map frame.
         biases: (K, 6) of the accelerometer, m/s², and the gyroscope, rad/s.
-        T_imu_camera: (4, 4) how the camera is mounted.
-        clock_s: to be added to the calibrated time offset.
+        T_imu_camera: (4, 4) mounting of the camera.
+        clock_s: correction to add to the calibrated time offset.
         gravity: (3,) m/s² in the map frame, as the accelerometer measures it.
     """
 
@@ -131,7 +140,7 @@ class InertialState:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class State(PosedCameras):
     """The unknowns.
 
     Attributes:
@@ -151,28 +160,23 @@ class State:
         """(K, 3, 3)."""
         return self.T_map_camera[:, :3, :3]
 
-    @property
-    def positions(self) -> FloatArray:
-        """(K, 3)."""
-        return self.T_map_camera[:, :3, 3]
-
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What was measured.
+    """Measurements to adjust.
 
     Attributes:
-        times: (K,) seconds, of the keyframes.
-        observations: of points by keyframes.
+        times: (K,) of the keyframes [s].
+        observations: sightings of points by keyframes.
         imu: None without one.
-        gyro: how the gyroscope relates to the camera; with an IMU.
+        gyro: calibration of the gyroscope to the camera; given if there is an IMU.
         fixes: waypoints.
-        steps: measured between keyframes; they fix the scale.
-        depth_sigma: of the observations' depths, relative; they fix the scale. None where they are not used.
-        level_sigma_rad: how well the fixes' z axis is level; None where it is not meant to be.
-        camera_sigmas: of the intrinsics; None where they are held.
+        steps: relative poses of keyframes; they fix the scale.
+        depth_sigma: relative, of the observations' depths, which fix the scale. None to ignore depths.
+        level_sigma_rad: of the fixes' z axis against gravity; None if it need not be vertical.
+        camera_sigmas: of the intrinsics; None to hold them.
         pixel_sigma_px: of a sighting's coordinates.
-        imu_noise: of the IMU, as a multiple of what is usual.
+        imu_noise: of the IMU, as a multiple of the usual.
     """
 
     times: FloatArray
@@ -194,8 +198,8 @@ class Adjusted:
 
     Attributes:
         state: the unknowns.
-        used: (N,) which sightings were used.
-        cost: half the sum of squares, robust.
+        used: (N,) mask of the sightings used.
+        cost: half the robust sum of squares.
     """
 
     state: State
@@ -207,9 +211,9 @@ class Adjusted:
     _held: Callable[[float], gtsam.GaussianFactorGraph] = field(repr=False)
 
     def covariances(self, keyframes: Sequence[int]) -> FloatArray:
-        """(N, 6, 6) of some keyframes' poses: x, y, z (m), then the rotation about the map's axes (rad).
+        """Pose covariances (N, 6, 6) of some keyframes: x, y, z [m], then the rotation about the map's axes [rad].
 
-        NaN where the measurements leave a pose open, so that its covariance has no bound.
+        NaN if the measurements do not fix a pose.
         """
         tree = self._eliminated()
         found = np.empty((len(keyframes), 6, 6))
@@ -221,11 +225,11 @@ class Adjusted:
         return found
 
     def camera_sigmas(self) -> FloatArray:
-        """(9,) of fx, fy, skew, cx, cy, k1, k2, p1, p2 where they were estimated; NaN where they are left open."""
+        """Standard deviations (9,) of estimated fx, fy, skew, cx, cy, k1, k2, p1, p2; NaN if not fixed."""
         return np.asarray(np.sqrt(np.diag(_marginal(self._eliminated(), D(0), 9))))
 
     def imu_misfit(self) -> float:
-        """By how many times its assumed noise the IMU disagrees with the walk (root mean square); 0 without one."""
+        """RMS of the IMU residuals in units of the assumed noise; 0 without an IMU."""
         factors = (self._graph.at(i) for i in range(self._graph.size()))
         squares = [
             2 * factor.error(self._values)
@@ -235,8 +239,9 @@ class Adjusted:
         return float(np.sqrt(np.mean(squares) / _IMU_COORDINATES)) if squares else 0.0
 
     def _eliminated(self) -> gtsam.GaussianBayesTree | None:
-        """The linear system at the solution, eliminated; with points held as firmly as it needs, where some are hardly
-        known. None if it is singular all the same."""
+        """Eliminated linear system at the solution, with the weakest prior on the points that makes it regular.
+
+        None if it is singular with every prior."""
         for system in _with_points_held(self._graph.linearize(self._values), self._held):
             with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
                 return system.eliminateMultifrontal(self._ordering)
@@ -250,18 +255,18 @@ def adjust(
     progress: Callable[[float], None] = lambda fraction: None,
     coarsely: bool = False,
 ) -> Adjusted:
-    """Solve from a state near enough (Levenberg–Marquardt).
+    """Optimize from a nearby state (Levenberg–Marquardt).
 
-    Points are triangulated anew from the state's poses; those with too little parallax and sightings far off are left
-    out of the problem, but are judged again by the next call.
+    Points are triangulated from the state's poses. Points with too little parallax and outlier sightings are ignored in
+    this call only.
 
     Args:
-        iterations: at most so many.
-        progress: is called with the fraction of them that is done.
-        coarsely: end sooner, for sightings are judged anew by what comes out, and all is adjusted again.
+        iterations: maximum number.
+        progress: called with the fraction of iterations done.
+        coarsely: stop earlier, before outliers are determined again and all is adjusted again.
 
     Raises:
-        MappingFailed: what was measured leaves the shape of the walk open.
+        MappingFailed: the measurements do not fix the shape of the walk.
     """
     points, used = _usable_points(problem.observations, state, problem.pixel_sigma_px)
     state = replace(state, points=points)
@@ -288,7 +293,7 @@ def adjust(
 
 
 def triangulate(observations: Observations, state: State) -> tuple[FloatArray, FloatArray]:
-    """The points (M, 3) nearest to the rays that see them, and the widest angle (M,) at which they do, degrees."""
+    """Points (M, 3) nearest to the rays of their sightings, and the widest angle (M,) between these rays [deg]."""
     rays = np.einsum("nij,nj->ni", state.R_map_camera[observations.keyframes], state.camera.rays(observations.pixels))
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     seen_from = np.einsum("nij,nj->ni", across, state.positions[observations.keyframes])
@@ -306,7 +311,7 @@ def triangulate(observations: Observations, state: State) -> tuple[FloatArray, F
 
 
 def residuals_px(observations: Observations, state: State, points: FloatArray | None = None) -> FloatArray:
-    """How far each sighting (N,) is from where its point appears, in pixels; infinite behind the camera."""
+    """Reprojection errors (N,) of the sightings [px]; infinite behind the camera."""
     points = state.points if points is None else points
     R_map_plane, measured = _image_planes(observations, state)
     seen = np.einsum("nji,nj->ni", R_map_plane, points[observations.tracks] - state.positions[observations.keyframes])
@@ -317,26 +322,26 @@ def residuals_px(observations: Observations, state: State, points: FloatArray | 
 
 
 def _image_planes(observations: Observations, state: State) -> tuple[FloatArray, FloatArray]:
-    """R_map_plane (N, 3, 3) of the plane that each sighting is measured in, and where on it (N, 2)."""
+    """R_map_plane (N, 3, 3) of each sighting's image plane, and its coordinates (N, 2) on this plane."""
     R_plane_camera, measured = state.camera.planes(observations.pixels)
     return state.R_map_camera[observations.keyframes] @ np.swapaxes(R_plane_camera, 1, 2), measured
 
 
 def _usable_points(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, BoolArray]:
-    """Points (M, 3), and which sightings (N,) of them are to be used."""
+    """Points (M, 3), and a mask (N,) of the usable sightings."""
     points, parallax_deg = triangulate(observations, state)
     off = residuals_px(observations, state, points)
     near = off < max(20.0, 4 * float(np.median(off)))
-    often = np.bincount(observations.tracks[near], minlength=observations.points) >= _FEWEST_SIGHTINGS
+    often = np.bincount(observations.tracks[near], minlength=observations.points) >= _MIN_SIGHTINGS
     good = (parallax_deg > _MIN_PARALLAX_DEG) & often
     used = near & good[observations.tracks]
     return _settled(points, observations.at(used), state, sigma_px), used
 
 
 def _settled(points: FloatArray, observations: Observations, state: State, sigma_px: float) -> FloatArray:
-    """The points (M, 3) where their sightings fit best while all else is held (Gauss–Newton, Cauchy's weights).
+    """Points (M, 3) of least reprojection error with all else held (Gauss–Newton, Cauchy's weights).
 
-    The nearest point to the rays is not yet that; the joint problem would spend its first iterations on the way there.
+    Triangulated points are not optimal; refining them here saves the joint problem iterations.
     """
     tracks, positions = observations.tracks, state.positions[observations.keyframes]
     R, measured = _image_planes(observations, state)
@@ -383,7 +388,7 @@ def _add_sightings(
 
 
 def _camera_prior(camera: Camera, sigmas: CameraSigmas) -> gtsam.noiseModel.Base:
-    """fx and fy are one unknown, distortion is radial."""
+    """Prior on the intrinsics with fx = fy and radial distortion."""
     focal, centre = sigmas.focal * camera.focal, sigmas.centre * camera.width
     radial = [sigmas.distortion**2] * 2
     covariance = np.diag([0.0, 0.0, _FIXED, centre**2, centre**2, *radial, _FIXED, _FIXED])
@@ -444,7 +449,7 @@ def _add_imu(
 
 
 def _gravity_prior(problem: Problem) -> gtsam.noiseModel.Base:
-    """Of gravity's three components: the map's z axis is up by definition, or as far as the waypoints' is."""
+    """Prior on gravity (3,): vertical by definition of the map's z axis, or as accurately as the waypoints' z axis."""
     if not problem.fixes:
         level = _GAUGE_SIGMA
     elif problem.level_sigma_rad is None:
@@ -456,7 +461,7 @@ def _gravity_prior(problem: Problem) -> gtsam.noiseModel.Base:
 
 
 def imu_noise(times_usual: float) -> gtsam.PreintegrationCombinedParams:
-    """What the readings of an IMU are worth whose noise is ``times_usual`` times the usual."""
+    """Preintegration parameters of an IMU with ``times_usual`` times the usual noise."""
     parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY)
     parameters.setAccelerometerCovariance(np.eye(3) * (times_usual * _ACCELEROMETER_NOISE) ** 2)
     parameters.setGyroscopeCovariance(np.eye(3) * (times_usual * _GYROSCOPE_NOISE) ** 2)
@@ -474,7 +479,7 @@ def preintegrated(
     bias: gtsam.imuBias.ConstantBias,
     longest_s: float,
 ) -> gtsam.PreintegratedCombinedMeasurements | None:
-    """The readings between two times summed, trapezoids; None over a gap of more than ``longest_s``."""
+    """Preintegrate the readings between two times (trapezoidal rule); None over a gap of more than ``longest_s``."""
     first, last = np.searchsorted(imu.times, start_s, side="right"), np.searchsorted(imu.times, end_s, side="left")
     knots = np.concatenate([[start_s], imu.times[first:last], [end_s]])
     around = imu.times[max(first - 1, 0) : last + 1]
@@ -493,9 +498,9 @@ def preintegrated(
 
 
 def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
-    """The camera is mounted on the IMU, their clocks differ: T_map_camera = T_map_imu Exp((ω, v) clock) T_imu_camera.
+    """Factor of mounting and clock offset: T_map_camera = T_map_imu Exp((ω, v) clock) T_imu_camera.
 
-    ``rate`` ω (3,) rad/s is the IMU's at the keyframe, v its velocity.
+    ``rate`` is the IMU's ω (3,) [rad/s] at keyframe ``k``, v its velocity.
     """
 
     def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Any:
@@ -523,11 +528,11 @@ def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.Custom
 
 
 def _hold_unseen(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, seeing: IntArray, state: State) -> None:
-    """Keyframes that neither enough points nor the IMU place stay about where they are."""
+    """Add a weak prior to each keyframe that neither enough points nor the IMU fix."""
     extent = float(np.linalg.norm(np.ptp(state.positions, axis=0)))
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_UNSEEN_SIGMA_RAD, max(extent, 1e-9)], 3))
     sightings = np.bincount(seeing, minlength=len(state.T_map_camera))
-    for k in np.flatnonzero(sightings < _FEWEST_SEEN).tolist():
+    for k in np.flatnonzero(sightings < _MIN_SEEN).tolist():
         if not values.exists(X(k)):
             graph.add(gtsam.PriorFactorPose3(C(k), values.atPose3(C(k)), noise))
 
@@ -547,7 +552,7 @@ def _add_steps(graph: gtsam.NonlinearFactorGraph, steps: Sequence[Step]) -> None
 
 
 def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: State, used: BoolArray) -> bool:
-    """Add measured distances from keyframes to points; returns whether there are any."""
+    """Add measured distances from keyframes to points. Returns whether there are any."""
     seen = problem.observations
     if problem.depth_sigma is None or seen.depths is None:
         return False
@@ -571,7 +576,7 @@ def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: Stat
 
 
 def _fix_gauge(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: State, metric: bool) -> None:
-    """Hold what nothing measures: the first camera's place and heading; without an IMU its tilt, and the scale."""
+    """Fix what no measurement fixes: the first camera's position and heading; without an IMU its tilt and the scale."""
     first = values.atPose3(C(0))
     if metric:
         vertical = state.R_map_camera[0].T @ np.array([0.0, 0.0, 1.0])
@@ -590,13 +595,13 @@ def _fix_gauge(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: S
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """How the problem is solved.
+    """Optimizer of one problem.
 
     Attributes:
         graph: its factors.
-        ordering: in which its unknowns are eliminated.
-        held: how firmly → what keeps the points about where they are.
-        settled: values → the same with all points where their sightings fit best.
+        ordering: elimination order of its unknowns.
+        held: strength → prior that keeps the points near their present positions.
+        settled: values → values with every point re-optimized alone.
     """
 
     graph: gtsam.NonlinearFactorGraph
@@ -607,7 +612,7 @@ class _Descent:
     def solve(
         self, values: gtsam.Values, iterations: int, tolerance: float, progress: Callable[[float], None]
     ) -> tuple[gtsam.Values, float]:
-        """The values that cost least, and what they cost; ends at a step that lowers the cost by less than a share."""
+        """Minimize the cost; returns values and cost. Stops at a relative decrease below ``tolerance``."""
         cost = self.graph.error(values)
         for done in range(iterations):
             before = cost
@@ -618,10 +623,10 @@ class _Descent:
         return values, cost
 
     def _stepped(self, values: gtsam.Values, cost: float) -> tuple[gtsam.Values, float]:
-        """A step of Gauss and Newton; where none leads down, one of Levenberg and Marquardt, at thrice the time.
+        """Gauss–Newton step; if none lowers the cost, a Levenberg–Marquardt step, which takes three times as long.
 
-        Where a long step leads up, it is mostly the points that have not come along: it is tried again, whole and in
-        part, with every point settled anew.
+        A long step mostly fails because the points lag behind: it is retried, whole and in part, with every point
+        re-optimized.
         """
         for system in _with_points_held(self.graph.linearize(values), self.held):
             try:
@@ -659,7 +664,7 @@ def _with_points_settled(values: gtsam.Values, problem: Problem, state: State, u
 
 
 def _marginal(tree: gtsam.GaussianBayesTree | None, key: int, size: int) -> FloatArray:
-    """(size, size) covariance of one variable; NaN where it has no bound."""
+    """Covariance (size, size) of one variable; NaN if it is unbounded."""
     if tree is not None:
         with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
             return np.asarray(tree.marginalCovariance(key))
@@ -673,7 +678,7 @@ def _shape_left_open() -> MappingFailed:
 def _with_points_held(
     linear: gtsam.GaussianFactorGraph, held: Callable[[float], gtsam.GaussianFactorGraph]
 ) -> Iterator[gtsam.GaussianFactorGraph]:
-    """A linear system with its points held, more and more firmly."""
+    """The linear system with increasingly strong priors on its points."""
     for firmness in _HOLDS:
         system = gtsam.GaussianFactorGraph()
         system.push_back(linear)
@@ -684,9 +689,9 @@ def _with_points_held(
 def _held_points(
     observations: Observations, state: State, used: BoolArray, firmness: float
 ) -> gtsam.GaussianFactorGraph:
-    """No point steps far beyond its distance: one that few see well would jump behind the cameras.
+    """Prior that keeps each point near its position relative to its distance: weak points would jump behind cameras.
 
-    Not firmer than needed, for points that are held hold the walk's size.
+    ``firmness`` should be small, because the prior also holds the walk's scale.
     """
     tracks, count = observations.tracks[used], observations.points
     away = np.zeros(count)
@@ -701,9 +706,9 @@ def _held_points(
 
 
 def _ordering(values: gtsam.Values, observations: Observations, used: BoolArray) -> gtsam.Ordering:
-    """In which order the unknowns are eliminated: points, keyframes by nested dissection, what all of them share.
+    """Elimination order: points, keyframes by nested dissection, shared unknowns.
 
-    An ordering of the whole would take longer to find than the step takes: nearly every factor holds the intrinsics.
+    Ordering the whole graph would take longer than the step, because nearly every factor contains the intrinsics.
     """
     by_track = np.lexsort((observations.keyframes[used], observations.tracks[used]))
     tracks, keyframes = observations.tracks[used][by_track], observations.keyframes[used][by_track]
@@ -757,5 +762,5 @@ def _from_gtsam(model: gtsam.Cal3DS2, camera: Camera) -> Camera:
 
 
 def robust(sigmas: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
-    """A measurement's noise under Cauchy's loss, which doubts it from so many ``sigmas`` on."""
+    """The noise model with Cauchy's loss of width ``sigmas``."""
     return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(sigmas), noise)

@@ -1,7 +1,7 @@
-"""Which pairs of keyframes that look alike do show one place, and where they stand to each other.
+"""Verify loop closures by the walk's own accuracy, and compute their relative poses.
 
-Rooms are furnished alike, floors repeat. The walk by corners, neighbours and IMU alone is known to a few thousandths of
-its length, and places every feature in metres: two that seem one must not be further apart than it may be off.
+Different rooms may look alike. The walk by corners, neighbours and IMU alone is accurate to a few thousandths of its
+length: two features matched across a loop must not be further apart than its error allows.
 """
 
 from __future__ import annotations
@@ -18,25 +18,25 @@ from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, linked_features
 from rholoc.trajectory.visual.two_view import absolute_pose
 
-_FEWEST_POINTS = 5
-_LEAST_PARALLAX_DEG = 1.5
+_MIN_POINTS = 5
+_MIN_PARALLAX_DEG = 1.5
 _FURTHEST_OFF_PX = 4.0
-_FEWEST_AGREEING = 9
+_MIN_AGREEING = 9
 _AGREEING_PX = 3.0
 _SIGMAS = 4.0
 _ALLOWED_M = 0.10
-_ALLOWED_OF_WAY = 0.005  # what a walk's own covariance does not know of
+_ALLOWED_OF_WAY = 0.005  # drift that the covariance does not include, as a share of the path length
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedFeatures:
-    """Where the features of K keyframes are by a walk.
+    """Positions of the features of K keyframes by a walk.
 
     Attributes:
-        points: (M, 3) metres, in the walk's frame.
-        known: (M,) bool, which of them are seen from places far enough apart.
-        labels: of each keyframe's features the point, (F,) each.
-        rays: of each keyframe's features, in its camera's frame, (F, 3) each.
+        points: (M, 3) in the walk's frame [m].
+        known: (M,) bool, points with enough parallax.
+        labels: for each keyframe the points (F,) of its features.
+        rays: for each keyframe the rays (F, 3) of its features in the camera frame.
         state: the walk.
     """
 
@@ -48,10 +48,10 @@ class PlacedFeatures:
 
 
 def place_features(neighbours: Sequence[VerifiedPair], pixels: Sequence[FloatArray], state: State) -> PlacedFeatures:
-    """Place features by the matches of neighbours.
+    """Triangulate features from the matches of neighbours.
 
     Args:
-        neighbours: pairs whose matches place features in the walk's frame.
+        neighbours: verified pairs of neighbouring keyframes.
         pixels: of every keyframe's features, (F, 2) each.
         state: of the walk, in metres.
     """
@@ -62,18 +62,18 @@ def place_features(neighbours: Sequence[VerifiedPair], pixels: Sequence[FloatArr
     points, parallax_deg = triangulate(seen, state)
     furthest_px = np.zeros(len(points))
     np.maximum.at(furthest_px, label, residuals_px(seen, state, points))
-    known = (parallax_deg > _LEAST_PARALLAX_DEG) & (furthest_px < _FURTHEST_OFF_PX)
+    known = (parallax_deg > _MIN_PARALLAX_DEG) & (furthest_px < _FURTHEST_OFF_PX)
     rays = [state.camera.rays(some) for some in pixels]
     return PlacedFeatures(points, known, np.split(label, first_feature[1:-1]), rays, state)
 
 
 def loops_in_reach(loops: Sequence[VerifiedPair], placed: PlacedFeatures, sigmas_m: FloatArray) -> BoolArray:
-    """Which loops (N,) may be true by a walk.
+    """Mask (N,) of the loops that the walk's error allows.
 
     Args:
-        loops: pairs that seem to show a place seen again.
+        loops: candidate loop closures.
         placed: the features of all keyframes.
-        sigmas_m: (K,) by how much each keyframe may be off the first.
+        sigmas_m: (K,) standard deviation of each keyframe's position relative to the first.
     """
     steps_m = np.linalg.norm(np.diff(placed.state.positions, axis=0), axis=1)
     way_m = np.concatenate([[0.0], np.cumsum(steps_m)])
@@ -82,7 +82,7 @@ def loops_in_reach(loops: Sequence[VerifiedPair], placed: PlacedFeatures, sigmas
         one = placed.labels[pair.first][pair.matches[:, 0]]
         other = placed.labels[pair.second][pair.matches[:, 1]]
         both = placed.known[one] & placed.known[other]
-        if both.sum() < _FEWEST_POINTS:
+        if both.sum() < _MIN_POINTS:
             continue
         off_m = float(np.linalg.norm(np.median(placed.points[other[both]] - placed.points[one[both]], axis=0)))
         walked_m = float(way_m[pair.second] - way_m[pair.first])
@@ -92,23 +92,23 @@ def loops_in_reach(loops: Sequence[VerifiedPair], placed: PlacedFeatures, sigmas
 
 
 def loop_pose(pair: VerifiedPair, placed: PlacedFeatures) -> RelativePose | None:
-    """Where two keyframes of a loop stand to each other: either by the points that the other places.
+    """Relative pose of a loop's keyframes: resection of either one from the other's points.
 
-    Of the two ways the one with more points that agree; None where both have too few.
+    Returns the result with more inliers; None if both have too few.
     """
     ways = [
         _seen_by(placed, pair.first, pair.second, pair.matches),
         _seen_by(placed, pair.second, pair.first, pair.matches[:, ::-1]),
     ]
     found, agreeing = max(ways, key=lambda way: way[1])
-    return found if agreeing >= _FEWEST_AGREEING else None
+    return found if agreeing >= _MIN_AGREEING else None
 
 
 def _seen_by(placed: PlacedFeatures, first: int, second: int, matches: IntArray) -> tuple[RelativePose | None, int]:
-    """The second keyframe's pose in the first's frame, and how many points say so."""
+    """The second keyframe's pose in the first's frame by resection, and its number of inliers."""
     points = placed.labels[first][matches[:, 0]]
     known = placed.known[points]
-    if known.sum() < _FEWEST_AGREEING:
+    if known.sum() < _MIN_AGREEING:
         return None, 0
     tolerance = _AGREEING_PX / placed.state.camera.focal
     T_map_second, agreeing = absolute_pose(

@@ -1,7 +1,7 @@
-"""Bends a walk until places seen again meet and waypoints are met: the start from which all can be adjusted together.
+"""Pose graph that closes a walk's loops and meets its waypoints, as the start of the joint adjustment.
 
-Over metres of drift a place's features are too far from where they should appear to pull at a joint adjustment. In a
-pose graph each loop is one relative pose, and the few unknowns go the whole way.
+After metres of drift, loop sightings have too large residuals for the joint adjustment to converge. A pose graph has
+one relative pose for each loop and few unknowns.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from gtsam.symbol_shorthand import C
 from rholoc.geometry import FloatArray
 from rholoc.trajectory.optimization.adjustment import Fix, State, robust
 
-_TILT_SIGMA_RAD = np.radians(0.02)  # of a step between keyframes: gravity holds it …
-_HEADING_SIGMA_RAD = np.radians(0.1)  # … and not the heading
-_STEP_SIGMA, _LEAST_STEP_SIGMA_M = 0.02, 1e-3  # of its length, relative, and at least
+_TILT_SIGMA_RAD = np.radians(0.02)  # of a step between keyframes: gravity fixes it …
+_HEADING_SIGMA_RAD = np.radians(0.1)  # … but not the heading
+_STEP_SIGMA, _MIN_STEP_SIGMA_M = 0.02, 1e-3  # of its length, relative, and at least
 _LEVEL_SIGMA_RAD = np.radians(0.2)  # of each keyframe's tilt
 _LOOP_SIGMA_RAD, _LOOP_SIGMA_M = np.radians(0.5), 0.05
 _FIX_SIGMA_M = 0.05
-_CAUCHY = 3.0  # sigmas, from which a loop or a fix is doubted
+_CAUCHY = 3.0  # sigmas, of loops and fixes
 _HELD_SIGMA = 1e-4  # rad and m
 _ITERATIONS = 30
 
 
 @dataclass(frozen=True, eq=False)
 class RelativePose:
-    """Where two keyframes that see one place stand to each other.
+    """Relative pose of two keyframes at one place.
 
     Attributes:
         first, second: their numbers.
@@ -42,14 +42,14 @@ class RelativePose:
 
 
 def bend(state: State, loops: Sequence[RelativePose], fixes: Sequence[Fix] = ()) -> State:
-    """The walk with its drift spread over its length, so that loops close and fixes are met; upright as before.
+    """Spread a walk's drift over its length, so that loops close and fixes are met; tilts are kept.
 
     Without fixes the first camera's pose is kept.
 
     Args:
-        state: of a walk with an IMU, metres, z up.
-        loops: some of which may be wrong.
-        fixes: likewise.
+        state: of a walk with an IMU, in metres, z up.
+        loops: may contain outliers.
+        fixes: may contain outliers.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     T = state.T_map_camera
@@ -80,7 +80,7 @@ def _step_noise(T_map_camera: FloatArray, step: FloatArray) -> gtsam.noiseModel.
     vertical = T_map_camera[2, :3]  # the map's z axis in the camera's axes
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = _TILT_SIGMA_RAD**2 * np.eye(3) + _HEADING_SIGMA_RAD**2 * np.outer(vertical, vertical)
-    sigma_m = _LEAST_STEP_SIGMA_M + _STEP_SIGMA * float(np.linalg.norm(step[:3, 3]))
+    sigma_m = _MIN_STEP_SIGMA_M + _STEP_SIGMA * float(np.linalg.norm(step[:3, 3]))
     covariance[3:, 3:] = sigma_m**2 * np.eye(3)
     return gtsam.noiseModel.Gaussian.Covariance(covariance)
 

@@ -1,4 +1,4 @@
-"""What keyframes see, and what the IMU and waypoints measured → the keyframes' poses."""
+"""Keyframe poses from sightings, IMU and waypoints."""
 
 from rholoc.trajectory.reconstruction.dispatch import reconstruct
 from rholoc.trajectory.reconstruction.from_poses import reconstruct_from_poses, unmoved_frame

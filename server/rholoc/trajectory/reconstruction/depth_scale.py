@@ -1,4 +1,4 @@
-"""The scale of a reconstruction by depth pictures and known lengths."""
+"""Scale of a reconstruction from depth pictures and known lengths."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State
 from rholoc.trajectory.reconstruction.outcome import moved, right_sightings
 from rholoc.trajectory.visual.tracks import Observations
 
-DEPTH_SIGMA = 0.02  # of a depth, relative, with what its neighbours share
-_MIN_SIGHTINGS = 8  # with a depth, of a keyframe that counts
+DEPTH_SIGMA = 0.02  # of a depth, relative, including errors shared by neighbours
+_MIN_SIGHTINGS = 8  # with a depth, for a keyframe to be used
 _MIN_KEYFRAMES = 4
-_PARTS = 12  # of the walk; ratios within one are not independent, since its keyframes see the same points
-_MAX_MISFIT = 0.1  # of ratios from their median, in the median, above which the two contradict each other …
-_MAX_START_SIGMA = 0.25  # … and of the scale, before the reconstruction is adjusted to depths
-_LENGTH_SIGMA_M = 0.03  # of a measured distance between two places of the camera, which people hold
-_SENSOR_SIGMA = 0.01  # by which a depth camera is usually off as a whole
+_PARTS = 12  # of the walk; ratios within a part are correlated, because its keyframes see the same points
+_MAX_MISFIT = 0.1  # median relative deviation of the ratios from their median …
+_MAX_START_SIGMA = 0.25  # … and sigma of the scale, for the reconstruction to be adjusted to depths
+_LENGTH_SIGMA_M = 0.03  # of a measured distance between two hand-held camera positions
+_SENSOR_SIGMA = 0.01  # scale error of depth cameras
 _MAD_TO_SIGMA = 1.4826
-_MEDIAN_TO_MEAN = 1.2533  # standard deviation of a median, by that of a mean
+_MEDIAN_TO_MEAN = 1.2533  # standard deviation of a median relative to that of a mean
 
 
 def with_depths(observations: Observations, depth: DepthImages | None, camera: Camera) -> Observations:
-    """Sightings with their measured depths.
+    """The observations with measured depths.
 
     Args:
         depth: depth pictures of the keyframes, or None.
@@ -46,7 +46,7 @@ def with_depths(observations: Observations, depth: DepthImages | None, camera: C
 
 
 def scaled_by_depth(problem: Problem, adjusted: Adjusted) -> State | None:
-    """The reconstruction in metres, to be adjusted to its depths; None where these do not fix its scale."""
+    """The reconstruction scaled to metres by its depths; None if these do not fix the scale."""
     found = scale_by_depth(problem, adjusted)
     if found is None or found.sigma > _MAX_START_SIGMA:
         return None
@@ -54,12 +54,9 @@ def scaled_by_depth(problem: Problem, adjusted: Adjusted) -> State | None:
 
 
 def scale_by_depth(problem: Problem, adjusted: Adjusted) -> ScaleMeasurement | None:
-    """Median ratio of measured depths to depths of the reconstruction's points.
+    """Median ratio of measured depths to depths of the reconstruction's points; None with too few depths.
 
-    Its standard deviation is that of the medians of consecutive parts of the walk, and of the depth camera as a whole.
-
-    Returns:
-        None without depth pictures that show enough of the points.
+    Its standard deviation combines the spread over consecutive parts of the walk with the depth camera's scale error.
     """
     if problem.observations.depths is None:
         return None
@@ -81,11 +78,11 @@ def scale_by_depth(problem: Problem, adjusted: Adjusted) -> ScaleMeasurement | N
 
 
 def scales_by_lengths(lengths: Sequence[tuple[int, int, float]], adjusted: Adjusted) -> list[ScaleMeasurement]:
-    """The scale by each known length.
+    """One scale measurement for each known length.
 
     Args:
         lengths: two keyframes and the distance between them [m].
-        adjusted: the reconstruction, which has these keyframes.
+        adjusted: the reconstruction of these keyframes.
     """
     positions = adjusted.state.positions
     apart = [float(np.linalg.norm(positions[a] - positions[b])) for a, b, _ in lengths]
@@ -96,13 +93,13 @@ def scales_by_lengths(lengths: Sequence[tuple[int, int, float]], adjusted: Adjus
 
 
 def _median(ratios: FloatArray) -> tuple[float, float]:
-    """The median of ratios (N,), and how far they are from it in the median, relative."""
+    """Median of ratios (N,), and their median relative deviation from it."""
     ratio = float(np.median(ratios))
     return ratio, float(np.median(np.abs(ratios / ratio - 1)))
 
 
 def _ratios(observations: Observations, state: State, points: FloatArray) -> FloatArray:
-    """Ratio of each sighting's (N,) measured depth to its point's; NaN where either is unknown."""
+    """Ratio (N,) of each sighting's measured depth to its point's depth; NaN if either is unknown."""
     assert observations.depths is not None
     T = state.T_map_camera[observations.keyframes]
     reached = np.einsum("ni,ni->n", points[observations.tracks] - T[:, :3, 3], T[:, :3, 2])

@@ -1,4 +1,4 @@
-"""What keyframes see, and what the IMU and waypoints measured → the keyframes' poses. Runs in a child process."""
+"""Choose the reconstruction method by the measurements at hand. Runs in a child process."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def reconstruct(
     waypoints: Sequence[tuple[Waypoint, ...]],
     progress: ProgressListener = silent,
 ) -> Reconstruction:
-    """Poses from all that was measured.
+    """Reconstruct keyframe poses from all measurements.
 
     Args:
-        sights: what the keyframes see.
-        imu: None where there is none, or it is not to be used.
-        waypoints: at their times; where those are not known, every way to tell them. None of them: empty.
-        progress: hears of :data:`Stage.POSES`.
+        sights: sightings of the keyframes.
+        imu: None if there is none or it is not to be used.
+        waypoints: with times; if these are unknown, all possible assignments to pauses. Empty without waypoints.
+        progress: listener for :data:`Stage.POSES`.
 
     Raises:
-        MappingFailed: the pictures do not hang together, or the waypoints contradict them.
+        MappingFailed: the view graph is not connected enough, or the waypoints contradict the pictures.
     """
-    with threadpool_limits(1, "blas"):  # matrices are small: more threads only wait for each other
+    with threadpool_limits(1, "blas"):  # small matrices: more threads cost more than they save
         return _reconstruct(sights, imu, waypoints, progress)
 
 
@@ -63,7 +63,7 @@ def _reconstruct(
 
 
 def _agreement(found: Reconstruction, sights: Sights) -> Agreement:
-    """Hold a reconstruction from pictures against another, from every other keyframe alone."""
+    """Compare a reconstruction from pictures with another one from every second keyframe."""
     some = np.arange(0, len(sights.rows), 2)
     half = sights.take(some)
     try:

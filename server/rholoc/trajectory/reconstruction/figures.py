@@ -1,4 +1,4 @@
-"""What an adjustment says of a walk: how sure its places are, its size, and how far away it looks."""
+"""Statistics of an adjustment: pose covariances, scale uncertainty, median depth."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from rholoc.trajectory.visual.tracks import Observations
 
 
 def spread_covariances(adjusted: Adjusted, count: int, computed: int) -> FloatArray:
-    """(K, 6, 6) of ``count`` keyframes' poses: computed for ``computed`` of them and interpolated between these, for a
-    mixture of covariances is one. NaN where they have no bound."""
+    """Pose covariances (K, 6, 6) of ``count`` keyframes: computed for ``computed`` of them, interpolated between these.
+
+    NaN where unbounded."""
     some = np.unique(np.linspace(0, count - 1, min(computed, count)).round().astype(np.int64))
     found = adjusted.covariances(some.tolist())
     after = np.clip(np.searchsorted(some, np.arange(count)), 1, len(some) - 1)
@@ -20,7 +21,7 @@ def spread_covariances(adjusted: Adjusted, count: int, computed: int) -> FloatAr
 
 
 def scale_sigma_of(adjusted: Adjusted) -> float:
-    """Relative standard deviation of the walk's size, by the keyframe furthest from the first; inf if unbounded."""
+    """Relative standard deviation of the walk's scale, from the keyframe furthest from the first; inf if unbounded."""
     away = adjusted.state.positions - adjusted.state.positions[0]
     far = int(np.argmax(np.linalg.norm(away, axis=1)))
     length = max(float(np.linalg.norm(away[far])), 1e-9)

@@ -1,4 +1,4 @@
-"""Poses that drift, as ARKit's, and pictures → the walk: the poses are the start and a measurement of each step."""
+"""Adjust poses with drift (ARKit) to the pictures: the poses are initial values and measure each step."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from rholoc.trajectory.trajectory import Scale
 from rholoc.trajectory.visual.matching import VerifiedPair
 
 _STEP_SIGMA = 0.02  # of a step's length …
-_LEAST_STEP_SIGMA = 0.02  # … and of the median step's
+_MIN_STEP_SIGMA = 0.02  # … and at least this share of the median step
 _STEP_SIGMA_RAD = np.radians(0.3)
 _ROUNDS = 3
-_MAX_PAIR_ERROR = 30e-3  # median epipolar error of a pair's matches by the poses, above which it shows another place
+_MAX_PAIR_ERROR = 30e-3  # median epipolar error of a correct pair under the poses
 
 
 def reconstruct_from_poses(
     sights: Sights, camera: Camera, T_map_camera: FloatArray, frame: MapFrame, progress: ProgressListener = silent
 ) -> Reconstruction:
-    """Adjust poses that drift to what the pictures show.
+    """Adjust poses with drift to the pictures.
 
-    Pairs of pictures that the poses contradict, as of doors that look alike, are left out.
+    Pairs that contradict the poses, such as doors that look alike, are left out.
 
     Args:
-        sights: what K keyframes see.
+        sights: sightings of K keyframes.
         camera: of the frames.
         T_map_camera: (K, 4, 4) the poses.
-        frame: of the poses; its similarity is replaced by the one that brings the result back to them.
-        progress: hears of :data:`Stage.POSES`.
+        frame: of the poses; its similarity is replaced by the alignment of the result with them.
+        progress: listener for :data:`Stage.POSES`.
 
     Raises:
-        MappingFailed: the pictures show nothing that could be matched.
+        MappingFailed: no features could be matched.
     """
     with threadpool_limits(1, "blas"):
         return _reconstruct(sights, camera, T_map_camera, frame, progress)
@@ -78,9 +78,9 @@ def _fits(pair: VerifiedPair, rays: list[FloatArray], T: FloatArray) -> bool:
 
 
 def _steps(T: FloatArray) -> tuple[Step, ...]:
-    """The steps between neighbours, each known to a share of its length."""
+    """Relative poses of neighbours, with sigmas proportional to their lengths."""
     lengths = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
-    least = _LEAST_STEP_SIGMA * max(float(np.median(lengths)), 1e-6)
+    least = _MIN_STEP_SIGMA * max(float(np.median(lengths)), 1e-6)
     return tuple(
         Step(k, k + 1, np.linalg.inv(T[k]) @ T[k + 1], float(np.hypot(_STEP_SIGMA * length, least)), _STEP_SIGMA_RAD)
         for k, length in enumerate(lengths)

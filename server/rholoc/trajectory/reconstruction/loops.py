@@ -1,4 +1,4 @@
-"""Places seen again, closed where the walk without them allows."""
+"""Loop closures, accepted where the walk without them allows."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from rholoc.trajectory.reconstruction.rounds import FAR_M, ROUNDS, AdjustmentPro
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
 from rholoc.trajectory.visual.matching import VerifiedPair
 
-_JUDGING = 12  # keyframes whose covariance is computed while loops are judged
+_JUDGING = 12  # keyframes with a computed covariance while loops are verified
 
 
 def with_loops_closed(
     sights: Sights, evidence: Evidence, problem: Problem, adjusted: Adjusted, progress: AdjustmentProgress
 ) -> tuple[Evidence, Problem, Adjusted]:
-    """Adjust with the loops that the walk without them allows; judged again once they have shown how it drifted."""
+    """Adjust with the loops that the walk without them allows; verify all loops again after the first closure."""
     if not evidence.loops:
         return evidence, problem, adjusted
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
@@ -36,7 +36,7 @@ def with_loops_closed(
 
 
 def _with_loops_met(loops: Sequence[VerifiedPair], placed: PlacedFeatures) -> State:
-    """The walk, bent where its loops are too far from closing for an adjustment to close them."""
+    """The walk after a pose graph, if its loops are too far from closing for the adjustment alone."""
     poses = [pose for pair in loops if (pose := loop_pose(pair, placed)) is not None]
     bent = bend(placed.state, poses)
     moved_m = np.linalg.norm(bent.positions - placed.state.positions, axis=1)

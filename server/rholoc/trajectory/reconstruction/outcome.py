@@ -1,4 +1,4 @@
-"""What comes of a reconstruction."""
+"""Results of a reconstruction."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State, residuals_px
 from rholoc.trajectory.reconstruction.figures import median_depth_of, spread_covariances
-from rholoc.trajectory.reconstruction.rounds import FEWEST_PX, OUTLIER
+from rholoc.trajectory.reconstruction.rounds import MIN_PX, OUTLIER
 
-_SEEN = 12  # sightings that place a keyframe by itself
-_CARRIED_SIGMA_M = 0.05  # up to which the IMU alone places a keyframe
-_COVARIANCES = 60  # keyframes, spread over the walk, whose covariance is computed; between them it is interpolated
+_SEEN = 12  # sightings that fix a keyframe by themselves
+_CARRIED_SIGMA_M = 0.05  # maximum, for a keyframe fixed by the IMU alone
+_COVARIANCES = 60  # keyframes with a computed covariance; interpolated between them
 
 
 @dataclass(frozen=True, eq=False)
 class InertialFigures:
-    """What the adjustment found out about the IMU.
+    """IMU parameters estimated by the adjustment.
 
     Attributes:
-        gyro: how it relates to the camera.
-        scale_sigma: of the walk's size, relative.
-        accelerometer_bias: (3,) m/s², in the middle of the walk.
-        lever_m: (3,) the IMU's place in the camera's axes.
-        clock_s: to be added to the calibrated time offset.
-        accelerometer_scale: what it reads for one m/s².
-        residual: of the accelerations, in units of the noise expected.
-        misfit: by how many times its noise the IMU disagrees with what the pictures alone say between keyframes.
+        gyro: calibration of the gyroscope to the camera.
+        scale_sigma: relative standard deviation of the walk's scale.
+        accelerometer_bias: (3,) in the middle of the walk [m/s²].
+        lever_m: (3,) position of the IMU in the camera frame.
+        clock_s: correction to add to the calibrated time offset.
+        accelerometer_scale: reading for an acceleration of 1 m/s².
+        residual: median residual of the accelerations, in units of the expected noise.
+        misfit: RMS difference between IMU and pictures over keyframe intervals, in units of the IMU noise.
     """
 
     gyro: GyroCalibration
@@ -50,12 +50,12 @@ class Solved:
     """An adjusted walk and the map's frame.
 
     Attributes:
-        problem: what was adjusted.
-        adjusted: what came of it.
-        frame: how the map's frame came about.
-        in_frame: whether the walk lies in that frame already, held there by waypoints.
-        left_out: each waypoint, by its name, held against the walk without it.
-        mistaken: the names of the waypoints that were left out.
+        problem: the measurements.
+        adjusted: the solution.
+        frame: alignment with the map frame.
+        in_frame: whether waypoints in the adjustment already hold the walk in the map frame.
+        left_out: name of each waypoint → comparison with the walk without it.
+        mistaken: names of the waypoints left out.
     """
 
     problem: Problem
@@ -68,24 +68,24 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Poses of K keyframes in the map frame, and what is known of them.
+    """Poses of K keyframes in the map frame, with statistics.
 
     Attributes:
-        placed: (K,) bool, which keyframes have a pose.
-        T_map_camera: (K, 4, 4); meaningless where a keyframe has none.
+        placed: (K,) bool, keyframes with a pose.
+        T_map_camera: (K, 4, 4); meaningless where ``placed`` is false.
         covariances: (K, 6, 6), see :class:`rholoc.trajectory.Trajectory`.
         camera: the intrinsics.
-        focal_sigma_px: of a focal length that was estimated, else None.
-        frame: how the map's frame came about.
-        imu: None where the IMU was not used.
-        imu_reason: one line on why it was not, or empty.
-        left_out: each waypoint, by its name, held against the walk without it.
-        mistaken: the names of the waypoints that were left out.
-        residual_px: the median over the sightings.
-        landmarks: points that were used.
-        loops: pairs of keyframes that show a place seen again.
-        median_depth: of the points before the cameras that see them, in the map's unit.
-        agreement: with a second reconstruction, where no IMU checks the pictures.
+        focal_sigma_px: standard deviation of an estimated focal length, else None.
+        frame: alignment with the map frame.
+        imu: None if the IMU was not used.
+        imu_reason: one line on why the IMU was not used, or empty.
+        left_out: name of each waypoint → comparison with the walk without it.
+        mistaken: names of the waypoints left out.
+        residual_px: median over the sightings.
+        landmarks: number of points used.
+        loops: number of loop closures.
+        median_depth: of the points in the cameras that see them, in the map's unit.
+        agreement: with a second reconstruction, if there is no IMU to check the pictures.
     """
 
     placed: BoolArray
@@ -108,7 +108,7 @@ class Reconstruction:
 def finished(
     solved: Solved, loops: int, focal_is_known: bool, imu: InertialFigures | None, imu_reason: str
 ) -> Reconstruction:
-    """Covariances, what counts as placed, and the map's frame where waypoints have not given it."""
+    """Build the reconstruction: move it to the map frame unless it is there, compute covariances and ``placed``."""
     adjusted, frame, observations = solved.adjusted, solved.frame, solved.problem.observations
     keyframes = len(solved.problem.times)
     covariances = spread_covariances(adjusted, keyframes, _COVARIANCES)
@@ -147,13 +147,13 @@ def finished(
 
 
 def right_sightings(problem: Problem, adjusted: Adjusted) -> BoolArray:
-    """Which sightings (N,) are used and agree with the solution."""
+    """Mask (N,) of the used sightings that are inliers of the solution."""
     off_px = residuals_px(problem.observations, adjusted.state)
-    return np.asarray(adjusted.used & (off_px <= max(FEWEST_PX, OUTLIER * float(np.median(off_px)))))
+    return np.asarray(adjusted.used & (off_px <= max(MIN_PX, OUTLIER * float(np.median(off_px)))))
 
 
 def held_keyframes(problem: Problem, adjusted: Adjusted) -> BoolArray:
-    """Which keyframes (K,) enough right sightings place by themselves."""
+    """Mask (K,) of the keyframes with enough inlier sightings to fix them."""
     right = right_sightings(problem, adjusted)
     return np.asarray(np.bincount(problem.observations.keyframes[right], minlength=len(problem.times)) >= _SEEN)
 

@@ -1,4 +1,4 @@
-"""Pictures that a reconstruction left out, placed by the points that it has."""
+"""Resection of pictures missing from a reconstruction."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from rholoc.trajectory.optimization.adjustment import State, residuals_px, trian
 from rholoc.trajectory.visual.tracks import Observations
 from rholoc.trajectory.visual.two_view import absolute_pose
 
-_ROUNDS = 5  # each may place pictures that see only what the round before has placed
+_ROUNDS = 5  # each may add pictures that see only points of the round before
 _MIN_POINTS = 15
 _MIN_INLIER_SHARE = 0.4
 _TOLERANCE_PX = 4.0
 _MIN_PARALLAX_DEG = 1.5
-_MAX_OFF_PX = 4.0  # of a point's sightings, in the median
+_MAX_OFF_PX = 4.0  # median reprojection error of a known point
 
 
 def with_missing_placed(
@@ -26,12 +26,12 @@ def with_missing_placed(
 
     Args:
         observations: of all ``count`` pictures.
-        members: (N,) the pictures that are placed, increasing.
-        state: of those.
-        count: pictures in all.
+        members: (N,) the pictures with a pose, increasing.
+        state: of these pictures.
+        count: number of all pictures.
 
     Returns:
-        The state of more pictures, without points, and which they are.
+        State of all pictures with a pose, without points, and their numbers.
     """
     T = np.full((count, 4, 4), np.nan)
     T[members] = state.T_map_camera
@@ -53,7 +53,7 @@ def with_missing_placed(
 def _known_points(
     observations: Observations, placed: np.ndarray, T: FloatArray, state: State
 ) -> tuple[FloatArray, np.ndarray]:
-    """The points (M, 3) by the pictures that are placed, and which (M,) of them are well known."""
+    """Points (M, 3) triangulated from the pictures with a pose, and a mask (M,) of the reliable ones."""
     number = np.cumsum(placed) - 1
     seen = observations.at(placed[observations.keyframes])
     seen = replace(seen, keyframes=number[seen.keyframes])

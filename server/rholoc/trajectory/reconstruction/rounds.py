@@ -1,4 +1,4 @@
-"""An adjustment, judging all sightings anew by what came out, and again."""
+"""Alternate between adjustment and outlier rejection."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from rholoc.trajectory.visual.tracks import Observations
 
 ITERATIONS = 12
 LAST_ITERATIONS = 8
-ROUNDS = 2  # of adjusting and judging sightings anew …
-FAR_M = 0.15  # by which a walk is bent at most where an adjustment alone closes its loops, or meets its waypoints
-FEWEST_PX, OUTLIER = 2.5, 5.0  # a sighting this far off is left out, or so many times the median
-_LEAST_PIXEL_SIGMA_PX = 0.35
-_MEDIAN_TO_SIGMA = 1 / 1.177  # of a coordinate, from the median length of a two-vector of normal errors
+ROUNDS = 2  # of adjustment and outlier rejection
+FAR_M = 0.15  # maximum gap of loops or waypoints that the adjustment closes without a pose graph
+MIN_PX, OUTLIER = 2.5, 5.0  # residual of an outlier: at least this, and this many medians
+_MIN_PIXEL_SIGMA_PX = 0.35
+_MEDIAN_TO_SIGMA = 1 / 1.177  # sigma of one coordinate from the median norm of a normal two-vector
 _MODELLED_DISTORTION = 4  # coefficients of a pinhole: k1, k2, p1, p2
 
 
 class AdjustmentProgress:
-    """Reports how far a chain of adjustments is."""
+    """Reports the progress of a chain of adjustments."""
 
     def __init__(self, progress: ProgressListener) -> None:
         self._progress = progress
         self._from, self._to, self._what = 0.4, 0.45, ""
 
     def step(self, start: float, end: float, what: str) -> Callable[[float], None]:
-        """The next one goes from one fraction to another."""
+        """Listener of the next adjustment, named ``what``: maps its fraction to ``start`` … ``end``."""
         self._from, self._to, self._what = start, end, what
         self(0.0)
         return self
@@ -54,7 +54,7 @@ class AdjustmentProgress:
 def adjusted_in_rounds(
     problem: Problem, state: State, progress: AdjustmentProgress, span: tuple[float, float], rounds: int = ROUNDS
 ) -> tuple[Problem, Adjusted]:
-    """Adjust, and judge all sightings anew by what comes out; the problem with those that are right."""
+    """Adjust and reject outliers ``rounds`` times; returns the problem with its inliers, and the solution."""
     everything = problem.observations
     edges = np.linspace(*span, rounds + 1).tolist()
     step = progress.step(edges[0], edges[1], "all measurements adjusted together")
@@ -69,13 +69,13 @@ def adjusted_in_rounds(
 
 def _cleaned(problem: Problem, observations: Observations, off_px: FloatArray) -> Problem:
     typical = float(np.median(off_px[np.isfinite(off_px)]))
-    kept = observations.take(off_px <= max(FEWEST_PX, OUTLIER * typical))
-    sigma = max(_LEAST_PIXEL_SIGMA_PX, _MEDIAN_TO_SIGMA * typical)
+    kept = observations.take(off_px <= max(MIN_PX, OUTLIER * typical))
+    sigma = max(_MIN_PIXEL_SIGMA_PX, _MEDIAN_TO_SIGMA * typical)
     return replace(problem, observations=kept, pixel_sigma_px=sigma)
 
 
 def camera_sigmas(given: Camera | None) -> CameraSigmas | None:
-    """How far the walk may correct the intrinsics: not at all where the adjustment's model could not hold them."""
+    """Prior sigmas of the intrinsics; None (held) if the adjustment's camera model has too few coefficients."""
     if given is None:
         return GUESSED
     is_modelled = given.lens is Lens.PINHOLE and len(given.distortion) <= _MODELLED_DISTORTION

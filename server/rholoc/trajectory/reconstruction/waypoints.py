@@ -1,4 +1,4 @@
-"""A walk held by its waypoints, but for those that all else contradicts."""
+"""Adjust a walk to its waypoints, except mistaken ones."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from rholoc.trajectory.reconstruction.outcome import Solved, moved
 from rholoc.trajectory.reconstruction.rounds import FAR_M, ITERATIONS, LAST_ITERATIONS, AdjustmentProgress
 from rholoc.trajectory.visual.matching import VerifiedPair
 
-_NOISE_PRIOR = 2.0  # coordinates that were off as much as assumed
+_NOISE_PRIOR = 2.0  # weight of the assumed waypoint noise, in coordinates
 _NOISE_FACTORS = (0.4, 2.0)
-_FEWEST_TRUSTED = 3  # waypoints, below which none is taken out
-_MAX_MISTAKES = 0.34  # the share of the waypoints that may be found mistaken
+_MIN_TRUSTED = 3  # waypoints that must remain
+_MAX_MISTAKES = 0.34  # maximum share of mistaken waypoints
 
 
 def in_map_frame(
@@ -39,12 +39,12 @@ def in_map_frame(
     loops: Sequence[VerifiedPair],
     progress: AdjustmentProgress,
 ) -> Solved:
-    """Held by the waypoints, where there are any; else the frame is the first camera's, as upright as ``up`` says.
+    """The walk in the waypoints' frame; without waypoints, in the first camera's, upright if ``up`` is known.
 
     Args:
-        up: the upward direction, and what to say about it.
-        scales: what measured the walk's size.
-        loops: between keyframes that show the same place.
+        up: the upward direction, and one line on it.
+        scales: measurements of the walk's scale.
+        loops: loop closures.
     """
     T = adjusted.state.T_map_camera
     if not waypoints:
@@ -66,7 +66,7 @@ def _held_by_waypoints(
     loops: Sequence[VerifiedPair],
     progress: AdjustmentProgress,
 ) -> Solved:
-    """Adjust with the waypoints; those that all else contradicts are taken out, the furthest off first."""
+    """Adjust with the waypoints; remove mistaken ones, the largest error first."""
     keyframes = {waypoint.name: int(np.abs(problem.times - waypoint.time).argmin()) for waypoint in frame.waypoints}
     measured = {
         waypoint.name: waypoint
@@ -85,7 +85,7 @@ def _held_by_waypoints(
         state = adjusted.state
         left_out = _each_left_out(fixes, mistaken, adjusted)
         wrong = worst(trusted, [left_out[name] for name in trusted])
-        if wrong is None or len(trusted) <= _FEWEST_TRUSTED or len(mistaken) + 1 > most:
+        if wrong is None or len(trusted) <= _MIN_TRUSTED or len(mistaken) + 1 > most:
             break
         mistaken.append(trusted[wrong])
     factor = _noise_factor([left_out[name].sigmas for name in trusted])
@@ -95,8 +95,9 @@ def _held_by_waypoints(
 
 
 def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adjusted) -> dict[str, LeftOut]:
-    """Each waypoint held against the walk that the others and all else make; the walk is free of the mistaken ones
-    already. Its standard deviations are NaN where the walk does not say how sure it is."""
+    """Compare each waypoint with the walk estimated without it. The walk is already free of ``mistaken`` ones.
+
+    Sigmas are NaN where the walk's covariance is unknown."""
     covariances = adjusted.covariances([fix.keyframe for fix in fixes.values()])[:, :3, :3]
     found = {}
     for (name, fix), covariance in zip(fixes.items(), covariances, strict=True):
@@ -110,12 +111,12 @@ def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adj
 
 
 def _of_noise(fix: Fix, factor: float) -> Fix:
-    """As sure as waypoints turned out to be, unless the operator said how sure."""
+    """The fix with its sigma scaled by ``factor``, unless the operator stated the sigma."""
     return replace(fix, sigma_m=factor * fix.sigma_m) if fix.sigma_m == DEFAULT_SIGMA_M else fix
 
 
 def _with_waypoints_met(state: State, fixes: tuple[Fix, ...], loops: Sequence[VerifiedPair]) -> State:
-    """The walk, bent where it is too far from the waypoints for an adjustment to meet them."""
+    """The walk after a pose graph, if it is too far from the waypoints for the adjustment alone."""
     missed_m = [np.linalg.norm(state.positions[fix.keyframe] - fix.position) for fix in fixes]
     if state.inertial is None or np.median(missed_m) <= FAR_M:
         return state
@@ -125,9 +126,9 @@ def _with_waypoints_met(state: State, fixes: tuple[Fix, ...], loops: Sequence[Ve
 
 
 def _noise_factor(sigmas: Sequence[float]) -> float:
-    """How much more or less than was assumed the waypoints are off, from how far they are off all else in sigmas.
+    """Ratio of actual to assumed waypoint noise, from each waypoint's error in sigmas.
 
-    The mean square over three coordinates each, drawn to one by a prior, for waypoints are few.
+    RMS over three coordinates each, with a prior at 1 because waypoints are few.
     """
     sigmas = [value for value in sigmas if np.isfinite(value)]
     squares = _NOISE_PRIOR + sum(value**2 for value in sigmas)

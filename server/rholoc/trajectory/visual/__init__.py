@@ -1,1 +1,1 @@
-"""What the pictures measure: corners and features from frame to frame, and how the camera turned and went between."""
+"""Measurements from pictures: corners and features across frames, and the relative poses between them."""

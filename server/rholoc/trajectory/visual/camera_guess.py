@@ -1,4 +1,4 @@
-"""A first guess of intrinsics that nobody gave: the focal length by the gyroscope, or by the pictures alone."""
+"""First guess of unknown intrinsics: focal length by the gyroscope, or by the pictures alone."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ _FOCALS = np.arange(0.6, 1.31, 0.1)  # times the longer side of the image: phone
 _FINE = np.array([-0.05, 0.05])
 _USUAL_FOCAL = 0.85
 _INTERVAL_S = 0.2
-_MOST_PAIRS = 200  # of frames, that the gyroscope is held against for one guess
+_MAX_PAIRS = 200  # of frames compared with the gyroscope for one focal length
 _TOLERANCE_PX = 1.5
-_FEWEST_SHARED = 15
-_CLEARLY = 0.9  # the best focal length's residual to the worst's, where the walk shows it
+_MIN_SHARED = 15
+_CLEARLY = 0.9  # maximum ratio of best to worst residual, for a conclusive result
 _PICTURE_PAIRS = 60
-_PICTURE_MOTION = 0.08  # of the image's longer side: how far it has moved between the pictures of a pair
+_PICTURE_MOTION = 0.08  # image motion between the pictures of a pair, as a share of the longer side
 _PLAUSIBLE = (0.5, 2.0)
 
 
 def centred_camera(size: tuple[int, int], focal_px: float) -> Camera:
-    """A camera without distortion, its principal point in the middle of its images (width, height)."""
+    """Camera without distortion, with its principal point in the centre of images of ``size`` (width, height)."""
     width, height = size
     return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
 
 def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | None = None) -> GyroCalibration | None:
-    """The gyroscope against the camera's rotations from frame to frame a fifth of a second apart."""
+    """Calibrate the gyroscope to camera rotations by optical flow between frames 0.2 s apart."""
     rows = spaced_rows(flow.times, _INTERVAL_S)
     if most_pairs is not None and len(rows) > most_pairs:
         first = (len(rows) - most_pairs) // 2
@@ -40,17 +40,16 @@ def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | No
     for k in range(1, len(rows)):
         shared, a, b = flow.shared(int(rows[k - 1]), int(rows[k]))
         R[k] = R[k - 1]
-        if len(shared) >= _FEWEST_SHARED:
+        if len(shared) >= _MIN_SHARED:
             view = relative_pose(camera.rays(a), camera.rays(b), _TOLERANCE_PX / camera.focal)
             R[k] = R[k - 1] @ view.R_second_first.T
     return calibrate_gyro(flow.times[rows], R, imu)
 
 
 def guess_camera(flow: Flow, imu: Imu | None, focal_px: float | None = None) -> Camera:
-    """Where to start from: the focal length at which the image turns as the gyroscope does.
+    """Camera with the focal length that fits the gyroscope best.
 
-    Without a gyroscope, or where the camera hardly turns, ``focal_px`` where something stated it; else the one that
-    most pairs of pictures agree with.
+    Without a gyroscope, or if the camera hardly turns, ``focal_px`` if given; else the median over pairs of pictures.
     """
     longer = max(flow.size)
     stated = None if focal_px is None else focal_px / longer
@@ -59,13 +58,13 @@ def guess_camera(flow: Flow, imu: Imu | None, focal_px: float | None = None) -> 
 
 
 def _focal_by_gyroscope(flow: Flow, imu: Imu) -> float | None:
-    """As a share of the longer side, or None."""
+    """Focal length as a share of the longer side; None if inconclusive."""
     residuals: dict[float, float] = {}
 
     def residual(share: float) -> float:
         share = round(float(share), 3)
         if share not in residuals:
-            found = calibrate_by_flow(flow, centred_camera(flow.size, share * max(flow.size)), imu, _MOST_PAIRS)
+            found = calibrate_by_flow(flow, centred_camera(flow.size, share * max(flow.size)), imu, _MAX_PAIRS)
             residuals[share] = np.inf if found is None or not found.fits else found.residual_deg
         return residuals[share]
 
@@ -86,7 +85,7 @@ def _focal_by_gyroscope(flow: Flow, imu: Imu) -> float | None:
 
 
 def _focal_by_pictures(flow: Flow) -> float | None:
-    """The median over pairs of pictures of the focal length that explains most matches (six points, poselib)."""
+    """Median over pairs of pictures of the focal length with most inliers (six-point solver, poselib)."""
     path = np.cumsum(flow.motion)
     starts = np.linspace(0, max(path[-1] - _PICTURE_MOTION, 0.0), _PICTURE_PAIRS)
     first = np.searchsorted(path, starts)
@@ -95,7 +94,7 @@ def _focal_by_pictures(flow: Flow) -> float | None:
     found = []
     for a, b in zip(first.tolist(), second.tolist(), strict=True):
         shared, in_a, in_b = flow.shared(a, b)
-        if len(shared) < 2 * _FEWEST_SHARED:
+        if len(shared) < 2 * _MIN_SHARED:
             continue
         focal, agreeing = _shared_focal(in_a - centre, in_b - centre)
         share = focal / max(flow.size)

@@ -1,4 +1,4 @@
-"""Dense optical flow: how far every pixel moves from one picture to the next (the paper's Table 1)."""
+"""Dense optical flow between two pictures (the paper's Table 1)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class DenseMethod(StrEnum):
 
 
 def dense_flow(before: ByteArray, after: ByteArray, method: DenseMethod) -> FloatArray:
-    """(H, W, 2) pixels by which each pixel of ``before`` has moved in ``after``; both (H, W, 3) BGR or (H, W) grey."""
+    """Flow (H, W, 2) [px] from ``before`` to ``after``; both (H, W, 3) BGR or (H, W) grey."""
     first, second = _grey(before), _grey(after)
     if method is DenseMethod.DIS:
         search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
@@ -33,7 +33,7 @@ def _grey(image: ByteArray) -> ByteArray:
 
 
 def off_tracks(field: FloatArray, before: FloatArray, now: FloatArray) -> FloatArray:
-    """How far a dense field (H, W, 2) is off the way of each of N corners, from (N, 2) to (N, 2), pixels."""
+    """Differences (N,) [px] between a dense field (H, W, 2) and the motion of corners from (N, 2) to (N, 2)."""
     height, width = field.shape[:2]
     u, v = np.round(before).astype(np.int64).T
     there = field[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]

@@ -1,4 +1,4 @@
-"""Which way the camera went between two keyframes whose rotations are known."""
+"""Direction of motion between two keyframes of known rotation."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 from rholoc.geometry import FloatArray
 from rholoc.trajectory.visual.two_view import inliers_of_rotation
 
-_FEWEST_INLIERS = 12
-_FEWEST_SHARE = 0.4  # of the matches must agree with the direction
-_CLEAR_SHARE = 0.7  # of these must lie before both cameras one way rather than the other
+_MIN_INLIERS = 12
+_MIN_SHARE = 0.4  # of the matches that are inliers of the direction
+_CLEAR_SHARE = 0.7  # of the inliers that must lie before both cameras
 _RAY_SIGMA_PX = 0.7
 _ROTATION_SIGMA_RAD = np.radians(0.1)  # of the rotation between the two
-_LEAST_SIGMA_RAD = np.radians(0.5)
+_MIN_SIGMA_RAD = np.radians(0.5)
 _ROUNDS = 4
 _CAUCHY = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class PairDirection:
-    """The direction from one keyframe's place to another's.
+    """Direction from one keyframe's position to another's.
 
     Attributes:
         first, second: keyframe numbers.
         direction: (3,), unit, in the frame of the rotations.
-        sigma_rad: its standard deviation: large where the camera hardly moved.
+        sigma_rad: standard deviation; large if the camera hardly moved.
     """
 
     first: int
@@ -43,20 +43,20 @@ def direction_between(
     tolerance_px: float,
     focal_px: float,
 ) -> PairDirection | None:
-    """The direction that most matches agree with, or None where too few do or nothing tells forward from backward.
+    """Direction with most inliers; None with too few inliers or if its sign is ambiguous.
 
-    The rays of a match and the way between the cameras lie in one plane; the way is what all these planes share.
+    The two rays of a match and the baseline lie in one plane; the baseline is the intersection of all these planes.
 
     Args:
         first, second: keyframe numbers.
         R_world_camera: (K, 3, 3).
-        rays: of the matches, unit (M, 3) in the frame of either camera.
-        tolerance_px: how far from its plane a ray may be.
+        rays: unit rays (M, 3) of the matches, in the frames of the first and the second camera.
+        tolerance_px: maximum distance of an inlier's ray from its plane.
         focal_px: of the camera.
     """
     R_a, R_b = R_world_camera[first], R_world_camera[second]
     inliers = inliers_of_rotation(*rays, R_b.T @ R_a, tolerance_px / focal_px)
-    if inliers.sum() < max(_FEWEST_INLIERS, _FEWEST_SHARE * len(inliers)):
+    if inliers.sum() < max(_MIN_INLIERS, _MIN_SHARE * len(inliers)):
         return None
     a, b = rays[0][inliers] @ R_a.T, rays[1][inliers] @ R_b.T
     normals = np.cross(a, b)
@@ -67,7 +67,7 @@ def direction_between(
         direction = axes[:, 0]
         weights = 1 / (1 + (normals @ direction / (sigma_ray * _CAUCHY)) ** 2)
     together = np.sum(a * b, axis=1)
-    depth_a = a @ direction - together * (b @ direction)  # but for a positive factor
+    depth_a = a @ direction - together * (b @ direction)  # up to a positive factor
     depth_b = together * (a @ direction) - b @ direction
     ahead = float(np.sum(weights * ((depth_a > 0) & (depth_b > 0))))
     behind = float(np.sum(weights * ((depth_a < 0) & (depth_b < 0))))
@@ -77,6 +77,6 @@ def direction_between(
     sigma = np.sqrt(
         sigma_ray**2 / max(float(information[1]), 1e-12)
         + (_ROTATION_SIGMA_RAD / max(parallax, 1e-6)) ** 2
-        + _LEAST_SIGMA_RAD**2
+        + _MIN_SIGMA_RAD**2
     )
     return PairDirection(first, second, direction if ahead >= behind else -direction, float(sigma))

@@ -14,20 +14,20 @@ from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import FrameSource
 
-_LONGER_SIDE_PX = 640  # larger images are reduced to this: corners are tracked no better in more pixels
+_LONGER_SIDE_PX = 640  # larger images are reduced: corners are tracked no better in more pixels
 _SHARPNESS_SIDE_PX = 320
 _CONTRAST_SIDE_PX = 64
-_CORNERS = 350  # that are followed at a time …
-_REFILLED_BELOW = 0.8  # … as soon as so many of them are left
+_CORNERS = 350  # tracked at a time; …
+_REFILLED_BELOW = 0.8  # … new ones are added when this share is left
 _CORNER_QUALITY = 0.005
 _CORNER_DISTANCE_PX = 14
 _BORDER_PX = 4
 _WINDOW_PX = 21
 _LEVELS = 3
 _MIN_EIGENVALUE = 1e-4
-_MAX_RETURN_PX = 0.7  # between a corner and where it comes to, tracked forward and back
-_FEWEST_TRACKED = 8
-_LOST_MOTION = 0.05  # assumed where nothing can be tracked, as a share of the image's longer side
+_MAX_RETURN_PX = 0.7  # forward-backward error
+_MIN_TRACKED = 8
+_LOST_MOTION = 0.05  # assumed if nothing can be tracked, as a share of the image's longer side
 _FORWARD_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.03)
 _BACKWARD_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 _IN_FLIGHT = 6
@@ -35,21 +35,21 @@ _IN_FLIGHT = 6
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """Where corners were seen in N frames.
+    """Tracked corners in N frames.
 
     Attributes:
         times: (N,) seconds.
         size: of the images, width and height in pixels.
-        starts: (N + 1,) the sightings of frame n are rows starts[n] : starts[n + 1] of the next two.
-        tracks: (M,) which corner, increasing within a frame.
-        pixels: (M, 2) where, in pixels of the full image.
-        motion: (N,) how far the image moved since the frame before, as a share of its longer side, or that of an
-            ordinary picture where the lens is wide.
+        starts: (N + 1,) the corners of frame n are rows starts[n] : starts[n + 1] of ``tracks`` and ``pixels``.
+        tracks: (M,) corner numbers, increasing within a frame.
+        pixels: (M, 2) of the full image.
+        motion: (N,) image motion since the frame before, as a share of the longer side; for a wide lens, of the longer
+            side of an ordinary picture.
         sharpness: (N,) the variance of the Laplacian.
         brightness: (N,) the mean grey value, 0..255.
-        contrast: (N,) the standard deviation of the grey values, blurred: of noise nothing is left.
-        timed: whether the times were measured; else they are rows.
-        frame_numbers: (N,) the frames' numbers as users know them, or None.
+        contrast: (N,) the standard deviation of the grey values, blurred to remove noise.
+        timed: whether the times were measured; otherwise they are rows.
+        frame_numbers: (N,) frame numbers known to users, or None.
     """
 
     times: FloatArray
@@ -66,23 +66,23 @@ class Flow:
 
     @property
     def numbers(self) -> IntArray:
-        """(N,) the frames' numbers as users know them; rows if none were given."""
+        """(N,) frame numbers known to users; rows if none were given."""
         return np.arange(len(self.times)) if self.frame_numbers is None else self.frame_numbers
 
     @property
     def shared_with_next(self) -> IntArray:
-        """(N - 1,) how many corners each frame shares with the next."""
+        """(N - 1,) number of corners that each frame shares with the next."""
         frames = [self.of_frame(row)[0] for row in range(len(self.times))]
         pairs = itertools.pairwise(frames)
         return np.array([len(np.intersect1d(a, b, assume_unique=True)) for a, b in pairs], dtype=np.int64)
 
     def of_frame(self, row: int) -> tuple[IntArray, FloatArray]:
-        """The corners (K,) seen in a frame, and where (K, 2)."""
+        """Numbers (K,) and pixels (K, 2) of a frame's corners."""
         here = slice(self.starts[row], self.starts[row + 1])
         return self.tracks[here], self.pixels[here]
 
     def shared(self, a: int, b: int) -> tuple[IntArray, FloatArray, FloatArray]:
-        """The corners (K,) seen in two frames and all between, and where in either, (K, 2) each."""
+        """Numbers (K,) of the corners tracked from frame ``a`` to ``b``, and their pixels (K, 2) in both."""
         (tracks_a, pixels_a), (tracks_b, pixels_b) = self.of_frame(a), self.of_frame(b)
         shared, in_a, in_b = np.intersect1d(tracks_a, tracks_b, assume_unique=True, return_indices=True)
         return shared, pixels_a[in_a], pixels_b[in_b]
@@ -98,9 +98,9 @@ def track_corners(
     show: FrameListener | None = None,
     camera: Camera | None = None,
 ) -> Flow:
-    """Follow corners through all frames, each of which is decoded once, and shown to ``show``.
+    """Track corners through all frames; each is decoded once and passed to ``show``.
 
-    ``camera`` matters if its lens is wide: motion is then in longer sides of an ordinary picture.
+    ``camera`` is needed for wide lenses, to express motion in longer sides of an ordinary picture.
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
@@ -150,9 +150,9 @@ _Seen = tuple[ByteArray, ByteArray, FloatArray, float]
 
 
 def _looked_at(frames: FrameSource, breadth: float = 1.0) -> Iterator[_Seen]:
-    """Every frame, in grey and reduced, the factors (2,) from those pixels to the full image's, and its sharpness.
+    """Every frame reduced and in grey, the factors (2,) to full-image pixels, and its sharpness.
 
-    A thread prepares the next frames while this one's corners are followed.
+    A thread prepares the next frames while this one's corners are tracked.
     """
     with ThreadPoolExecutor(1) as pool:
         waiting: list[Future[_Seen]] = []
@@ -182,7 +182,7 @@ def _reduced(gray: ByteArray, longer_side_px: int) -> ByteArray:
 
 
 def _followed(before: ByteArray, image: ByteArray, corners: FloatArray) -> tuple[FloatArray, BoolArray, float]:
-    """Corners (K, 2) of the image before → those found in this one, which they are (K,), and the image's motion."""
+    """Track corners (K, 2) into the next image: those found, a mask (K,) of them, and the image motion."""
     if len(corners) == 0:
         return corners, np.zeros(0, dtype=np.bool_), _LOST_MOTION
     moved, is_moved = _flow(before, image, corners, None, _LEVELS, _FORWARD_STOP)
@@ -190,7 +190,7 @@ def _followed(before: ByteArray, image: ByteArray, corners: FloatArray) -> tuple
     height, width = image.shape
     inside = np.all((moved >= _BORDER_PX) & (moved < (width - _BORDER_PX, height - _BORDER_PX)), axis=1)
     kept = is_moved & is_back & inside & (np.linalg.norm(back - corners, axis=1) < _MAX_RETURN_PX)
-    if kept.sum() < _FEWEST_TRACKED:
+    if kept.sum() < _MIN_TRACKED:
         return moved[kept], kept, _LOST_MOTION
     motion = float(np.median(np.linalg.norm(moved[kept] - corners[kept], axis=1))) / max(height, width)
     return moved[kept], kept, motion
@@ -204,7 +204,7 @@ def _flow(
     levels: int,
     stop: tuple[int, int, float],
 ) -> tuple[FloatArray, BoolArray]:
-    """Where corners (K, 2) came to, (K, 2), and which were found (K,)."""
+    """New positions (K, 2) of corners (K, 2), and a mask (K,) of those found."""
     flags = 0 if guess is None else cv2.OPTFLOW_USE_INITIAL_FLOW
     start = None if guess is None else guess.reshape(-1, 1, 2).copy()
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
@@ -222,7 +222,7 @@ def _flow(
 
 
 def _new_corners(image: ByteArray, corners: FloatArray, most: int = _CORNERS) -> FloatArray:
-    """Corners (K, 2) of the image away from those that are followed already, as many as are missing."""
+    """New corners (K, 2) away from the tracked ones, to fill up to ``most``."""
     free = np.full(image.shape, 255, dtype=np.uint8)
     for x, y in corners.tolist():
         cv2.circle(free, (int(x), int(y)), _CORNER_DISTANCE_PX, 0, -1)

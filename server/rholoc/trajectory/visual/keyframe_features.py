@@ -18,21 +18,21 @@ from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import FrameSource
 from rholoc.trajectory.visual.keyframes import KeyframeSteps
 
-_LONGER_SIDE_PX = 960  # larger images are reduced to this: more pixels cost time and place no frame more
+_LONGER_SIDE_PX = 960  # larger images are reduced: more pixels cost time and place no more frames
 _THREADS = 2
 _EXTRACTOR = SiftExtractor(features=1000)
 
-_MOST_WAITING = 2 * _THREADS  # images in memory at a time
+_MAX_WAITING = 2 * _THREADS  # images in memory at a time
 
 ImageListener = Callable[[int, ByteArray], None]
 """Is shown an image (H, W, 3) BGR: the row of its frame, and the image."""
 
 
 class KeyframeFeatures:
-    """Features of a recording's keyframes, most of them taken while all frames are decoded for their motion.
+    """Features of a recording's keyframes, mostly extracted while all frames are decoded for their motion.
 
-    Which frames are keyframes shows as the walk goes on, except that short walks take smaller steps, and that pauses
-    show afterwards. What was not foreseen is decoded when it is asked for. A context: threads extract within it.
+    Keyframes are predicted during the walk; short walks and pauses can add others later. Those are decoded when
+    requested. A context manager: threads extract within it.
     """
 
     def __init__(
@@ -46,9 +46,9 @@ class KeyframeFeatures:
 
         Args:
             frames: of the recording.
-            certain: rows of frames that will be keyframes, whatever the motion.
-            show: is shown each frame whose features are extracted, in a thread.
-            camera: of the frames, which matters if its lens is wide.
+            certain: rows of frames that become keyframes regardless of motion.
+            show: called in a thread with each frame whose features are extracted.
+            camera: of the frames; needed for wide lenses.
         """
         self._frames = frames
         self._extractor = widened(_EXTRACTOR, camera)
@@ -68,7 +68,7 @@ class KeyframeFeatures:
         self._pool.shutdown(cancel_futures=True)
 
     def foresee(self, row: int, image: ByteArray, motion: float, sharpness: float) -> None:
-        """Take the next frame of the walk, and extract the features of the keyframe of a step that has ended."""
+        """Take the next frame of the walk; if it ends a step, extract the features of that step's keyframe."""
         ended = self._steps.add(row, float(self._frames.times[row]), motion, sharpness)
         if ended is not None and self._sharpest is not None:
             self._extract(ended, self._sharpest)
@@ -78,7 +78,7 @@ class KeyframeFeatures:
             self._extract(row, image)
 
     def of(self, rows: IntArray, progress: ProgressListener = silent) -> list[FeatureSet]:
-        """The features of the keyframes ``rows`` (K,), which increase.
+        """Features of the keyframes ``rows`` (K,), increasing.
 
         Raises:
             InvalidRecording: a frame cannot be decoded.
@@ -96,10 +96,10 @@ class KeyframeFeatures:
         return features
 
     def _extract(self, row: int, image: ByteArray) -> None:
-        """Begin, once few enough others wait."""
+        """Start an extraction; blocks while ``_MAX_WAITING`` others wait."""
         if row in self._found:
             return
-        while len(self._waiting) >= _MOST_WAITING:
+        while len(self._waiting) >= _MAX_WAITING:
             self._waiting.popleft().result()
         self._found[row] = self._pool.submit(self._extracted, row, image)
         self._waiting.append(self._found[row])

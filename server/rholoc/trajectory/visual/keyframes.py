@@ -7,21 +7,20 @@ import numpy as np
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.trajectory.visual.flow import Flow
 
-_STEP = 0.05  # of the image's longer side: how far it moves from keyframe to keyframe …
-_FINEST_STEP = 0.01  # … and in recordings that would have too few
+_STEP = 0.05  # image motion between keyframes, as a share of the longer side …
+_FINEST_STEP = 0.01  # … and its minimum, for recordings with too few keyframes
 _FEW_KEYFRAMES = 60
 _LONGEST_S = 1.4  # between keyframes of a camera at rest
 _SHORTEST_S = 0.08  # between any two
-MAX_PICTURES = 300  # of a set, all of which become keyframes
-_FILM_SHARE, _FILM_CORNERS = 0.2, 40  # share of a film's frames that may show fewer corners of the frame before
+MAX_PICTURES = 300  # keyframes of a set of pictures
+_FILM_SHARE, _FILM_CORNERS = 0.2, 40  # maximum share of a film's frames with fewer shared corners
 _FILM_MOTION = 0.02  # from frame to frame in the mean, as a share of the image's longer side
 
 
 def is_film(flow: Flow) -> bool:
-    """Whether frames follow each other as in a video, so that keyframes at steps of image motion show all of it.
+    """Whether the frames form a continuous video.
 
-    False for a set of pictures, and for a film of which only few frames are left. Up to ``MAX_PICTURES`` frames whose
-    times are unknown are a set: all of them are used.
+    False for a set of pictures and for a thinned-out film. Up to ``MAX_PICTURES`` frames without times are a set.
     """
     if not flow.timed and len(flow.times) <= MAX_PICTURES:
         return False
@@ -32,18 +31,18 @@ def is_film(flow: Flow) -> bool:
 
 
 class KeyframeSteps:
-    """The sharpest frame of every step of image motion, known as soon as the next step begins.
+    """Selects the sharpest frame of every step of image motion, as soon as the next step begins.
 
     Attributes:
         sharpest: the row of the sharpest frame of the present step; None before the first frame.
     """
 
     def __init__(self, step: float = _STEP, timed: bool = True) -> None:
-        """Begin with no frame.
+        """Start without frames.
 
         Args:
-            step: of image motion, as a share of the image's longer side.
-            timed: whether times are measured; without times only motion counts.
+            step: image motion, as a share of the longer side.
+            timed: whether times are measured; otherwise only motion counts.
         """
         self._step = step
         self._longest_s, self._shortest_s = (_LONGEST_S, _SHORTEST_S) if timed else (np.inf, 0.0)
@@ -56,7 +55,7 @@ class KeyframeSteps:
         self.sharpest: int | None = None
 
     def add(self, row: int, time_s: float, motion: float, sharpness: float) -> int | None:
-        """Take the next frame; the keyframe of the step before where this frame begins another, else None."""
+        """Take the next frame. If it begins a step, return the keyframe of the step before, else None."""
         if self.sharpest is None:
             self._start_s = time_s
         self._path += motion
@@ -68,7 +67,7 @@ class KeyframeSteps:
         return ended
 
     def end(self) -> int | None:
-        """The keyframe of the present step; None where it would be too soon after the one before."""
+        """Keyframe of the present step; None if too soon after the one before."""
         if self.sharpest is None or self._time_s - self._last_s < self._shortest_s:
             return None
         self._last_s = self._time_s
@@ -76,13 +75,13 @@ class KeyframeSteps:
 
 
 def choose_keyframes(times: FloatArray, motion: FloatArray, sharpness: FloatArray, timed: bool = True) -> IntArray:
-    """The sharpest frame of every step of image motion: rows (K,), increasing. A longer walk has more of them.
+    """Sharpest frame of every step of image motion: rows (K,), increasing.
 
     Args:
         times: (N,) seconds, or rows.
         motion: (N,) image motion before each frame, as a share of the image's longer side.
         sharpness: (N,) any measure that grows with sharpness.
-        timed: whether times are measured; without times only motion counts.
+        timed: whether times are measured; otherwise only motion counts.
     """
     steps = KeyframeSteps(float(np.clip(motion.sum() / _FEW_KEYFRAMES, _FINEST_STEP, _STEP)), timed)
     found = [steps.add(*frame) for frame in zip(range(len(times)), times, motion, sharpness, strict=True)]
@@ -90,9 +89,9 @@ def choose_keyframes(times: FloatArray, motion: FloatArray, sharpness: FloatArra
 
 
 def choose_pictures(motion: FloatArray, sharpness: FloatArray) -> IntArray:
-    """Pictures of a set (N,) that become keyframes: rows (K,), increasing.
+    """Keyframes of a set of N pictures: rows (K,), increasing.
 
-    All of them up to ``MAX_PICTURES``, else the sharpest of each of so many equal steps of image motion.
+    All of up to ``MAX_PICTURES`` pictures; else the sharpest of each of ``MAX_PICTURES`` equal steps of image motion.
 
     Args:
         motion: (N,) image motion before each picture, as a share of the image's longer side.

@@ -1,4 +1,4 @@
-"""Which pairs of keyframes to match: neighbours in time, and places seen again."""
+"""Choose pairs of keyframes to match: neighbours in time, and loop candidates."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from rholoc.features.vlad import Vlad
 
 Pair = tuple[int, int]
 
-MAX_EXHAUSTIVE = 100  # pictures of which all pairs are matched
-_ALIKE_EACH = 20  # most similar pictures that each picture of a larger set is matched with
-_BESIDE = (1, 2, 3, 4, 6, 8)  # pictures further on in a larger set, whose order may be that of a walk
+MAX_EXHAUSTIVE = 100  # pictures, up to which all pairs are matched
+_ALIKE_EACH = 20  # most similar pictures to match each picture of a larger set with
+_BESIDE = (1, 2, 3, 4, 6, 8)  # offsets of neighbours in a larger set, which may be in the order of a walk
 
 
 def sequential_pairs(count: int, distances: Sequence[int]) -> list[Pair]:
-    """Every keyframe with those that many keyframes later."""
+    """Pairs of each of ``count`` keyframes with those ``distances`` later."""
     return [(i, i + d) for i in range(count) for d in distances if i + d < count]
 
 
 def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> list[Pair]:
-    """Pairs of keyframes at least ``apart`` in the sequence that look alike: at most ``each`` per keyframe.
+    """Similar pairs of keyframes at least ``apart`` in the sequence, at most ``each`` per keyframe.
 
-    Retrieval by VLAD (:mod:`rholoc.features.vlad`), its words trained on these keyframes' own descriptors.
-    Neighbours of a pair already chosen for the same keyframe are passed over, so that one place does not take all.
+    Retrieval by VLAD (:mod:`rholoc.features.vlad`), trained on these keyframes' descriptors. Skips the neighbours of a
+    chosen pair, so that one place does not take all.
     """
     if not any(len(found) for found in features):
         return []
@@ -47,9 +47,9 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
 
 
 def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
-    """Pairs of a set of pictures in no known order that may overlap.
+    """Pairs of unordered pictures that may overlap.
 
-    All of them up to ``MAX_EXHAUSTIVE`` pictures; else neighbours by number, and the pairs most alike by VLAD.
+    All pairs of up to ``MAX_EXHAUSTIVE`` pictures; else neighbours by number and the most similar pairs by VLAD.
     """
     count = len(features)
     if count <= MAX_EXHAUSTIVE:
@@ -58,7 +58,7 @@ def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
 
 
 def most_alike(features: Sequence[FeatureSet], each: int) -> list[Pair]:
-    """Pairs of every picture with the ``each`` pictures that look most like it by VLAD."""
+    """Pairs of every picture with its ``each`` most similar pictures by VLAD."""
     if not any(len(found) for found in features):
         return []
     descriptors = [found.descriptors for found in features]

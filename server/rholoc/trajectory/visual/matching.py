@@ -30,22 +30,22 @@ from rholoc.trajectory.visual.two_view import (
 )
 
 _THREADS = 2
-_REMEMBERED = 64  # keyframes whose descriptors are in memory as floats
+_REMEMBERED = 64  # keyframes with cached float descriptors
 _TOLERANCE_PX = 2.5
-_FEWEST_SEQUENTIAL = 15
-_FEWEST_LOOP = 30
-_STRONG_LOOP = 80  # inliers, from which a loop is believed alone
+_MIN_SEQUENTIAL = 15
+_MIN_LOOP = 30
+_STRONG_LOOP = 80  # inliers, from which a loop needs no support
 _BESIDE = 2  # keyframes, within which another loop supports one
 _LOOPS_EACH = 3
-_TRANSITIVE_EACH = 8  # pairs a picture, on average, that are tried because both overlap a third
-_EXPLAINED = 0.8  # the share of matches that cameras turned as was felt must explain, where the images say otherwise
-_BESIDE_WALK = (1, 2, 4)  # keyframes further on, that each is matched with where corners were followed …
-_BESIDE_JUMPS = (1, 2, 3, 4, 5, 6, 8, 12)  # … and where pictures are too far apart for that
+_TRANSITIVE_EACH = 8  # mean number of transitive pairs to try per picture
+_EXPLAINED = 0.8  # minimum share of the image rotation's inliers that the gyroscope's rotation explains
+_BESIDE_WALK = (1, 2, 4)  # offsets of keyframes to match with if corners were tracked …
+_BESIDE_JUMPS = (1, 2, 3, 4, 5, 6, 8, 12)  # … and if pictures are too far apart for tracking
 
 
 @dataclass(frozen=True, eq=False)
 class VerifiedPair:
-    """Two keyframes whose matches agree with one relative pose.
+    """Two keyframes with the inlier matches of their relative pose.
 
     Attributes:
         first, second: keyframe numbers.
@@ -60,7 +60,7 @@ class VerifiedPair:
 
     @property
     def rotation(self) -> PairRotation:
-        """What it says of the camera's rotation."""
+        """The pair's relative rotation."""
         return PairRotation(self.first, self.second, self.R_second_first, len(self.matches))
 
 
@@ -73,16 +73,16 @@ def match_keyframes(
     followed: bool,
     progress: ProgressListener = silent,
 ) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
-    """Pairs of neighbours, and pairs that show a place seen again.
+    """Match neighbouring keyframes, and loop candidates. Returns both lists of verified pairs.
 
     Args:
         features: of K keyframes, in the order of time.
-        rays: theirs in the camera frame, (N, 3) each.
+        rays: of these features in the camera frame, (N, 3) each.
         focal_px: of the camera.
         times: (K,) seconds.
-        felt: R_start_camera of the keyframes by the gyroscope, or None. Pairs that it contradicts are left out.
-        followed: whether corners are followed from keyframe to keyframe, so that fewer pairs need matching.
-        progress: hears of :data:`Stage.POSES`, up to the fraction 0.4.
+        felt: R_start_camera of the keyframes by the gyroscope, or None. Pairs that contradict it are left out.
+        followed: whether corners are tracked between keyframes, so that fewer pairs need matching.
+        progress: listener for :data:`Stage.POSES`, up to the fraction 0.4.
     """
     distances = _BESIDE_WALK if followed else _BESIDE_JUMPS
     neighbours = sequential_pairs(len(features), distances)
@@ -92,7 +92,7 @@ def match_keyframes(
     beside = set(neighbours)
 
     def verified(pair: Pair) -> VerifiedPair | None:
-        fewest = _FEWEST_SEQUENTIAL if pair in beside else _FEWEST_LOOP
+        fewest = _MIN_SEQUENTIAL if pair in beside else _MIN_LOOP
         return _verify(pair, descriptors, rays, _TOLERANCE_PX / focal_px, times, felt, fewest)
 
     found: list[VerifiedPair] = []
@@ -112,22 +112,22 @@ def match_pictures(
     focal_px: float,
     progress: ProgressListener = silent,
 ) -> list[VerifiedPair]:
-    """Overlapping pairs of a set of pictures in no known order.
+    """Match unordered pictures; returns verified pairs.
 
-    Pairs that share an overlapping third picture are tried as well, if not all pairs were.
+    Pairs that both overlap a third picture are tried as well, if not all pairs were.
 
     Args:
         features: of K pictures.
-        rays: theirs in the camera frame, (N, 3) each.
+        rays: of these features in the camera frame, (N, 3) each.
         focal_px: of the camera.
-        progress: hears of :data:`Stage.POSES`, up to the fraction 0.4.
+        progress: listener for :data:`Stage.POSES`, up to the fraction 0.4.
     """
     descriptors = [unit_descriptors(found) for found in features]
     nowhen, found, tried = np.zeros(len(features)), list[VerifiedPair](), set[Pair]()
 
     def verified(pair: Pair) -> VerifiedPair | None:
         tolerance = _TOLERANCE_PX / focal_px
-        return _verify(pair, descriptors.__getitem__, rays, tolerance, nowhen, None, _FEWEST_SEQUENTIAL)
+        return _verify(pair, descriptors.__getitem__, rays, tolerance, nowhen, None, _MIN_SEQUENTIAL)
 
     with ThreadPoolExecutor(_THREADS) as pool:
         pairs = picture_pairs(features)
@@ -138,13 +138,13 @@ def match_pictures(
                 if one is not None:
                     found.append(one)
             tried.update(pairs)
-            strong = [(one.first, one.second) for one in found if len(one.matches) >= _FEWEST_LOOP]
+            strong = [(one.first, one.second) for one in found if len(one.matches) >= _MIN_LOOP]
             pairs = transitive_pairs(strong, tried)[: _TRANSITIVE_EACH * len(features)]
     return found
 
 
 def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
-    """The loop pairs with many inliers, or with another loop pair beside them: a chance likeness stands alone."""
+    """Loop pairs with at least ``_STRONG_LOOP`` inliers, or with another loop pair nearby in the sequence."""
     places = np.array([(pair.first, pair.second) for pair in pairs]).reshape(-1, 2)
     kept = []
     for pair, place in zip(pairs, places, strict=True):
@@ -163,7 +163,7 @@ def _verify(
     felt: Rotation | None,
     fewest: int,
 ) -> VerifiedPair | None:
-    """The matches that one relative pose explains, and that the gyroscope does not contradict."""
+    """Inlier matches of one relative pose; None with too few, or if the gyroscope contradicts its rotation."""
     i, j = pair
     matches = ratio_matches(descriptors(i), descriptors(j))
     if len(matches) < fewest:

@@ -1,4 +1,4 @@
-"""Whether the camera went anywhere: what shifts between two pictures beyond what turning explains."""
+"""Parallax: image shifts between two pictures that no rotation explains."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import numpy as np
 from rholoc.geometry import FloatArray, aligning_rotation
 from rholoc.trajectory.visual.matching import VerifiedPair
 
-_LEAST_SHIFT_RAD = 0.0025  # of a walk; the detector's noise is half of it
-_MOST = 0.95  # of the pairs
-_FITS = 3  # of the rotation, each to the half of the matches that the last one fits best
+_MIN_SHIFT_RAD = 0.0025  # of a walk; twice the detector's noise
+_MIN_SHARE = 0.95  # of the pairs
+_FITS = 3  # of the rotation, each to the best half of the matches
 
 
 def only_turned(pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray]) -> bool:
-    """Whether the camera turned where it stood: then nothing shows how far away anything is.
+    """Whether the camera only rotated, so that depths are unobservable.
 
     Args:
         pairs: of keyframes close in time.
-        rays: of each keyframe, its features' unit rays (N, 3).
+        rays: for each keyframe the unit rays (N, 3) of its features.
     """
-    return bool(pairs) and float(np.quantile(shifts(pairs, rays), _MOST)) < _LEAST_SHIFT_RAD
+    return bool(pairs) and float(np.quantile(shifts(pairs, rays), _MIN_SHARE)) < _MIN_SHIFT_RAD
 
 
 def shifts(pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray]) -> FloatArray:
-    """(P,) of each pair of keyframes, the median over its matches of what the best rotation leaves, radians.
+    """For each pair of keyframes (P,), the median residual of its matches under their best rotation [rad].
 
-    A camera that turns where it stands leaves the detector's noise; one that walks leaves the parallax of what it sees.
+    Detector noise if the camera only turns, parallax if it moves.
     """
     return np.array([_shift(pair, rays) for pair in pairs])
 

@@ -1,4 +1,4 @@
-"""A rolling shutter reads one row after the other: pixels → where they would be, had all rows been read at once."""
+"""Rolling-shutter correction: move pixels to their positions at the read-out of the middle row."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.trajectory.visual.flow import Flow
 
-_FEWEST_CORNERS = 12
+_MIN_CORNERS = 12
 _ROUNDS = 3
 _OUTLIER = 3.0  # times the median residual
 
 
 @dataclass(frozen=True, eq=False)
 class RollingShutter:
-    """How the image moves in K frames while they are read.
+    """Image motion of K frames during their read-out.
 
     Attributes:
         readout_s: from the first row to the last; the frame's time is that of the middle row.
-        height: of the images, in pixels.
-        velocities: (K, 2, 3) pixels a second: affine functions of (u, v, 1).
+        height: of the images [px].
+        velocities: (K, 2, 3) affine functions of (u, v, 1) [px/s].
     """
 
     readout_s: float
@@ -34,21 +34,21 @@ class RollingShutter:
         return replace(self, velocities=self.velocities[rows])
 
     def pixels_at_once(self, frame: int, pixels: FloatArray) -> FloatArray:
-        """Pixels (N, 2) of frame 0..K-1 → where they were when the middle row was read."""
+        """Move pixels (N, 2) of frame 0..K-1 to their positions at the read-out of the middle row."""
         late_s = ((pixels[:, 1:] + 0.5) / self.height - 0.5) * self.readout_s
         velocity = pixels @ self.velocities[frame][:, :2].T + self.velocities[frame][:, 2]
         return np.asarray(pixels - late_s * velocity)
 
     def at_once(self, frame: int, features: FeatureSet) -> FeatureSet:
-        """The features of frame 0..K-1 where they were when the middle row was read."""
+        """The features of frame 0..K-1 with corrected pixels."""
         pixels = self.pixels_at_once(frame, features.pixels.astype(np.float64))
         return replace(features, pixels=pixels.astype(np.float32))
 
 
 def measure_rolling_shutter(flow: Flow, rows: IntArray, readout_s: float) -> RollingShutter:
-    """How the image moves in the frames ``rows`` (K,), from corners followed from the frame before to the one after.
+    """Image motion of the frames ``rows`` (K,), from corners tracked from the frame before to the one after.
 
-    Where too few can be followed, not at all.
+    Zero for frames with too few corners.
     """
     last = len(flow.times) - 1
     velocities = np.zeros((len(rows), 2, 3))
@@ -61,13 +61,13 @@ def measure_rolling_shutter(flow: Flow, rows: IntArray, readout_s: float) -> Rol
 
 
 def _affine(start: FloatArray, end: FloatArray) -> FloatArray:
-    """How far points move: (2, 3) of (u, v, 1), from where they were (N, 2) and where they come to (N, 2)."""
+    """Robust affine displacement (2, 3) of (u, v, 1), from points (N, 2) and their new positions (N, 2)."""
     middle, moved = (start + end) / 2, end - start
     A = np.column_stack([middle, np.ones(len(middle))])
     good = np.ones(len(middle), dtype=np.bool_)
     affine = np.zeros((2, 3))
     for _ in range(_ROUNDS):
-        if good.sum() < _FEWEST_CORNERS:
+        if good.sum() < _MIN_CORNERS:
             return np.zeros((2, 3))
         affine = np.asarray(np.linalg.lstsq(A[good], moved[good], rcond=None)[0].T)
         residuals = np.linalg.norm(A @ affine.T - moved, axis=1)

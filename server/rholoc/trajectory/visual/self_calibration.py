@@ -1,4 +1,4 @@
-"""How well a walk shows the intrinsics of the camera that recorded it."""
+"""Report on intrinsics estimated from a walk."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ _MAX_FOCAL_SIGMA = 0.03  # relative, of a focal length that counts as known
 
 
 def calibration_report(camera: Camera, focal_sigma_px: float) -> CalibrationReport:
-    """What is known of intrinsics that were estimated together with the poses.
+    """Report on intrinsics estimated together with the poses.
 
     Args:
-        camera: what was found.
-        focal_sigma_px: the standard deviation of its focal length.
+        camera: the estimate.
+        focal_sigma_px: standard deviation of its focal length.
     """
     share = focal_sigma_px / camera.focal
     observable = share <= _MAX_FOCAL_SIGMA

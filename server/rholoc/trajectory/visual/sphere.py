@@ -1,4 +1,4 @@
-"""Rays in all directions as pycolmap takes them: pixels of an ideal equirectangular camera."""
+"""Rays in all directions for pycolmap, as pixels of an ideal equirectangular camera."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ FOCAL_PX = _PANORAMA.focal
 
 
 def sphere_camera(camera_id: int) -> pycolmap.Camera:
-    """The ideal camera, of ``FOCAL_PX`` pixels a radian."""
+    """Ideal equirectangular camera with ``FOCAL_PX`` pixels per radian."""
     camera = pycolmap.Camera.create_from_model_name(camera_id, "EQUIRECTANGULAR", FOCAL_PX, _WIDTH, _WIDTH // 2)
     camera.has_prior_focal_length = True
     return camera
 
 
 def on_sphere(rays: FloatArray) -> FloatArray:
-    """Rays (N, 3) → the ideal camera's pixels (N, 2), as COLMAP counts them."""
+    """Project rays (N, 3) to the ideal camera's pixels (N, 2) in COLMAP's convention."""
     return _PANORAMA.project(rays) + _CENTRE_SHIFT
 
 
 def relative_pose_on_sphere(
     first: FloatArray, second: FloatArray, tolerance_rad: float, iterations: tuple[int, int], seed: int
 ) -> tuple[BoolArray, FloatArray]:
-    """The relative pose that most matches agree with (LO-RANSAC, pycolmap).
+    """Relative pose with most inliers (LO-RANSAC, pycolmap).
 
     Args:
-        first, second: (M, 3) rays of the matches in either camera's frame.
-        tolerance_rad: between a ray and its epipolar plane.
-        iterations: of RANSAC, at least and at most.
+        first, second: (M, 3) rays of the matches, each in its camera's frame.
+        tolerance_rad: maximum angle between an inlier's ray and its epipolar plane.
+        iterations: minimum and maximum of RANSAC.
         seed: of its samples.
 
     Returns:
-        Which matches (M,) agree, none where there is no such pose, and R_second_first (3, 3).
+        Mask (M,) of the inliers, all False without a pose, and R_second_first (3, 3).
     """
     options = pycolmap.RANSACOptions()
     options.max_error = tolerance_rad * FOCAL_PX

@@ -1,4 +1,4 @@
-"""Which keyframes see which points: corners that were followed, and features that were matched."""
+"""Sightings of points by keyframes, from tracked corners and matched features."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from rholoc.trajectory.visual.rolling_shutter import RollingShutter
 from rholoc.trajectory.visual.two_view import PairRotation, inliers_of_rotation, relative_pose
 
 _TOLERANCE_PX = 2.0
-_FEWEST_SHARED = 12  # corners, for a relative pose
-_FEWEST_FOR_ROTATION = 30
-_FEWEST_SIGHTINGS = 3
-_MAX_FELT_APART_RAD = np.radians(1.0)  # between neighbours, from which the gyroscope is believed rather than the image
-_FEWEST_TOGETHER = 10  # points that two keyframes see, for them to be of one piece
-_LEAST_PIECE = 3  # keyframes; fewer have no shape of their own
-_FURTHER = 4  # keyframes, over which corners show the rotation better than from one to the next
+_MIN_SHARED = 12  # corners, for a relative pose
+_MIN_FOR_ROTATION = 30
+_MIN_SIGHTINGS = 3
+_MAX_FELT_APART_RAD = np.radians(1.0)  # from the image's rotation of neighbours to use the gyroscope's
+_MIN_TOGETHER = 10  # common points that connect two keyframes
+_MIN_PIECE = 3  # keyframes of a connected component that counts
+_FURTHER = 4  # keyframes: a longer interval over which corners measure rotation more accurately
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,9 @@ class Observations:
     """N sightings of points by keyframes.
 
     Attributes:
-        keyframes: (N,) the keyframe.
-        tracks: (N,) the point, 0..M-1.
-        pixels: (N, 2) where, in pixels of the full image.
+        keyframes: (N,) keyframe numbers.
+        tracks: (N,) point numbers, 0..M-1.
+        pixels: (N, 2) of the full image.
         depths: (N,) along the camera's axis by depth pictures [m], NaN where unknown; None without depth pictures.
     """
 
@@ -48,11 +48,11 @@ class Observations:
 
     @property
     def points(self) -> int:
-        """How many points there are."""
+        """Number of points."""
         return int(self.tracks.max(initial=-1)) + 1
 
     def at(self, rows: IntArray | BoolArray) -> Observations:
-        """Some of the sightings; points keep their numbers."""
+        """The sightings ``rows``; points keep their numbers."""
         depths = None if self.depths is None else self.depths[rows]
         return Observations(self.keyframes[rows], self.tracks[rows], self.pixels[rows], depths)
 
@@ -61,15 +61,15 @@ class Observations:
         return self if self.depths is None else replace(self, depths=factor * self.depths)
 
     def take(self, kept: BoolArray) -> Observations:
-        """Some of the sightings; points are numbered anew, those seen from fewer than three keyframes are left out."""
+        """The sightings ``kept`` (N,) of points with at least ``_MIN_SIGHTINGS`` of them; points are renumbered."""
         tracks = self.tracks[kept]
-        often = np.bincount(tracks, minlength=self.points)[tracks] >= _FEWEST_SIGHTINGS
+        often = np.bincount(tracks, minlength=self.points)[tracks] >= _MIN_SIGHTINGS
         rows = np.flatnonzero(kept)[often]
         _, numbers = np.unique(self.tracks[rows], return_inverse=True)
         return replace(self.at(rows), tracks=numbers)
 
     def joined(self, others: Observations) -> Observations:
-        """Both, the others' points numbered after these."""
+        """These and ``others``, whose points are numbered after these; without depths."""
         return Observations(
             np.concatenate([self.keyframes, others.keyframes]),
             np.concatenate([self.tracks, others.tracks + self.points]),
@@ -77,7 +77,7 @@ class Observations:
         )
 
     def thinned(self, per_keyframe: int) -> Observations:
-        """So many a keyframe where there are more, of the points that are seen most often."""
+        """About ``per_keyframe`` sightings for each keyframe with more, of the points with most sightings."""
         lengths = np.bincount(self.tracks, minlength=self.points)
         by_track = np.argsort(self.tracks, kind="stable")
         starts = np.concatenate([[0], np.cumsum(lengths)])
@@ -94,23 +94,22 @@ class Observations:
 def followed_corners(
     flow: Flow, rows: IntArray, camera: Camera, felt: Rotation | None, shutter: RollingShutter | None
 ) -> tuple[Observations, list[PairRotation]]:
-    """Corners seen from keyframes, and how the camera turned between these.
+    """Sightings of tracked corners by keyframes, and relative rotations of the keyframes.
 
-    Where a corner leaves what the relative pose of neighbours allows (an edge behind another, something that moves),
-    its track ends and a new one begins.
+    A track is split where its corner is an outlier of the neighbours' relative pose (an occlusion, a moving object).
 
     Args:
         rows: (K,) the keyframes' rows.
         camera: known, or guessed.
         felt: R_start_camera of the keyframes by the gyroscope, or None.
-        shutter: how the image moves in the keyframes while it is read, or None.
+        shutter: rolling-shutter correction of the keyframes, or None.
     """
     tolerance = _TOLERANCE_PX / camera.focal
     rotations: list[PairRotation] = []
     keyframes: list[IntArray] = []
     tracks: list[IntArray] = []
     pixels: list[FloatArray] = []
-    numbers: dict[int, int] = {}  # the corner's number in the flow → the track's
+    numbers: dict[int, int] = {}  # corner number in the flow → track number
     next_track = 0
     for k, row in enumerate(rows.tolist()):
         corners, places = flow.of_frame(row)
@@ -140,9 +139,9 @@ def followed_corners(
 def _neighbours(
     flow: Flow, rows: IntArray, a: int, b: int, camera: Camera, tolerance: float, felt: Rotation | None
 ) -> tuple[IntArray, BoolArray, PairRotation | None]:
-    """The corners that keyframes share, which of them agree with one relative pose, and its rotation."""
+    """Corners shared by keyframes ``a`` and ``b``, a mask of the relative pose's inliers, and its rotation."""
     shared, in_a, in_b = flow.shared(int(rows[a]), int(rows[b]))
-    if len(shared) < _FEWEST_SHARED:
+    if len(shared) < _MIN_SHARED:
         return shared, np.zeros(len(shared), dtype=np.bool_), None
     first, second = camera.rays(in_a), camera.rays(in_b)
     view = relative_pose(first, second, tolerance)
@@ -155,16 +154,18 @@ def _neighbours(
             inliers = inliers_of_rotation(first, second, R_felt, tolerance)
         if apart > float(allowed_apart(flow.times[rows[b]] - flow.times[rows[a]])):
             turned = None
-    if turned is not None and turned.support < _FEWEST_FOR_ROTATION:
+    if turned is not None and turned.support < _MIN_FOR_ROTATION:
         turned = None
     return shared, inliers, turned
 
 
 def matched_features(places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> Observations:
-    """Points from matched features: what is linked by matches is one point; of a keyframe that sees one twice, neither.
+    """Sightings of matched features. A point is a connected component of matches.
+
+    Two sightings of one point by the same keyframe are both left out.
 
     Args:
-        places: of the features in every keyframe, (N, 2) each, in whatever the observations are to be.
+        places: coordinates (N, 2) of the features in every keyframe, copied to the sightings' ``pixels``.
         pairs: verified matches.
     """
     offsets = np.concatenate([[0], np.cumsum([len(some) for some in places])])
@@ -184,10 +185,10 @@ def matched_features(places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
 
 
 def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> tuple[IntArray, IntArray]:
-    """Matches (M, 2) as features numbered through all keyframes, and the point (F,) that each feature is of.
+    """Matches (M, 2) with features numbered across all keyframes, and the point number (F,) of each feature.
 
     Args:
-        first_feature: (K + 1,) the number of every keyframe's first feature, then how many there are.
+        first_feature: (K + 1,) number of every keyframe's first feature, then the total.
         pairs: verified matches.
     """
     links = np.concatenate(
@@ -200,21 +201,21 @@ def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> t
 
 
 def pieces_of(count: int, observations: Observations) -> IntArray:
-    """The piece (K,) of each of ``count`` keyframes: those that see ten points together are of one; -1 without one.
+    """Connected component (K,) of each of ``count`` keyframes, numbered from the largest.
 
-    Pieces are numbered from the largest on.
+    Edges need ``_MIN_TOGETHER`` common points. Components smaller than ``_MIN_PIECE`` get -1.
     """
     seen = coo_matrix(
         (np.ones(len(observations), np.float32), (observations.keyframes, observations.tracks)),
         shape=(count, max(observations.points, 1)),
     ).tocsr()
     shared = (seen @ seen.T).tocoo()
-    strong = shared.data >= _FEWEST_TOGETHER
+    strong = shared.data >= _MIN_TOGETHER
     graph = coo_matrix((shared.data[strong], (shared.row[strong], shared.col[strong])), shape=(count, count))
     label: IntArray = connected_components(graph, directed=False)[1]
     sizes = np.bincount(label)
     order = np.argsort(-sizes, kind="stable")
-    large = order[sizes[order] >= _LEAST_PIECE]
+    large = order[sizes[order] >= _MIN_PIECE]
     number = np.full(len(sizes), -1)
     number[large] = np.arange(len(large))
     return np.asarray(number[label])

@@ -1,4 +1,4 @@
-"""What two images of a place tell about each other: which matches are right, and how the camera turned between."""
+"""Two-view geometry: inlier matches and relative pose."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rholoc.geometry.resection import is_narrow, resected
 from rholoc.trajectory.visual.sphere import relative_pose_on_sphere
 
 _RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
-_ROUNDING = 1e-6  # of a dot product of unit descriptors: twins differ by no more
-_ITERATIONS = (30, 1000)  # of RANSAC, at least and at most
+_ROUNDING = 1e-6  # of a dot product of equal unit descriptors
+_ITERATIONS = (30, 1000)  # of RANSAC, minimum and maximum
 _UNIT_CAMERA = {"model": "PINHOLE", "width": 2, "height": 2, "params": [1.0, 1.0, 0.0, 0.0]}
-_HYPOTHESES = 300  # of the translation, where the rotation is known
-_LEAST_PARALLAX = 0.05  # radians, below which a ray says little about the translation
+_HYPOTHESES = 300  # of the translation, with known rotation
+_MIN_PARALLAX = 0.05  # radians, for a ray to constrain the translation
 _SEED = 1
 
 
@@ -26,8 +26,8 @@ class TwoView:
     """The epipolar geometry of matches.
 
     Attributes:
-        inliers: (M,) bool, the matches that agree with it.
-        R_second_first: (3, 3), the best match: where all lie on one plane, there are others.
+        inliers: (M,) bool.
+        R_second_first: (3, 3) of the best solution; ambiguous if all points lie on one plane.
     """
 
     inliers: BoolArray
@@ -36,12 +36,12 @@ class TwoView:
 
 @dataclass(frozen=True, eq=False)
 class PairRotation:
-    """How the camera turned between two keyframes.
+    """Relative rotation of two keyframes.
 
     Attributes:
         first, second: keyframe numbers.
         R_second_first: (3, 3).
-        support: how many matches agree with it.
+        support: number of inlier matches.
     """
 
     first: int
@@ -51,11 +51,11 @@ class PairRotation:
 
 
 def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> TwoView:
-    """The relative pose that most matches agree with (LO-RANSAC; by poselib, of wide lenses by pycolmap).
+    """Relative pose with most inliers (LO-RANSAC; by poselib, for wide lenses by pycolmap).
 
     Args:
-        first, second: (M, 3) rays of the matches in either camera's frame, M ≥ 5.
-        tolerance: how far from its epipolar line a point may be, on the plane z = 1; of wide lenses in radians.
+        first, second: (M, 3) rays of the matches, each in its camera's frame, M ≥ 5.
+        tolerance: maximum epipolar distance of an inlier on the plane z = 1; for wide lenses in radians.
     """
     if not (is_narrow(first) and is_narrow(second)):
         inliers, R = relative_pose_on_sphere(first, second, tolerance, _ITERATIONS, _SEED)
@@ -74,12 +74,12 @@ def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> Tw
 
 
 def absolute_pose(rays: FloatArray, points: FloatArray, tolerance: float) -> tuple[FloatArray, int]:
-    """The camera's pose T_map_camera (4, 4) that most matches agree with, and how many do (LO-RANSAC, poselib).
+    """Camera pose T_map_camera (4, 4) with most inliers, and their number (LO-RANSAC, poselib).
 
     Args:
         rays: (M, 3) of detections, in the camera frame.
-        points: (M, 3) what they are of, in the map frame.
-        tolerance: how far off a detection may be, on the plane z = 1; of wide lenses on the face of a cube.
+        points: (M, 3) their landmarks in the map frame.
+        tolerance: maximum error of an inlier on the plane z = 1; for wide lenses on the face of a cube.
     """
     options = {
         "max_reproj_error": tolerance,
@@ -93,12 +93,12 @@ def absolute_pose(rays: FloatArray, points: FloatArray, tolerance: float) -> tup
 def inliers_of_rotation(
     first: FloatArray, second: FloatArray, R_second_first: FloatArray, tolerance: float
 ) -> BoolArray:
-    """Which matches (M,) agree with a rotation that is known, and with one translation, which two of them fix.
+    """Mask (M,) of the inliers of a known rotation and the best translation, sampled from two matches each.
 
     Args:
-        first, second: (M, 3) unit rays of the matches in either camera's frame.
+        first, second: (M, 3) unit rays of the matches, each in its camera's frame.
         R_second_first: (3, 3).
-        tolerance: radians between a ray and its epipolar plane.
+        tolerance: maximum angle [rad] between an inlier's ray and its epipolar plane.
     """
     turned, seen = first @ R_second_first.T, second
     normals = np.cross(turned, seen)
@@ -111,13 +111,13 @@ def inliers_of_rotation(
     ways = ways[lengths > 0] / lengths[lengths > 0, None]
     if len(ways) == 0:
         return np.asarray(still)
-    parallax = np.sqrt(np.maximum(1 - (ways @ turned.T) ** 2, _LEAST_PARALLAX**2))
+    parallax = np.sqrt(np.maximum(1 - (ways @ turned.T) ** 2, _MIN_PARALLAX**2))
     agree = np.abs(ways @ normals.T) < tolerance * parallax
     return np.asarray(agree[agree.sum(axis=1).argmax()] | still)
 
 
 def ratio_matches(a: FloatArray, b: FloatArray) -> IntArray:
-    """Mutual nearest neighbours that pass the ratio test: (M, 2) rows of ``a`` and ``b``, unit descriptors (N, D)."""
+    """Rows (M, 2) of mutual nearest neighbours in unit descriptors ``a`` and ``b`` (N, D) that pass the ratio test."""
     if len(a) < 2 or len(b) < 2:
         return np.zeros((0, 2), np.int64)
     alike = a @ b.T
@@ -133,6 +133,6 @@ def ratio_matches(a: FloatArray, b: FloatArray) -> IntArray:
 
 
 def unit_descriptors(features: FeatureSet) -> FloatArray:
-    """The features' descriptors (N, D) as unit vectors, float32."""
+    """Descriptors (N, D) normalized to unit length, float32."""
     descriptors = features.descriptors.astype(np.float32)
     return np.asarray(descriptors / np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1e-9))

@@ -12,7 +12,7 @@ from fastapi import Depends, Query, Request
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import InvalidImage
-from rholoc.localization import MOST_FRAMES
+from rholoc.localization import MAX_FRAMES
 from rholoc.recordings.frames.image import IMAGE_START_BYTES, begins_like_an_image
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.frames.queries import Frame, effort_of, effort_of_set
@@ -156,7 +156,7 @@ async def read_frame(request: Request, options: OptionParameters, service: State
 async def read_frames(request: Request, service: State) -> AsyncIterator[Frames]:
     """Several frames, as JSON or multipart. Raises as :func:`read_frame`, and as :meth:`Frames.of`."""
     settings, kind = service.settings, media_type(request)
-    limits = JsonLimits.of_features(settings.max_request_bytes, MOST_FRAMES * settings.max_features)
+    limits = JsonLimits.of_features(settings.max_request_bytes, MAX_FRAMES * settings.max_features)
     images: dict[int, bytes] = {}
     with service.held_bodies.hold() as on_piece:
         if kind == "application/json":
@@ -185,7 +185,7 @@ async def _read_parts(request: Request, settings: Settings, on_piece: PieceListe
     def keep(field_name: str, _filename: str, chunk: bytes) -> None:
         files.setdefault(field_name, bytearray()).extend(chunk)
 
-    fields = await read_multipart(request, settings.max_request_bytes, MOST_FRAMES + 1, keep, on_piece)
+    fields = await read_multipart(request, settings.max_request_bytes, MAX_FRAMES + 1, keep, on_piece)
     text = bytes(files.pop("request", b"")) or fields.pop("request", "").encode()
     if fields:
         raise InvalidRequest(f"The multipart body has a part '{min(fields)}'.", _PARTS_HINT)

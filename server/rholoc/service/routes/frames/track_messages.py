@@ -13,7 +13,7 @@ from rholoc.service.http.models import Number, Quaternion, RequestModel, Vector3
 from rholoc.trajectory import Scale
 from rholoc_client.tracking import TrackStatus
 
-_MOST_READINGS = 2000
+_MAX_READINGS = 2000
 _Reading = Annotated[list[Number], Field(min_length=7, max_length=7)]
 
 
@@ -49,7 +49,7 @@ class FrameMessage(RequestModel):
     odometry: OdometryPose | None = None
     imu: list[_Reading] = Field(
         default_factory=list,
-        max_length=_MOST_READINGS,
+        max_length=_MAX_READINGS,
         description="readings since the frame before: time_s, acceleration x, y, z in m/s², rate x, y, z in rad/s, in "
         "the camera's axes (x right, y down, z forward)",
     )

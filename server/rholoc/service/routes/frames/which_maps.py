@@ -10,7 +10,7 @@ from fastapi import Depends, Query
 from rholoc.errors import UnknownMap
 from rholoc.geometry.earth import EarthPlace
 from rholoc.service.errors import InvalidRequest
-from rholoc.service.frames.map_choice import MOST_ASKED, MapChoice
+from rholoc.service.frames.map_choice import MAX_ASKED, MapChoice
 from rholoc.service.state import State
 
 MapNames = Annotated[
@@ -84,7 +84,7 @@ async def named_maps(maps: str | None, service: State) -> MapChoice:
     if names != ["all"]:
         return MapChoice(names, finder=service.frames.finder)
     present = service.frames.finder.present
-    if len(present) <= MOST_ASKED:  # the library itself knows of a map that was published this moment
+    if len(present) <= MAX_ASKED:  # the library itself knows of a map that was published this moment
         present = await service.maps.readable()
     if not present:
         raise UnknownMap("There is no map yet.", "Upload one, or a recording.")
