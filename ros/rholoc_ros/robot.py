@@ -158,7 +158,7 @@ class Robot:
         self._answers, self._problem = 0, ""
 
     def complain(self, problem: str) -> None:
-        """Note what prevents localization, until a picture is tracked again."""
+        """Note a problem for the next diagnosis."""
         self._problem = problem
 
     def poll(self, now_s: float) -> list[Estimate]:
@@ -193,7 +193,8 @@ class Robot:
         return self._correction.step(now_s, target, T_odom_base)
 
     def diagnose(self, now_s: float) -> Diagnosis:
-        """State of the localization."""
+        """State of the localization, and the last problem since the diagnosis before."""
+        problem, self._problem = self._problem, ""
         tracked, error = self._tracked, None if self._tracker is None else self._tracker.last_error
         values = {"pictures dropped": str(self._dropped), "last error": "" if error is None else str(error)}
         if tracked is not None:
@@ -206,8 +207,9 @@ class Robot:
             }
         if tracked is not None and tracked.covariance is not None:
             values["position sigma [m]"] = f"{math.sqrt(max(tracked.covariance[i][i] for i in range(3))):.3f}"
-        if self._problem:
-            return Diagnosis(ERROR, self._problem, values)
+        is_tracking = tracked is not None and tracked.status is TrackStatus.TRACKING
+        if problem:
+            return Diagnosis(WARN if is_tracking else ERROR, problem, values)
         if self._newest is None or now_s - self._newest.received_s > self._settings.silent_after_s:
             return Diagnosis(WARN, "No pictures arrive: check the image topic and its quality of service.", values)
         if tracked is None or tracked.status is TrackStatus.SEARCHING:
@@ -274,7 +276,7 @@ class Robot:
         except RholocClientError as error:
             self._problem = str(error)
             return None
-        self._last, self._tracked, self._problem = (picture, T_odom_base), tracked, ""
+        self._last, self._tracked = (picture, T_odom_base), tracked
         is_new, self._answers = tracked.answers > self._answers, tracked.answers
         if tracked.status is not TrackStatus.TRACKING or tracked.pose is None or tracked.covariance is None:
             return None
