@@ -47,6 +47,9 @@ class Bus:
     def subscribed(self, kind: str, topic: str) -> None:
         """A node listens to a topic."""
 
+    def advertised(self, kind: str, topic: str) -> None:
+        """A node may write on a topic."""
+
     def fire(self) -> None:
         """Call the timers that are due."""
         for timer in [*self.timers]:
@@ -89,9 +92,11 @@ def _node_class(bus: Bus) -> type:
             return SimpleNamespace(error=bus.log.append, warning=bus.log.append, info=bus.log.append)
 
         def create_publisher(self, kind: Any, topic: str, qos: Any) -> _Publisher:
+            bus.advertised(kind.kind, topic.lstrip("/"))
             return _Publisher(bus, topic, is_managed=False)
 
         def create_lifecycle_publisher(self, kind: Any, topic: str, qos: Any) -> _Publisher:
+            bus.advertised(kind.kind, topic.lstrip("/"))
             self._publishers.append(_Publisher(bus, topic, is_managed=True))
             return self._publishers[-1]
 
