@@ -10,6 +10,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -56,10 +57,9 @@ class TransformTree:
     def lookup(self, target: str, source: str, stamp_ns: int) -> FloatArray | None:
         """T_target_source (4, 4) at a stamp, never the latest; None if it is not known, or not known yet."""
         try:
-            found = self._buffer.lookup_transform(target, source, Time(nanoseconds=stamp_ns))
-        except TransformException:
+            return transform_of(self._buffer.lookup_transform(target, source, Time(nanoseconds=stamp_ns)).transform)
+        except (TransformException, ValueError):  # or a quaternion that is no rotation
             return None
-        return transform_of(found.transform)
 
 
 class LocalizationNode(LifecycleNode):  # type: ignore[misc]
@@ -68,7 +68,8 @@ class LocalizationNode(LifecycleNode):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__("rholoc")
         for name, default in DEFAULTS.items():
-            self.declare_parameter(name, default)
+            # Of any type: a whole number does for a float, and 12 is the name of a map. The settings check them.
+            self.declare_parameter(name, default, ParameterDescriptor(dynamic_typing=True))
         self._active: list[Any] = []  # subscriptions, services and timers, with what destroys each
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -153,7 +154,7 @@ class LocalizationNode(LifecycleNode):  # type: ignore[misc]
             self._listener.unregister()
             self._client.close()
             for publisher in (self._poses, self._picture_poses, self._diagnostics):
-                self.destroy_publisher(publisher)
+                self.destroy_lifecycle_publisher(publisher)
             del self._robot
 
     @property

@@ -142,7 +142,13 @@ class Robot:
         self._waiting.append(picture)
 
     def hint(self, T_map_base: FloatArray, covariance: FloatArray) -> None:
-        """Begin a new track near a pose (4, 4) with a covariance (6, 6) [m, rad]."""
+        """Begin a new track near a pose (4, 4) with a covariance (6, 6) [m, rad].
+
+        Raises:
+            ValueError: the covariance is not finite.
+        """
+        if not np.isfinite(covariance).all():
+            raise ValueError("Its covariance is not finite.")
         self.restart()
         sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         radius_m = float(np.clip(_SIGMAS * sigmas[:3].max(), *_HINT_M))

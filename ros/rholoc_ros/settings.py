@@ -88,6 +88,11 @@ class Settings:
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Settings:
         """The settings of ROS parameters by name; whole numbers do for floats. Raises ValueError."""
+        for name, value in parameters.items():
+            if isinstance(DEFAULTS[name], bool) != isinstance(value, bool):
+                raise ValueError(
+                    f"The parameter {name} is {value!r}, and {DEFAULTS[name]!r} by default: use that type."
+                )
         return cls(**{name: type(DEFAULTS[name])(value) for name, value in parameters.items()})
 
     @property

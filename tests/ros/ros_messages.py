@@ -21,12 +21,12 @@ _PLAIN = {
 
 @cache
 def message_class(name: str) -> type:
-    """The class of "geometry_msgs/msg/Pose": made without arguments, as in rclpy."""
+    """The class of "geometry_msgs/msg/Pose": made without arguments or by name, as in rclpy."""
     fields = STORE.fielddefs[name][1]
 
-    def init(self: Any) -> None:
+    def init(self: Any, **values: Any) -> None:
         for field, (kind, of) in fields:
-            setattr(self, field, _default(kind, of))
+            setattr(self, field, values[field] if field in values else _default(kind, of))
 
     return type(name.rpartition("/")[2], (), {"__init__": init, "kind": name})
 

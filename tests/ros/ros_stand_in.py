@@ -14,7 +14,7 @@ import numpy as np
 from ros_messages import STORE, message_class
 from scipy.spatial.transform import Rotation, Slerp
 
-_PACKAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "tf2_msgs")
+_PACKAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "rcl_interfaces", "sensor_msgs", "tf2_msgs")
 
 
 class Return(Enum):
@@ -79,7 +79,7 @@ def _node_class(bus: Bus) -> type:
             self._parameters: dict[str, Any] = {}
             self._publishers: list[_Publisher] = []
 
-        def declare_parameter(self, name: str, default: Any) -> None:
+        def declare_parameter(self, name: str, default: Any, descriptor: Any) -> None:
             self._parameters[name] = bus.overrides.get(name, default)
 
         def get_parameter(self, name: str) -> Any:
@@ -122,7 +122,7 @@ def _node_class(bus: Bus) -> type:
         def destroy_timer(self, timer: Any) -> None:
             bus.timers.remove(timer)
 
-        def destroy_publisher(self, publisher: _Publisher) -> None:
+        def destroy_lifecycle_publisher(self, publisher: _Publisher) -> None:
             self._publishers.remove(publisher)
 
         def on_activate(self, state: Any) -> Return:

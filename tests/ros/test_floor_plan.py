@@ -151,7 +151,17 @@ def test_the_package_is_installed_where_ros_looks_for_it(monkeypatch):
     depended = {one.text for one in package.findall("exec_depend")}
     source = (ROS / "rholoc_ros" / "node.py").read_text()
     imported = set(re.findall(r"^(?:from|import) (\w+)", source, re.MULTILINE))
-    assert {one for one in imported if one.endswith("_msgs") or one in ("rclpy", "tf2_ros", "std_srvs")} <= depended
+    assert {
+        one for one in imported if one.endswith("_msgs") or one in ("rclpy", "rcl_interfaces", "tf2_ros", "std_srvs")
+    } <= depended
+
+
+def test_only_the_node_imports_ros_and_nothing_imports_the_server():
+    ros = re.compile(r"^\s*(?:from|import) (rclpy|rcl_interfaces|tf2_ros|\w+_msgs|std_srvs)\b", re.MULTILINE)
+    server = re.compile(r"^\s*(?:from|import) rholoc\b", re.MULTILINE)
+    files = list((ROS / "rholoc_ros").glob("*.py"))
+    assert [file.name for file in files if ros.search(file.read_text())] == ["node.py"]
+    assert not [file.name for file in files if server.search(file.read_text())]
 
 
 def installed(monkeypatch):

@@ -184,6 +184,22 @@ def test_a_hint_is_a_prior_that_moves_with_odometry(bus, start, topic):
     assert bus.sent[POSE]
 
 
+@pytest.mark.parametrize(
+    ("frame", "w", "sigma", "message"),
+    [("odom", 1.0, 0.5, "not in the map"), ("map", 0.0, 0.5, "length 0"), ("map", 1.0, np.nan, "not finite")],
+)
+def test_a_hint_that_makes_no_sense_changes_nothing(bus, start, frame, w, sigma, message):
+    start(PlayedService())
+    drive(bus, 1)
+    poses = len(bus.sent[POSE])
+    hint = robot.stamped("geometry_msgs/msg/PoseWithCovarianceStamped", 0.0, frame)
+    hint.pose.pose.orientation.w, hint.pose.covariance[0] = w, sigma
+    bus.deliver("initialpose", hint)
+    assert message in bus.log[-1]
+    drive(bus, 1, room=1)
+    assert len(bus.sent[POSE]) == poses + RATE_HZ  # the track goes on
+
+
 def test_a_trigger_begins_anew(bus, start):
     start(PlayedService())
     drive(bus, 2)
@@ -237,6 +253,37 @@ def test_a_clock_that_goes_back_begins_anew(bus, start):
     assert max(errors_m(bus)[poses:]) < 0.02
 
 
+def spy(tracker, read, monkeypatch):
+    """Note the readings that a tracker gets."""
+    imu = tracker.imu
+    monkeypatch.setattr(tracker, "imu", lambda *one: (read.append(one), imu(*one)))
+
+
+def test_raw_pictures_and_an_imu_do_without_odometry(bus, start, monkeypatch):
+    """At rest. Readings reach the tracker in the camera's axes, where gravity's reaction is along −y."""
+    service, read = PlayedService(), []
+    monkeypatch.setattr(robot, "read", lambda picture: (robot.ORIGIN_S, 0))
+    node = start(service, odometry="none", compressed=False, use_imu=True)
+    bus.deliver("tf_static", robot.mounting())
+    for i in range(30):
+        time_s = bus.now_ns * 1e-9
+        bus.deliver("camera_info", robot.camera_info(time_s))
+        size = {"width": 64, "height": 48, "step": 64, "encoding": "mono8", "data": bytes(64 * 48)}
+        bus.deliver("image", robot.stamped("sensor_msgs/msg/Image", time_s, "camera", **size))
+        if i == 0:
+            spy(node._robot._tracker, read, monkeypatch)
+        for k in range(10):
+            message = robot.stamped("sensor_msgs/msg/Imu", time_s + k / 100, "base_link")
+            message.linear_acceleration.z = 9.81
+            bus.deliver("imu", message)
+        bus.sleep(0.1)
+    assert len(bus.sent[POSE]) > 10
+    assert np.linalg.norm(robot.pose_matrix(bus.sent[POSE][-1].pose.pose)[:3, 3]) < 0.05
+    np.testing.assert_allclose(read[-1][1], robot.T_BASE_CAMERA[:3, :3].T @ [0, 0, 9.81], atol=1e-9)
+    assert read[-1][1][1] < -9
+    assert not bus.sent[TF]
+
+
 def test_deactivated_it_is_silent(bus, start):
     node = start(PlayedService(), publish_map_to_odom_tf=True)
     drive(bus, 2)
@@ -260,6 +307,7 @@ def test_deactivated_it_is_silent(bus, start):
         ({"odom_frame": "map"}, "three different names"),
         ({"odometry": "none", "publish_map_to_odom_tf": True}, "no odom frame"),
         ({"wait_s": -1.0}, "positive"),
+        ({"compressed": "false"}, "use that type"),
     ],
 )
 def test_parameters_that_make_no_sense_are_refused_in_one_line(bus, parameters, message):
