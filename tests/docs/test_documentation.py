@@ -39,6 +39,7 @@ PAGES = [
         "docs/service/reference.md",
         "server/COMMANDS.md",
         "maps/README.md",
+        "ros/README.md",
     )
 ]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

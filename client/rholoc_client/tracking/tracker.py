@@ -22,7 +22,7 @@ from rholoc_client.errors import (
     RholocClientError,
     StorageUnavailable,
 )
-from rholoc_client.models import Camera, Localization
+from rholoc_client.models import Camera, Localization, Prior
 from rholoc_client.tracking.following import AnsweredMatches, FollowedTrack
 from rholoc_client.tracking.rigid import FloatArray
 from rholoc_client.tracking.track import Answer, Question, Tracked, TrackOptions
@@ -43,6 +43,7 @@ class _Tracking(Generic[_Pending]):
         """Why the last question was not answered, if the cause is temporary: the service is busy, or out of reach."""
         self._camera = camera
         self._track = FollowedTrack(options, camera)
+        self._expected: Prior | None = None
         self._pending: _Pending | None = None
 
     def imu(self, time_s: float, acceleration_m_s2: FloatArray, rate_rad_s: FloatArray) -> None:
@@ -58,12 +59,17 @@ class _Tracking(Generic[_Pending]):
         """
         self._track.imu(time_s, acceleration_m_s2, rate_rad_s)
 
+    def expect(self, prior: Prior | None) -> None:
+        """Send ``prior`` with the questions for which the track itself expects no pose; None: send none with them."""
+        self._expected = prior
+
     def _frame(self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None) -> Tracked:
         return self._track.frame(time_s, T_odom_camera, _decoded(picture) if T_odom_camera is None else None)
 
     def _asking(self, question: Question) -> dict[str, Any]:
         """The options of a question's request."""
-        return {"camera": self._camera, "prior": question.prior, "with_matches": self._track.follows_pictures}
+        prior = question.prior or self._expected
+        return {"camera": self._camera, "prior": prior, "with_matches": self._track.follows_pictures}
 
     def _collect(self) -> None:
         """Take in the answer to the open question, if it has arrived."""

@@ -16,6 +16,7 @@ from rholoc_client import (
     Client,
     ConnectionFailed,
     InvalidTrack,
+    Prior,
     Tracker,
     TrackStatus,
     UnknownMap,
@@ -104,6 +105,23 @@ def test_a_service_that_is_away_is_noted_and_survived(picture_world):
         assert tracker.wait(30).status is TrackStatus.SEARCHING
         assert isinstance(tracker.last_error, ConnectionFailed)
         tracker.track(1.0, picture_world.image, np.eye(4))
+
+
+def test_an_expectation_is_sent_while_the_track_has_none(client, picture_world, monkeypatch):
+    asked, localize = [], client.localize
+    monkeypatch.setattr(client, "localize", lambda *of, **how: (asked.append(how["prior"]), localize(*of, **how))[1])
+    expected = Prior((1.0, 2.0, 1.5), (0.8, 0.6, 0.0), radius_m=2.0)
+    with Tracker(client, "room", CAMERA) as tracker:
+        tracker.expect(expected)
+        time_s = settled(tracker, picture_world, odometry=np.eye(4))
+        assert asked[0] == expected
+        tracker.track(time_s + 6, picture_world.image, np.eye(4))  # after a gap it begins anew
+        tracker.wait(30)
+        assert asked[-1] == expected
+        tracker.expect(None)
+        tracker.track(time_s + 12, picture_world.image, np.eye(4))
+        tracker.wait(30)
+        assert asked[-1] is None
 
 
 def test_a_picture_that_is_none_is_refused(client):
