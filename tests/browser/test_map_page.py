@@ -34,7 +34,8 @@ def running(service, picture_world):
     held_out = {"frames": 8, "localized": 8, "median_m": 0.005, "median_deg": 0.1, "p90_m": 0.02}
     doubted = {"method": "visual", "trusted": False, "why": DISAGREE, "waypoint_mistake": MISTAKE}
     checked = {"method": "visual", "trusted": True, "why": DISAGREE.replace("disagree", "agree").split(". A")[0] + "."}
-    for name, walk in (("doubtful", doubted), ("sound", checked), (LONG, doubted)):
+    given = {"method": "given", "trusted": True, "why": "The poses were given."}
+    for name, walk in (("doubtful", doubted), ("sound", checked), ("given", given), (LONG, doubted)):
         content = picture_world.rho(report={"trajectories": [walk], "held_out": held_out})
         (maps / f"{name}.rho").write_bytes(content)
     assert len(LONG) == 64
@@ -66,6 +67,13 @@ def test_a_trusted_map_and_one_of_unknown_origin(desk_browser, running, opened, 
         notice = settled(page).get_by_role("region", name="Trust")
         expect(notice).to_contain_text("This map passed its checks.")
         expect(notice).not_to_contain_text("What to do")
+        assert page.locator("main h2").all_inner_texts()[:2] == ["The room", "Where it works"]
+        page.goto(f"{running.url}/#/maps/given")
+        notice = settled(page).get_by_role("region", name="Trust", exact=True)
+        expect(notice).to_contain_text("Nothing else has checked this map")
+        expect(notice).not_to_have_class(re.compile("good"))
+        page.goto(f"{running.url}/#/try")
+        expect(settled(page).get_by_role("combobox", name="Map")).to_have_value("sound")
         page.goto(f"{running.url}/#/maps/room")
         expect(settled(page).get_by_role("region", name="Trust")).to_contain_text("Nothing has checked this map.")
 

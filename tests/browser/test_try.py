@@ -361,4 +361,5 @@ def test_a_track_whose_connection_breaks_off_says_so(camera_browser, running, op
         expect(page.locator(".answer .badge")).to_have_text("tracking")
         sockets[0].close(code=1011)
         expect(page.get_by_role("alert")).to_contain_text("The connection broke off.")
-        expect(page.get_by_role("button", name="Use the camera")).to_be_visible()
+        expect(page.locator(".answer .badge")).to_have_text("tracking")  # the server is there again
+        expect(page.get_by_role("button", name="Stop the camera")).to_be_visible()

@@ -10,7 +10,7 @@ import { cameraFrames, readPicture, videoFrames } from "./frame_sources.js";
 import { asQuery, halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "./intrinsics.js";
 import { landscapeView } from "./landscape_view.js";
 import { showScene, trusted } from "./map.js";
-import { empty, facts, page, problem, trustBadge } from "./parts.js";
+import { empty, facts, goOn, page, problem, trustBadge } from "./parts.js";
 import { play } from "./player.js";
 import { SceneView } from "./scene.js";
 import { LANGUAGES, snippet } from "./snippets.js";
@@ -18,14 +18,6 @@ import { Track, trackReport } from "./track.js";
 import { TrackStream } from "./track_stream.js";
 import { readTrajectory } from "./trajectory.js";
 
-const WHY = {
-  no_features: t`The picture is too blank, dark or blurred.`,
-  no_matches: t`Too little in the picture looks like anything in the map.`,
-  no_agreement: t`No place explains what the picture shows.`,
-  not_recognized: t`The picture does not surely show this map.`,
-  too_inexact: t`The place was recognized, but the pose is less exact than was asked for.`,
-  deadline: t`The server took too long.`,
-};
 const RATE_OVER = 8; // frames that the rate is measured over
 const PRIOR_RADIUS_M = 1;
 const TRACK_MS = 66; // from one frame that is tracked to the next, at least: more are no better
@@ -66,6 +58,7 @@ class Trial {
     this.cameras = cameras;
     this.signal = signal;
     this.ends = []; // of what runs; each ends it
+    this.filming = false;
     this.scene = new SceneView(t`The map ${map.name} and the pose that was found`);
     this.picture = h("canvas", {
       class: "frame",
@@ -153,7 +146,7 @@ class Trial {
     try {
       await this.tryStill(this.still);
     } catch (error) {
-      this.fail(error);
+      this.fail(error, () => this.again());
     }
   }
 
@@ -294,20 +287,25 @@ class Trial {
     );
   }
 
-  /** Show an error; a pose from before it is not the answer to it. */
-  fail(error) {
+  /** Show an error; a pose from before it is not the answer to it. Once a server that is away is back, try `again`. */
+  fail(error, again) {
     if (this.signal.aborted || error.name === "AbortError") return;
     this.scene.showPose(null);
     fill(this.landscape);
     fill(this.elsewhere);
     if (this.still) this.show(this.still.source);
-    fill(this.answer, problem({ summary: error.summary ?? error.message, hint: error.hint }));
+    const { summary = error.message, hint, code } = error;
+    fill(this.answer, problem({ summary, hint, code: again && code }));
+    if (!again) return;
+    const waiting = new AbortController();
+    this.ends.push(() => waiting.abort());
+    goOn(error, again, AbortSignal.any([this.signal, waiting.signal]));
   }
 }
 
 /** Why an answer has no pose. */
 const reasons = ({ reason, diagnosis }) =>
-  h("p", {}, diagnosis ? heard(`${diagnosis.message} ${diagnosis.hint}`) : (WHY[reason] ?? reason));
+  h("p", {}, diagnosis ? heard(`${diagnosis.message} ${diagnosis.hint}`) : reason);
 
 const doubt = (text) => h("p", { class: "notice warn small" }, text);
 
@@ -469,7 +467,7 @@ function sources(trial) {
   trial.player = h("div", { class: "row", hidden: true });
   trial.cameraButton = h(
     "button",
-    { type: "button", onclick: () => (trial.ends.length ? trial.stop() : film(trial, useCamera)) },
+    { type: "button", onclick: () => (trial.filming ? trial.stop() : film(trial, useCamera)) },
     t`Use the camera`,
   );
   return h(
@@ -496,7 +494,7 @@ async function takeFile(trial, file) {
     else await trial.tryStill(await readPicture(file));
   } catch (error) {
     if (!trial.still) trial.picture.closest(".drop").classList.remove("taken"); // nothing is in the frame
-    trial.fail(error);
+    trial.fail(error, trial.still && (() => trial.again()));
   }
 }
 
@@ -525,12 +523,15 @@ const useCamera = (map, signal) => cameraFrames(map, signal);
  * and a signal that ends them.
  */
 async function film(trial, framesOf) {
+  trial.stop();
+  trial.filming = true;
   const stopping = new AbortController();
   const signal = AbortSignal.any([trial.signal, stopping.signal]);
   const times = [];
   let step;
   trial.ends.push(() => {
     stopping.abort();
+    trial.filming = false;
     trial.cameraButton.textContent = t`Use the camera`;
   });
   try {
@@ -547,7 +548,7 @@ async function film(trial, framesOf) {
   } catch (error) {
     const failed = !signal.aborted;
     trial.stop();
-    if (failed) trial.fail(error);
+    if (failed) trial.fail(error, framesOf === useCamera && (() => film(trial, useCamera)));
   }
   if (!stopping.signal.aborted) trial.stop();
 }

@@ -345,13 +345,6 @@ export const GERMAN = {
   "right place {0} %": "richtiger Ort {0} %",
   "confidence over {0} %": "Konfidenz über {0} %",
   "confidence {0} %": "Konfidenz {0} %",
-  "The picture is too blank, dark or blurred.": "Das Bild ist zu leer, zu dunkel oder zu unscharf.",
-  "Too little in the picture looks like anything in the map.": "Zu wenig im Bild gleicht dem, was die Karte kennt.",
-  "No place explains what the picture shows.": "Kein Ort erklärt, was das Bild zeigt.",
-  "The picture does not surely show this map.": "Das Bild zeigt nicht sicher diese Karte.",
-  "The place was recognized, but the pose is less exact than was asked for.":
-    "Der Ort wurde erkannt, aber die Pose ist ungenauer als verlangt.",
-  "The server took too long.": "Der Server hat zu lange gebraucht.",
   "The map itself is not trusted: the pose may be wrong by more than is said here.":
     "Die Karte selbst ist nicht vertrauenswürdig: Die Pose kann weiter danebenliegen, als hier angegeben ist.",
   "The field of view was typed, not measured: a few degrees off put the pose decimetres off. Calibrate the camera to know.":
@@ -807,6 +800,8 @@ export const GERMAN_OF_SERVER = {
     "Die Brennweite der Kamera sieht falsch aus: Etwa {0} px passen besser als {1} px.",
   "Send the intrinsics of the picture as it is sent, after scaling and cropping; or ask with intrinsics unknown.":
     "Die intrinsischen Parameter des Bildes angeben, wie es nach dem Verkleinern und Zuschneiden ist; oder die Kamera als unbekannt angeben.",
+  "The deadline passed before all places were searched.": "Die Zeit war um, bevor alle Orte abgesucht waren.",
+  "Allow more time.": "Mehr Zeit erlauben.",
   "The waypoint {0} is missed by {1} m.": "Der Wegpunkt {0} wird um {1} m verfehlt.",
   "This server requires an API key.": "Dieser Server verlangt einen API-Schlüssel.",
   "This API key is unknown, or was revoked.": "Dieser API-Schlüssel ist unbekannt oder wurde widerrufen.",
