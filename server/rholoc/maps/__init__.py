@@ -1,4 +1,4 @@
-"""The map, its file formats, the library of maps on disk."""
+"""The map, its file formats, and the library of maps."""
 
 from rholoc.density import DensityKind
 from rholoc.maps.cameras import CameraLibrary, CameraProfile, check_camera_name

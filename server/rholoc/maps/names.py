@@ -1,4 +1,4 @@
-"""Names that people gave to a map's points and areas, and the labels of the map itself."""
+"""Names of a map's points and areas, and labels of the map."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class MapNames:
 
 @dataclass(frozen=True)
 class MapLabels:
-    """What lists of maps are grouped and searched by.
+    """Labels by which lists of maps are grouped and searched.
 
     Attributes:
         site: such as a building; empty if not given.

@@ -1,4 +1,4 @@
-"""Rooms, lights, walks: recordings with known truth, for the demo and the tests."""
+"""Simulated rooms, lights and walks: recordings with known truth, for the demo and the tests."""
 
 from rholoc.simulation.light import Light
 from rholoc.simulation.rearrangement import rearranged

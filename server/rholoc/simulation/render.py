@@ -78,7 +78,7 @@ class Atlas:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What each pixel's centre sees.
+    """Visible surface at each pixel's centre.
 
     Attributes:
         face: (H, W) int64, the face's index in ``scene.faces``.
@@ -119,7 +119,7 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Room:
-    """How one room of a building is painted: its faces' indices in all, its walls' first, then box after box."""
+    """Drawing data of one room: indices of its faces, walls first, then box after box."""
 
     draw_order: DrawOrder
     faces: range
