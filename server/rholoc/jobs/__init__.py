@@ -2,9 +2,9 @@
 
 from rholoc.jobs.build_process import BuildLimits
 from rholoc.jobs.capacity import Capacity, MoreMemoryNeeded
+from rholoc.jobs.data_import import ImportedData, import_data
 from rholoc.jobs.embedded import EmbeddedWorker
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
-from rholoc.jobs.moving_in import MovedIn, move_in
 from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
 from rholoc.jobs.query_store import KeptLimits, KeptQueries, QueryStore
 from rholoc.jobs.queue import JobQueue
@@ -28,6 +28,7 @@ __all__ = [
     "BuildLimits",
     "Capacity",
     "EmbeddedWorker",
+    "ImportedData",
     "Job",
     "JobKind",
     "JobOptions",
@@ -39,7 +40,6 @@ __all__ = [
     "MappingPipeline",
     "MappingTask",
     "MoreMemoryNeeded",
-    "MovedIn",
     "Obstacle",
     "PendingRecording",
     "Pipeline",
@@ -54,7 +54,7 @@ __all__ = [
     "UploadStore",
     "Worker",
     "corrected_waypoints",
-    "move_in",
+    "import_data",
     "read_notes",
     "read_thumbnail",
     "run_worker",

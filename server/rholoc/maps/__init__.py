@@ -24,10 +24,7 @@ from rholoc.maps.formats.trajectory_table import (
     write_trajectory_csv,
 )
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
-from rholoc.maps.library import MapLibrary
-from rholoc.maps.map import Map
-from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
-from rholoc.maps.memory import (
+from rholoc.maps.kept_observations import (
     Memory,
     check_memory,
     memory_of,
@@ -36,6 +33,9 @@ from rholoc.maps.memory import (
     unpacked_pixels,
     without_memory,
 )
+from rholoc.maps.library import MapLibrary
+from rholoc.maps.map import Map
+from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.names import (
     MapLabels,
     MapNames,

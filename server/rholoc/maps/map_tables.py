@@ -104,8 +104,8 @@ class MapLandmarks(MapTable):
         covariances: (F, 3, 3) float32, m², of the positions.
         colours: (F, 3) uint8, red, green and blue in the pictures; None if they are not known.
         patches: (F, 3) float32, for each feature a vector in the map frame along the orientation of its described
-            patch, with the patch's diameter as length [m] (:mod:`rholoc.geometry.patches`); NaN if unknown. None if all are
-            unknown.
+            patch, with the patch's diameter as length [m] (:mod:`rholoc.geometry.patches`); NaN if unknown. None if
+            all are unknown.
     """
 
     channels: ByteArray = field(metadata=_column(np.uint8))
@@ -183,8 +183,8 @@ class MapObservations(MapTable):
     Attributes:
         views: (V,) int32, the view of each, never decreasing.
         features: (V,) int32, its feature.
-        pixels: (V, 2) float64, u and v, in whole steps of :func:`rholoc.maps.memory.packed_pixels`; None if the
-            map does not keep them.
+        pixels: (V, 2) float64, u and v, in whole steps of
+            :func:`rholoc.maps.kept_observations.packed_pixels`; None if the map does not keep them.
     """
 
     views: IntArray = field(metadata=_column(np.int32))

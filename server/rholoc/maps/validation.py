@@ -7,9 +7,9 @@ import numpy as np
 from rholoc.errors import InvalidMap, RholocError
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.floor_plan import FloorPlan, check_plan
+from rholoc.maps.kept_observations import memory_fits, memory_of
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapTable
-from rholoc.maps.memory import memory_fits, memory_of
 
 _ROTATION_TOLERANCE = 1e-3
 _COVARIANCE_TOLERANCE = 1e-5  # rounding error of an eigenvalue, relative to the largest

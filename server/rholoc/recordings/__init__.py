@@ -2,9 +2,9 @@
 
 from rholoc.recordings.archive import MAX_FILES, check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json
-from rholoc.recordings.contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
 from rholoc.recordings.description import describe_recording
-from rholoc.recordings.frames.image import decode_image, read_image
+from rholoc.recordings.file_contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
+from rholoc.recordings.frames.image_decoding import decode_image, read_image
 from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.frames.video import MAX_FRAME_PIXELS, frame_pixels_limited
 from rholoc.recordings.reader import read_recording

@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import InvalidImage
 from rholoc.localization import MAX_FRAMES
-from rholoc.recordings.frames.image import IMAGE_START_BYTES, begins_like_an_image
+from rholoc.recordings.frames.image_decoding import IMAGE_START_BYTES, begins_like_an_image
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.frames.queries import Frame, effort_of, effort_of_set
 from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
