@@ -22,7 +22,7 @@ from rholoc.recordings.recording import (
 from rholoc.recordings.selection import parse_frame_slice
 from rholoc.recordings.tables.frames_table import read_frames_csv, write_frames_csv
 from rholoc.recordings.tables.imu_table import read_imu_csv, write_imu_csv
-from rholoc.recordings.tables.pose_table import PoseTable, read_pose_table
+from rholoc.recordings.tables.pose_table import read_pose_table
 from rholoc.recordings.tables.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
 from rholoc.recordings.walk.coaching import advise
 from rholoc.recordings.walk.stillness import pauses
@@ -45,7 +45,6 @@ __all__ = [
     "Look",
     "MemoryFrames",
     "PoseKind",
-    "PoseTable",
     "Recording",
     "RecordingFormat",
     "RecordingWarning",

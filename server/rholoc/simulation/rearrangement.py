@@ -72,7 +72,7 @@ class _Wall:
 
 
 def _walls(scene: Scene) -> list[_Wall]:
-    """Those of the room, and of what is built into it."""
+    """Walls of the room and of built-in boxes."""
     built_in = [box for box in scene.boxes if not box.piece and box.size[2] >= _FULL_HEIGHT * scene.room.size[2]]
     walls = []
     for box, way in [(scene.room, 1), *((box, -1) for box in built_in)]:

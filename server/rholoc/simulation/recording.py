@@ -175,7 +175,7 @@ def _film(
 
 
 def _read_out(height: int, readout_s: float) -> list[tuple[tuple[int, int], float]]:
-    """The rows that are read at once, from the first to before the last, and how much later than the middle row."""
+    """Ranges of rows read at once (first, last + 1), and their read-out time relative to the middle row [s]."""
     if readout_s == 0:
         return [((0, height), 0.0)]
     parts = [(top, min(top + _ROWS_AT_ONCE, height)) for top in range(0, height, _ROWS_AT_ONCE)]

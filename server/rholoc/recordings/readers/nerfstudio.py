@@ -127,7 +127,7 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def _number(values: dict[str, Any], name: str) -> float:
-    """A number, NaN where there is none.
+    """A number; NaN if missing.
 
     Raises:
         InvalidCamera: it is something else, or far too large.

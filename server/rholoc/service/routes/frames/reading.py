@@ -70,7 +70,7 @@ class OptionParameters:
     ] = None
 
     def options(self) -> dict[str, Any]:
-        """The same as the fields of :class:`LocalizeOptions`; what was not given is left out."""
+        """The given options as fields of :class:`LocalizeOptions`."""
         camera = _given(
             name=self.camera,
             fx=self.fx,
@@ -118,7 +118,7 @@ Options = Annotated[OptionParameters, Depends()]
 
 @asynccontextmanager
 async def read_frame(request: Request, options: OptionParameters, service: State) -> AsyncIterator[Frame]:
-    """One picture or descriptor set, whose memory is counted until the end of the block.
+    """Read one picture or descriptor set; its memory is counted until the end of the block.
 
     Raises:
         InvalidRequest, UnsupportedMediaType, TooLarge, InvalidImage, Busy: the body is none, or there is no room.
