@@ -228,11 +228,6 @@ class MapOutline:
     checksum: str = ""
 
 
-def load_info(path: Path) -> MapInfo:
-    """The description in a map's file. Raises as :func:`load_outline`."""
-    return load_outline(path).info
-
-
 def load_outline(path: Path) -> MapOutline:
     """Read the description in a map's file and the lengths of its arrays, but not the arrays.
 
