@@ -39,7 +39,7 @@ import numpy as np
 
 from rholoc.density import Evidence, RayDensities
 from rholoc.density.ray import RayOffsets
-from rholoc.evaluation.baselines import refine_by_density
+from rholoc.evaluation.pnp_baselines import refine_by_density
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query

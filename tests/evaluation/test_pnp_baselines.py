@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.evaluation.baselines import MatchSet, Solver, distinct, solve
 from rholoc.evaluation.errors import trajectory_errors
+from rholoc.evaluation.pnp_baselines import MatchSet, Solver, distinct, solve
 from rholoc.geometry import Camera, FloatArray, Pose
 from rholoc.localization.index.matches import Matches
 

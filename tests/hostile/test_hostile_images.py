@@ -16,7 +16,7 @@ from PIL import Image
 
 from rholoc.errors import InvalidImage
 from rholoc.features import get_extractor
-from rholoc.recordings.frames.image import MAX_JPEG_SCANS, decode_image, jpeg_scans, visited_pixels
+from rholoc.recordings.frames.image_decoding import MAX_JPEG_SCANS, decode_image, jpeg_scans, visited_pixels
 from rholoc.service.frames import frame_features
 from rholoc.service.frames.frame_features import extract_bounded
 from rholoc.service.frames.queries import effort_of_set

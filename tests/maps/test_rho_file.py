@@ -34,7 +34,7 @@ from rholoc.maps import (
     storable_patches,
     unpacked_pixels,
 )
-from rholoc.maps.formats.rho_file import _DESCRIPTORS, _LANDMARKS, _VIEWS, _checksum, load_info
+from rholoc.maps.formats.rho_file import _DESCRIPTORS, _LANDMARKS, _VIEWS, _checksum, load_outline
 from rholoc.maps.info import info_from_json, info_to_json
 from rholoc.reports import MapReport
 from same_maps import assert_same_tables
@@ -424,7 +424,7 @@ def test_a_header_of_endless_arrays_is_refused_before_it_is_parsed(tmp_path, mon
         path = tmp_path / "endless.rho"
         path.write_bytes(len(content).to_bytes(8, "little") + content)
         begun = time.process_time()
-        for read in (load_map, load_info):
+        for read in (load_map, load_outline):
             with pytest.raises(InvalidMap, match="header"):
                 read(path)
         assert time.process_time() - begun < 1.0

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from rholoc.recordings import read_recording
-from rholoc.recordings.frames.image import exif_focal_px
+from rholoc.recordings.frames.image_decoding import exif_focal_px
 from rholoc.recordings.frames.image_folder import ImageFolderFrames
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures
 

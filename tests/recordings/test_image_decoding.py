@@ -17,7 +17,7 @@ from PIL import Image
 
 from rholoc.errors import InvalidImage
 from rholoc.recordings import decode_image
-from rholoc.recordings.frames.image import image_size, read_image
+from rholoc.recordings.frames.image_decoding import image_size, read_image
 
 
 def gradient(width: int = 40, height: int = 30) -> np.ndarray:

@@ -214,7 +214,7 @@ def test_copies_leave_before_the_disk_is_full(open_storage: Any, monkeypatch: py
         used = sum(path.stat().st_size for path in folder.iterdir())
         return SimpleNamespace(total=10 * size, free=10 * size - used)
 
-    monkeypatch.setattr("rholoc.storage.copies.shutil.disk_usage", usage)
+    monkeypatch.setattr("rholoc.storage.object_cache.shutil.disk_usage", usage)
     for number in range(12):
         shared.library.put(f"map-{number}", tiny_map())
     assert usage(folder).free >= size

@@ -1,4 +1,4 @@
-"""The tree of commands, and how errors are reported: one line and an exit status, never a traceback."""
+"""The command tree, and error reports: one line and an exit status, never a traceback."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def _write_tracks(found: Flow, read: Recording, out: Path) -> None:
 
 
 def _write_dense(found: Flow, read: Recording, out: Path, pictures: int, fields: bool) -> dict[str, float | None]:
-    """Pictures of tracks and dense fields, and a table of the fields; by method, how far it is off the tracks, px."""
+    """Write pictures of tracks and dense fields, and a table. Returns each method's error against the tracks [px]."""
     import cv2
     import numpy as np
 
@@ -119,7 +119,7 @@ def _odometry(read: Recording, found: Flow, progress: ProgressListener) -> tuple
 
 
 def _write_odometry(posed: Trajectory, read: Recording, out: Path) -> dict[str, Any]:
-    """Table 6, and where the truth is known a plot beside it; the figures of both."""
+    """Write Table 6 and, with known truth, a plot; returns their figures."""
     import numpy as np
 
     from rholoc.evaluation.odometry import measure_odometry

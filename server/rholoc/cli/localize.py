@@ -112,7 +112,7 @@ def localize(
 
 
 def _guessed(recording: Recording) -> Camera:
-    """A camera of the frames' size, whose focal length will be estimated."""
+    """Nominal camera of the frames' size, for an unknown focal length."""
     from rholoc.geometry import Camera
 
     width, height = recording.frames.size
@@ -150,7 +150,7 @@ def _localize_frames(
 
 
 def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | int]]:
-    """Why frames were not localized: each cause with its count, and what to try, the most frequent first."""
+    """Causes of failures with counts and hints, the most frequent first."""
     found = [answer.diagnosis for answer in answers if answer.diagnosis is not None]
     counts = Counter(diagnosis.cause for diagnosis in found)
     example = {diagnosis.cause: diagnosis for diagnosis in reversed(found)}
@@ -163,7 +163,7 @@ def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | 
 def trajectory_table(
     frames: FrameSource, rows: Sequence[int], answers: Sequence[Localization | rholoc_client.Localization]
 ) -> TrajectoryTable:
-    """The poses that were found for some rows of the frames, as Table 6."""
+    """Table 6 of the answers with a pose; ``rows`` are the answers' frames."""
     from rholoc.maps import TrajectoryTable
 
     placed = [(row, answer, answer.pose) for row, answer in zip(rows, answers, strict=True) if answer.localized]

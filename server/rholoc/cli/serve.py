@@ -84,7 +84,7 @@ def serve(
         source = settings.maps_dir if settings.shared_storage is None else "the shared storage"
 
         class Announced(uvicorn.Server):
-            """Says where it serves once it does: an interrupt that comes later ends it in order."""
+            """Prints its address once it serves; from then on an interrupt ends it cleanly."""
 
             async def startup(self, sockets: list[socket.socket] | None = None) -> None:
                 await super().startup(sockets)
@@ -99,7 +99,7 @@ def serve(
         server = Announced(config)
         configure_process_logs()
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
-        # What the modules made stays for good. To look through it all takes a tenth of a second, and all threads wait.
+        # Objects of modules are permanent. Scanning them takes 0.1 s, for which all threads wait.
         gc.collect()
         gc.freeze()
         if keys is not None and keys_needed(settings.keys, settings.host) and not keys.keys():
@@ -110,12 +110,12 @@ def serve(
             _end_at_once(130)
     if not server.started:
         raise InvalidInput("The server did not start.", "The lines above say why.")
-    if compute_threads() or storage_threads():  # Python would wait for them, though nobody needs their results
+    if compute_threads() or storage_threads():  # Python would wait for them
         _end_at_once(0)
 
 
 def _end_at_once(status: int) -> NoReturn:
-    """End this process without Python's tidying up, which waits for threads, or crashes beside those in native code."""
+    """End this process without Python's clean-up, which waits for threads or crashes beside native ones."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
@@ -160,7 +160,7 @@ def _keys(settings: Settings) -> KeyStore | None:
     """The API keys; None, after a notice, if the database does not answer: the server starts without it.
 
     Raises:
-        Conflict: the SQLite file is none.
+        Conflict: the file is not an SQLite database.
         InvalidInput: PostgreSQL refuses the connection.
     """
     from sqlalchemy.exc import SQLAlchemyError
@@ -178,10 +178,10 @@ def _keys(settings: Settings) -> KeyStore | None:
 
 
 def opened_keys(settings: Settings) -> KeyStore:
-    """The API keys, read from a database that has just answered.
+    """The API keys, after a successful connection to the database.
 
     Raises:
-        InvalidInput, Conflict, StorageFull, StorageUnavailable: it cannot be opened.
+        InvalidInput, Conflict, StorageFull, StorageUnavailable: the database cannot be opened.
     """
     from rholoc.jobs.stores import KEYS
     from rholoc.service.access.keys import KeyStore

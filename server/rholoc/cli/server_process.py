@@ -20,7 +20,7 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True)
 class RunningServer:
-    """Where a server answers and where its log is."""
+    """URL and log file of a running server."""
 
     url: str
     log: Path

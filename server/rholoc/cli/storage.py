@@ -22,7 +22,7 @@ def _group() -> None:
 @app.command("import")
 def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
     """Copy maps, cameras, sites, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
-    from rholoc.jobs import move_in
+    from rholoc.jobs import import_data
 
     settings = service_settings(maps_dir=maps, data_dir=data)
     stores = settings.stores()
@@ -31,7 +31,7 @@ def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) 
     stores.open()
     try:
         with fraction_progress("importing") as advance:
-            moved = move_in(settings.maps_dir, settings.data_dir, stores, advance)
+            moved = import_data(settings.maps_dir, settings.data_dir, stores, advance)
     finally:
         stores.close()
     if as_json:

@@ -1,4 +1,4 @@
-"""Whether a file can be written, asked before the work whose result it is to hold."""
+"""Check that an output file can be written before the work begins."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rholoc.errors import InvalidInput
 
 
 def check_target(path: Path, what: str) -> Path:
-    """The path, if a file for ``what`` can be written there.
+    """Return the path after checking that a file for ``what`` can be written there.
 
     Raises:
         InvalidInput: its folder does not exist or is not writable, or it is a folder itself.

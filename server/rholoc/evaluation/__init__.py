@@ -8,7 +8,7 @@ from rholoc.evaluation.errors import (
     rigid_alignment,
     trajectory_errors,
 )
-from rholoc.evaluation.matching import FramePoses, in_range, pair_poses
+from rholoc.evaluation.pose_pairing import FramePoses, in_range, pair_poses
 from rholoc.evaluation.reading import read_frame_poses
 
 __all__ = [

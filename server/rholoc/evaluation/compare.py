@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from rholoc.density import DensityKind
-from rholoc.evaluation.baselines import (
+from rholoc.evaluation.errors import PoseErrors, quantile, trajectory_errors
+from rholoc.evaluation.pnp_baselines import (
     MatchSet,
     RansacOptions,
     Solver,
@@ -21,9 +22,8 @@ from rholoc.evaluation.baselines import (
     refine_by_density,
     solve,
 )
-from rholoc.evaluation.errors import PoseErrors, quantile, trajectory_errors
-from rholoc.evaluation.retrieval import VladPipeline
 from rholoc.evaluation.splits import QuerySet
+from rholoc.evaluation.vlad_baseline import VladPipeline
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import ByteArray, FloatArray, direction_angles
 from rholoc.localization import Dof, Localizer, Query

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.errors import InvalidTrajectory
-from rholoc.evaluation.matching import FramePoses
+from rholoc.evaluation.pose_pairing import FramePoses
 from rholoc.maps import read_trajectory_csv
 from rholoc.recordings import read_pose_table
 

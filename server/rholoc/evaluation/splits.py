@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import InvalidRecording
-from rholoc.evaluation.matching import FramePoses, in_range
+from rholoc.evaluation.pose_pairing import FramePoses, in_range
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.recordings import GivenPoses, Recording, parse_frame_slice

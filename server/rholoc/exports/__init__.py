@@ -1,4 +1,4 @@
-"""A map for other programs, in every format that it can be exported to."""
+"""Export of maps to the formats of other programs."""
 
 from rholoc.exports.formats import ExportFormat, export_map, parse_features
 

@@ -1,4 +1,4 @@
-"""A map for other programs, in every format that it can be exported to."""
+"""Formats to which a map can be exported."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from rholoc.maps import (
 from rholoc.maps.formats.surfaces import MAX_SURFACES
 from rholoc.paper.observation_table import observation_table
 
-_SURFACES = 500  # where none are chosen
+_SURFACES = 500  # default number
 _PIECE_BYTES = 2**18
 _FEATURES = re.compile(r"([0-9]{1,9})(?::([0-9]{1,9}))?")
 
 
 class ExportFormat(StrEnum):
-    """What a map can be exported to."""
+    """Format of an export."""
 
     RHO = "rho"  # the native map
     CSV = "csv"  # Table 5: its densities' coefficients; reads back to the same map
@@ -89,7 +89,7 @@ def export_map(
     degree: int | None = None,
     features: Sequence[int] | None = None,
 ) -> Iterator[bytes]:
-    """A map's file in another format, piece by piece.
+    """Export a map; yields the file's content in pieces.
 
     Args:
         map_: the map.
@@ -100,7 +100,7 @@ def export_map(
 
     Raises:
         InvalidInput: an option is out of range or for another format, or the map does not remember its observations.
-        InvalidMap: the map contradicts itself.
+        InvalidMap: the map is inconsistent.
     """
     if degree is not None and to is not ExportFormat.CSV:
         raise InvalidInput(f"A degree does not apply to {to}.", "Only csv takes one.")
@@ -165,7 +165,7 @@ def _most_seen(map_: Map) -> list[int]:
 
 
 def _pieces(lines: Iterator[str]) -> Iterator[bytes]:
-    """Lines in pieces of some length. The first is made at once, so that errors come before anything is written."""
+    """Join lines to larger pieces. Makes the first piece immediately, to raise errors before anything is written."""
     return _joined(chain([next(lines)], lines))
 
 

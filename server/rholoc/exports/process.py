@@ -1,4 +1,4 @@
-"""Long exports, in a process of their own: it can be killed, and localization does not wait for it.
+"""Child process for long exports: it can be killed, and localization does not wait for it.
 
 One JSON object on the standard input says what to export; the file comes out on the standard output. What the map or an
 option does not allow is one JSON object on the standard error, with exit status 3.

@@ -66,7 +66,7 @@ def _name(view: int) -> str:
 
 
 def _sources(map_: Map) -> list[int]:
-    """The source (K) of each view; the first of a map that does not keep them."""
+    """The source (K) of each view; 0 for all if the map does not keep them."""
     sources = map_.views.sources
     return [0] * len(map_.views) if sources is None else sources.tolist()
 
@@ -104,7 +104,7 @@ def _colmap_camera(camera: Camera) -> tuple[str, tuple[float, ...]]:
 
 
 def _images(map_: Map) -> Iterator[str]:
-    """Each view's pose, T_camera_map, and what it sees: pixels, and the landmark of each."""
+    """Each view's pose T_camera_map, and pixel and landmark of its observations."""
     yield "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME"
     yield "# POINTS2D[] as (X, Y, POINT3D_ID)"
     seen, offsets = map_.observations, map_.view_offsets

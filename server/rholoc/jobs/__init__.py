@@ -2,10 +2,10 @@
 
 from rholoc.jobs.build_process import BuildLimits
 from rholoc.jobs.capacity import Capacity, MoreMemoryNeeded
+from rholoc.jobs.data_import import ImportedData, import_data
 from rholoc.jobs.embedded import EmbeddedWorker
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
-from rholoc.jobs.moving_in import MovedIn, move_in
-from rholoc.jobs.pipeline import MappingPipeline, MappingTask, Pipeline
+from rholoc.jobs.pipeline import MappingPipeline, MappingTask
 from rholoc.jobs.query_store import KeptLimits, KeptQueries, QueryStore
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.recording_notes import (
@@ -21,13 +21,14 @@ from rholoc.jobs.recording_store import PendingRecording, RecordingEntry, Record
 from rholoc.jobs.stores import Stores
 from rholoc.jobs.timing import Timing
 from rholoc.jobs.upload_store import Upload, UploadStore
-from rholoc.jobs.worker import Worker, run_worker
+from rholoc.jobs.worker import run_worker
 
 __all__ = [
     "WAYPOINTS_FILE",
     "BuildLimits",
     "Capacity",
     "EmbeddedWorker",
+    "ImportedData",
     "Job",
     "JobKind",
     "JobOptions",
@@ -39,10 +40,8 @@ __all__ = [
     "MappingPipeline",
     "MappingTask",
     "MoreMemoryNeeded",
-    "MovedIn",
     "Obstacle",
     "PendingRecording",
-    "Pipeline",
     "QueryStore",
     "RecordedWaypoint",
     "RecordingEntry",
@@ -52,9 +51,8 @@ __all__ = [
     "Timing",
     "Upload",
     "UploadStore",
-    "Worker",
     "corrected_waypoints",
-    "move_in",
+    "import_data",
     "read_notes",
     "read_thumbnail",
     "run_worker",

@@ -33,7 +33,7 @@ class EmbeddedWorker:
     """Runs ``python -m rholoc.jobs`` as a child, restarts it if it dies, and stops it with its parent.
 
     Args:
-        data_dir, maps_dir, database_url, limits, storage_url, capacity: as for :class:`rholoc.jobs.Worker`.
+        data_dir, maps_dir, database_url, limits, storage_url, capacity: as for :class:`rholoc.jobs.worker.Worker`.
         queue: receives reports that workers die repeatedly; None for no reports.
     """
 

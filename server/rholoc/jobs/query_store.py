@@ -242,7 +242,7 @@ class QueryStore:
 
 
 def _queries(stored: Iterable[StoredObject]) -> Iterator[_Entry]:
-    """The objects whose names are those of queries."""
+    """Entries of the objects with valid query names."""
     for one in stored:
         match = _NAME.fullmatch(one.key.rpartition("/")[2])
         if match is not None:

@@ -243,7 +243,7 @@ class RecordingStore:
         return entry
 
     def take_in(self, folder: Path, entry: RecordingEntry) -> None:
-        """Store a copy of a recording whose files are in a folder elsewhere.
+        """Store a copy of a recording from a folder elsewhere.
 
         Raises:
             StorageUnavailable, StorageFull: it is not stored.
@@ -411,7 +411,7 @@ class RecordingStore:
         self.objects.put(_key(entry.id, ENTRY_FILE), json.dumps(asdict(entry)).encode())
 
     def _drop_abandoned(self) -> None:
-        """Remove uploads whose process died: an upload in progress is younger than a day."""
+        """Remove uploads older than a day, whose processes have died."""
         for folder in self.root.glob(f"{_PENDING_PREFIX}*"):
             try:
                 abandoned = time.time() - folder.stat().st_mtime > _PENDING_EXPIRES_S

@@ -12,10 +12,10 @@ from rholoc.maps import Documents, FolderDocuments, MapLibrary
 from rholoc.maps.cameras import FOLDER as CAMERAS_FOLDER
 from rholoc.maps.sites import SITES_FOLDER
 from rholoc.storage import ObjectStorage
-from rholoc.storage.copies import Copies
 from rholoc.storage.database import check_database, database_engine, reporting_full_database
 from rholoc.storage.documents import StoredDocuments
 from rholoc.storage.maps import ActOnPublishing, StoredMaps
+from rholoc.storage.object_cache import Copies
 from rholoc.storage.replica import Replica
 
 ASKERS, CAMERAS, KEYS, SITES = "askers", "cameras", "keys", "sites"  # kinds of small files

@@ -482,7 +482,7 @@ _kind_of_row = jobs_table.c.options["kind"].as_string()
 
 
 def _new_run(job_id: str) -> str:
-    """Id of a new run of a job: a retry must not find what the run before built."""
+    """Id of a new run of a job, so that a retry does not find the previous run's files."""
     return f"{job_id}-{uuid.uuid4().hex[:8]}"
 
 

@@ -49,7 +49,7 @@ class WorkerTable:
         self._put(starter, None, error)
 
     def remove(self, worker: str) -> None:
-        """Forget a worker, or what a starter of workers reported."""
+        """Remove a worker, or the report of a process that starts workers."""
         with self._engine.begin() as connection:
             connection.execute(workers_table.delete().where(workers_table.c.id == worker))
 
@@ -60,7 +60,7 @@ class WorkerTable:
             connection.execute(workers_table.delete().where(of_process))
 
     def living(self, dead_after_s: float = DEAD_AFTER_S) -> list[WorkerOffer]:
-        """The workers whose heartbeat is younger than ``dead_after_s``."""
+        """Workers with a heartbeat younger than ``dead_after_s``."""
         recent = workers_table.c.heartbeat > time.time() - dead_after_s
         with self._engine.connect() as connection:
             found = connection.execute(sa.select(workers_table).where(recent, workers_table.c.error.is_(None)))
@@ -76,7 +76,7 @@ class WorkerTable:
             return connection.execute(reported.order_by(workers_table.c.heartbeat.desc()).limit(1)).scalar()
 
     def forget(self, dead_after_s: float) -> None:
-        """Forget the workers whose heartbeat is older than ``dead_after_s``, and old errors."""
+        """Remove workers with a heartbeat older than ``dead_after_s``, and old errors."""
         now, heartbeat, error = time.time(), workers_table.c.heartbeat, workers_table.c.error
         old = sa.or_(
             sa.and_(error.is_(None), heartbeat < now - dead_after_s),

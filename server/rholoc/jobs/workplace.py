@@ -60,7 +60,7 @@ class Workplace:
         )
 
     def built_file(self, lease: Lease, work: JobWork) -> Path:
-        """The file with what a run built. It exists only once it is complete."""
+        """Output file of a run. It exists only once it is complete."""
         return self._folder(lease) / (_MAP_FILE if work.options.site is None else _LINKS_FILE)
 
     def library(self, note: ActOnPublishing) -> MapLibrary:

@@ -4,7 +4,7 @@ from rholoc.localization.belief.confidence import MIN_RECOGNIZED
 from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis
 from rholoc.localization.index.map_finder import VECTORS_FILE, MapFinder
 from rholoc.localization.index.view_index import LikelyMap
-from rholoc.localization.large_map import LARGE_MAP, AnyLocalizer, LargeMapLocalizer, localizer_of
+from rholoc.localization.large_map import AnyLocalizer, LargeMapLocalizer, localizer_of
 from rholoc.localization.localizer import Localizer
 from rholoc.localization.place_recognition import LikelyView, likeliest_views
 from rholoc.localization.several_frames import (
@@ -27,7 +27,6 @@ from rholoc.localization.types import (
 )
 
 __all__ = [
-    "LARGE_MAP",
     "MAX_FRAMES",
     "MIN_FRAMES",
     "MIN_RECOGNIZED",

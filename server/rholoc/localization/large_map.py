@@ -102,8 +102,7 @@ class _NearestInPart(NearestLandmarks):
     """Nearest landmarks in the whole map, restricted to a part of it.
 
     A feature that resembles a landmark elsewhere most has no match in the part, and a similar landmark elsewhere is
-    still a
-    rival.
+    still a rival.
 
     Attributes:
         part: the part.

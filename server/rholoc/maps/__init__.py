@@ -1,4 +1,4 @@
-"""The map, its file formats, the library of maps on disk."""
+"""The map, its file formats, and the library of maps."""
 
 from rholoc.density import DensityKind
 from rholoc.maps.cameras import CameraLibrary, CameraProfile, check_camera_name
@@ -13,7 +13,7 @@ from rholoc.maps.formats.coefficient_table import coefficient_table, write_coeff
 from rholoc.maps.formats.gltf import map_to_gltf
 from rholoc.maps.formats.observation_table import ObservationTable, observations_csv
 from rholoc.maps.formats.ply_and_vtp import landmark_sigmas, map_to_ply, map_to_vtp
-from rholoc.maps.formats.rho_file import MapOutline, load_info, load_map, map_to_bytes, save_map
+from rholoc.maps.formats.rho_file import MapOutline, load_map, map_to_bytes, save_map
 from rholoc.maps.formats.scene import cloud_to_bytes, map_to_scene
 from rholoc.maps.formats.surfaces import map_surfaces_vtp
 from rholoc.maps.formats.trajectory_table import (
@@ -24,10 +24,7 @@ from rholoc.maps.formats.trajectory_table import (
     write_trajectory_csv,
 )
 from rholoc.maps.info import MapInfo, MapWaypoint, Source
-from rholoc.maps.library import MapLibrary
-from rholoc.maps.map import Map
-from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
-from rholoc.maps.memory import (
+from rholoc.maps.kept_observations import (
     Memory,
     check_memory,
     memory_of,
@@ -36,6 +33,9 @@ from rholoc.maps.memory import (
     unpacked_pixels,
     without_memory,
 )
+from rholoc.maps.library import MapLibrary
+from rholoc.maps.map import Map
+from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.names import (
     MapLabels,
     MapNames,
@@ -52,7 +52,6 @@ from rholoc.maps.part import MapPart, part_of
 from rholoc.maps.patch_bytes import moved_patches, packed_patches, storable_patches, unpacked_patches
 from rholoc.maps.sites import (
     MAX_MAPS,
-    SITES_FOLDER,
     FramePose,
     LinkOrigin,
     Site,
@@ -68,7 +67,6 @@ from rholoc.maps.validation import check_usable, validate_map
 __all__ = [
     "MAX_MAPS",
     "MAX_PLAN_BYTES",
-    "SITES_FOLDER",
     "CameraLibrary",
     "CameraProfile",
     "Cloud",
@@ -122,7 +120,6 @@ __all__ = [
     "expected_error_m",
     "is_coefficient_table",
     "landmark_sigmas",
-    "load_info",
     "load_map",
     "map_surfaces_vtp",
     "map_to_bytes",

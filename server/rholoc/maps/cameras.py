@@ -19,7 +19,7 @@ _SUFFIX = ".json"
 
 @dataclass(frozen=True)
 class CameraProfile:
-    """A camera's intrinsics and how accurate they are known to be.
+    """A camera's intrinsics and their accuracy.
 
     ``calibration`` is JSON: ``rms_px``, ``views``, ``sigmas_px`` and more if a board calibrated it; else empty.
     """
@@ -34,8 +34,8 @@ class CameraLibrary:
     The files have the members of a recording's ``camera.json``, and can be used as one.
 
     Args:
-        maps_dir: the folder of maps, in which they are ``cameras/NAME.json``.
-        files: where they are kept instead.
+        maps_dir: the folder of maps, with cameras as ``cameras/NAME.json``.
+        files: used instead of ``maps_dir``.
     """
 
     def __init__(self, maps_dir: Path, files: Documents | None = None) -> None:
@@ -89,7 +89,7 @@ class CameraLibrary:
             raise self._unknown(name) from error
 
     def named_in(self, text: str | None) -> Camera | str | None:
-        """The stored camera that ``text`` names; what users write for :meth:`Camera.parse` is returned as is.
+        """The stored camera called ``text``; text for :meth:`Camera.parse` is returned unchanged.
 
         Raises:
             InvalidName, UnknownCamera, InvalidCamera: as :meth:`get` does.
@@ -109,10 +109,10 @@ class CameraLibrary:
 
 
 def check_camera_name(name: str) -> str:
-    """The name, if it may name a camera.
+    """Return the name of a camera, checked.
 
     Raises:
-        InvalidName: it may not.
+        InvalidName: it is not valid.
     """
     return check_name(name, "camera")
 

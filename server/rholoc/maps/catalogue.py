@@ -1,4 +1,4 @@
-"""Which file each map's name stands for: what a catalogue of maps can do, and which names maps may have."""
+"""Catalogue of maps (name → file), and the rules for names."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _ALL = "all"
 
 
 def is_name(name: str) -> bool:
-    """Whether maps and cameras may have this name: 1–64 letters, digits, ``.``, ``_``, ``-``; no ``.``, ``-`` first."""
+    """Whether a name is valid: 1–64 letters, digits, ``.``, ``_``, ``-``, not beginning with ``.`` or ``-``."""
     return _NAME.fullmatch(name) is not None
 
 
 def is_map_name(name: str) -> bool:
-    """Whether a map may have this name: not ``all``, which means all maps where several can be named."""
+    """Whether a map may have this name. ``all`` is reserved: it stands for all maps."""
     return is_name(name) and name != _ALL
 
 
 def check_name(name: str, what: str) -> str:
-    """The name, if it is valid for a ``what``.
+    """Return the name, checked; error messages call it a ``what``.
 
     Raises:
         InvalidName: it is not.
@@ -49,7 +49,7 @@ def check_name(name: str, what: str) -> str:
 
 
 def check_map_name(name: str) -> str:
-    """The name, if it is valid for a map.
+    """Return the name of a map, checked.
 
     Raises:
         InvalidName: it is not.
@@ -66,14 +66,14 @@ def some_of(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class MapFile:
-    """A map's file. Equal ones have the same content.
+    """A map's file. Equal objects have equal content.
 
     Attributes:
-        key: by which its catalogue finds it.
+        key: in its catalogue.
         size_bytes: its size.
         modified: when it was published, seconds since 1970, UTC.
-        signature: changes whenever another file takes its place.
-        map_id, version: of the map; None where they stand in the file alone.
+        signature: changes whenever the file is replaced.
+        map_id, version: of the map; None if only the file has them.
     """
 
     key: str
@@ -85,7 +85,7 @@ class MapFile:
 
 
 class MapChange(Protocol):
-    """A change of a catalogue, made whole or not at all."""
+    """An atomic change of a catalogue."""
 
     def present(self, name: str) -> MapFile | None:
         """The file of a name; None if no map has it."""
@@ -96,15 +96,15 @@ class MapChange(Protocol):
         ...
 
     def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
-        """Give a name to a file, or to none, and keep the first :data:`KEPT_VERSIONS` of ``versions``."""
+        """Set a name's file (None deletes it), and keep the first :data:`KEPT_VERSIONS` of ``versions``."""
         ...
 
 
 class MapCatalogue(ABC):
-    """Which file each map's name stands for, and which it stood for before. Safe to share between threads, processes.
+    """Present and previous files of each map's name. Safe to share between threads and processes.
 
     Attributes:
-        holds_only_maps: whether all files were found to be maps before they got a name.
+        holds_only_maps: whether all files are verified to be maps before they get a name.
     """
 
     holds_only_maps = False
@@ -128,18 +128,18 @@ class MapCatalogue(ABC):
 
     @abstractmethod
     def stamp(self) -> int | None:
-        """Changes whenever a map is published, renamed or deleted, by any process; None where that is not known."""
+        """Value that changes with every publication, renaming or deletion by any process; None if unknown."""
 
     def refresh(self) -> None:
-        """See what other processes have changed, if that can be seen now."""
+        """Load other processes' changes, if possible now."""
         return
 
     def look_again(self) -> None:
-        """:meth:`refresh` on a miss, at most a few times a second."""
+        """:meth:`refresh` on a cache miss, at most a few times a second."""
         return
 
     def is_here(self, file: MapFile) -> bool:
-        """Whether :meth:`local` would need this machine's disk alone."""
+        """Whether :meth:`local` needs no fetch."""
         return True
 
     @abstractmethod
@@ -153,7 +153,7 @@ class MapCatalogue(ABC):
 
     @abstractmethod
     def outline(self, file: MapFile, name: str) -> MapOutline:
-        """Description and size of a map called ``name``, by the header of its file. No more than that is fetched.
+        """Description and size of a map called ``name``, from its file's header; fetches only the header.
 
         Raises:
             InvalidMap: the file is not a map.
@@ -162,15 +162,15 @@ class MapCatalogue(ABC):
 
     @abstractmethod
     def make_room(self) -> None:
-        """Make room in :attr:`folder` for a file that arrives. Raises InvalidInput, StorageFull."""
+        """Make room in :attr:`folder` for an incoming file. Raises InvalidInput, StorageFull."""
 
     @abstractmethod
     def store(self, arrived: Path, map_: Map) -> MapFile:
-        """Store the file of a map, which has no name yet. Raises StorageUnavailable, StorageFull."""
+        """Store a map's file without a name. Raises StorageUnavailable, StorageFull."""
 
     @abstractmethod
     def changing(self, published: Map | None = None) -> AbstractContextManager[MapChange]:
-        """A change that is made at the end of the block, unless that raises. ``published`` is the map that gets a name.
+        """A change applied at the end of the block unless it raises. ``published`` is the map that gets a name.
 
         Raises:
             StorageFull, OSError, SQLAlchemyError: nothing was changed.
@@ -178,9 +178,9 @@ class MapCatalogue(ABC):
 
     @abstractmethod
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
-        """Names, numbers and copies of all files of one moment. A copy may be gone when the next one is asked for.
+        """Consistent snapshot of all files: names, numbers, copies. A copy may be gone when the next one is requested.
 
-        The number is 0 for the map of that name, from 1 for those that it replaced, the last replaced first.
+        Number 0 is the map of that name; from 1 on, the maps that it replaced, the last replaced first.
 
         Raises:
             MissingObject: a file was removed meanwhile.
@@ -189,8 +189,8 @@ class MapCatalogue(ABC):
 
     @abstractmethod
     def sweep(self) -> None:
-        """Remove files that belong to no map, and complete a change that a crash broke off.
+        """Remove files without a name, and complete a change interrupted by a crash.
 
         Raises:
-            StorageUnavailable, SQLAlchemyError: it is done the next time.
+            StorageUnavailable, SQLAlchemyError: the sweep is incomplete.
         """

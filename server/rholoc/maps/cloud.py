@@ -1,4 +1,4 @@
-"""Points of a room that localization does not use: they are kept so that people can see the room."""
+"""Points of a room for display only; localization does not use them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Cloud:
     Attributes:
         positions: (P, 3) float32, metres, map frame.
         colours: (P, 3) uint8, red, green and blue in the pictures.
-        sources: (P,) int32, which of the map's sources each comes from.
+        sources: (P,) int32, row of the map's sources for each point.
     """
 
     positions: FloatArray = field(default_factory=lambda: np.zeros((0, 3), dtype=np.float32))
@@ -27,7 +27,7 @@ class Cloud:
         return len(self.positions)
 
     def keep(self, kept: BoolArray | IntArray) -> Cloud:
-        """Only the points where ``kept`` (P,) holds, or those of these rows."""
+        """The points selected by ``kept``, a mask (P,) or rows."""
         return Cloud(self.positions[kept], self.colours[kept], self.sources[kept])
 
     def moved(self, similarity: Similarity) -> Cloud:

@@ -1,4 +1,4 @@
-"""What people corrected in a map after it was built."""
+"""Corrections of a map by people after it was built."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from enum import StrEnum
 class CorrectionKind(StrEnum):
     """What was corrected."""
 
-    ORIGIN = "origin"  # which point is (0, 0, 0)
-    NORTH = "north"  # which direction is y
-    WALL = "wall"  # along which wall x runs
-    UP = "up"  # which direction is z
-    SCALE = "scale"  # how long a metre is
+    ORIGIN = "origin"  # the point (0, 0, 0)
+    NORTH = "north"  # the direction of y
+    WALL = "wall"  # a wall along x
+    UP = "up"  # the direction of z
+    SCALE = "scale"  # the unit of length
     PLAN = "plan"  # the map aligned with a floor plan, by points of both
     REGION = "region"  # landmarks of a region removed
     WALK = "walk"  # a piece of a walk removed
@@ -24,10 +24,10 @@ class CorrectionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Correction:
-    """One correction, which made a version of a map.
+    """One correction, which made a new version of a map.
 
-    If the map's frame moved, a point x of the previous version is now at ``scale`` · ``rotation`` x + ``translation``;
-    otherwise these are None.
+    If it moved the map's frame, a point x of the previous version is now at ``scale`` · ``rotation`` x +
+    ``translation``; otherwise these are None.
 
     Attributes:
         version: of the map.
@@ -36,8 +36,8 @@ class Correction:
         scale: of lengths.
         rotation: (3, 3), rows.
         translation: (3,) metres.
-        residual_m: how far the map's points are from the plan's, root mean square.
-        landmarks_removed, views_removed: how many were removed.
+        residual_m: RMS distance between the map's and the floor plan's points.
+        landmarks_removed, views_removed: their numbers.
     """
 
     version: int

@@ -1,8 +1,8 @@
 """A map's coverage: how many landmarks a camera would see, by position and heading.
 
-Positions lie on a grid around the views, at the height the camera was held; at each of them a camera like the map's
-looks in twelve directions. A landmark counts if it may be expected from there (presence π_f,
-:mod:`rholoc.density.presence`) and is in the field of view. Obstacles between the views are not known.
+Positions lie on a grid around the views, at the height of the camera; at each, a camera like the map's looks in twelve
+directions. A landmark counts if it is expected from there (presence π_f, :mod:`rholoc.density.presence`) and in the
+field of view. Occlusions between the views are unknown.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from rholoc.maps.map import Map
 from rholoc.reports import CoverageReport
 
 HEADINGS = 12
-SUFFICIENT = 60  # landmarks in view with which localization can be expected
+SUFFICIENT = 60  # landmarks in view, for localization to be expected
 
 _STEP_M = 0.25
 _REACH_M = 0.75  # from a view
 _MAX_CELLS = 250
-_GROWTH = 1.15  # of the step, while there are too many cells
+_GROWTH = 1.15  # factor for the step while there are too many cells
 _MAX_COUNT = 9999
 _MIN_UPRIGHT = np.cos(np.deg2rad(45.0))
 _DEPTH_OF_A_ROOM_M = 2.5  # the assumed distance of landmarks in a map of arbitrary scale
@@ -39,8 +39,8 @@ class Coverage:
         axes: (2, 3) unit vectors of a cell's first and second index.
         up: (3,) unit vector across the plane.
         step_m: between cells.
-        pitch_deg: how far the camera looks above the plane.
-        cells: (C, 2) numbers of the cells.
+        pitch_deg: of the camera above the plane.
+        cells: (C, 2) indices of the cells.
         headings_deg: (H,) from the first axis towards the second.
         counts: (C, H) landmarks in view, at most 9999.
     """
@@ -61,7 +61,7 @@ class Coverage:
 
     @property
     def share_sufficient(self) -> float:
-        """The share of positions and headings that see enough landmarks."""
+        """Share of positions and headings with at least ``SUFFICIENT`` landmarks in view."""
         return float((self.counts >= SUFFICIENT).mean()) if self.counts.size else 0.0
 
     def report(self) -> CoverageReport:
@@ -84,10 +84,10 @@ class Coverage:
 
 
 def coverage_of(map_: Map) -> Coverage:
-    """How many landmarks a camera like the map's would see from where the views were, and from 0.75 m around them.
+    """Coverage of a map within ``_REACH_M`` of its views.
 
     The plane is horizontal if the map is upright, else perpendicular to the views' mean up. The step is 0.25 m, or more
-    if that would make more than 250 positions; in maps of arbitrary scale the landmarks' distance defines a metre.
+    to have at most 250 positions; in maps of arbitrary scale the landmarks' distance defines a metre.
     """
     positions, rotations = map_.views.positions, map_.views.T_map_camera[:, :3, :3]
     up, axes = _plane(rotations, map_.info.upright)
@@ -114,7 +114,7 @@ def _rows(array: FloatArray | IntArray) -> tuple[tuple[Any, ...], ...]:
 
 
 def _plane(rotations: FloatArray, upright: bool) -> tuple[FloatArray, FloatArray]:
-    """Up (3,), and two axes (2, 3) of the plane across it, right-handed; x and y where z is up."""
+    """Up (3,), and two axes (2, 3) of the plane across it, right-handed; x and y if z is up."""
     z = np.array([0.0, 0.0, 1.0])
     mean = -rotations[:, :, 1].mean(axis=0) if len(rotations) else z
     length = np.linalg.norm(mean)
@@ -128,14 +128,14 @@ def _plane(rotations: FloatArray, upright: bool) -> tuple[FloatArray, FloatArray
 
 
 def _height_and_pitch(positions: FloatArray, rotations: FloatArray, up: FloatArray) -> tuple[float, float]:
-    """Medians over the views: the height in metres, and radians above the plane."""
+    """Median height [m] and median pitch above the plane [rad] of the views."""
     if len(positions) == 0:
         return 0.0, 0.0
     return float(np.median(positions @ up)), float(np.median(np.arcsin(np.clip(rotations[:, :, 2] @ up, -1, 1))))
 
 
 def _metre(map_: Map, positions: FloatArray) -> float:
-    """The length of a metre in the map's unit."""
+    """Length of a metre in the map's unit."""
     if map_.info.metric or len(map_.observations) == 0:
         return 1.0
     seen_from = positions[map_.observations.views]
@@ -144,7 +144,7 @@ def _metre(map_: Map, positions: FloatArray) -> float:
 
 
 def _grid(places: FloatArray, metre: float) -> tuple[FloatArray, float, IntArray]:
-    """The origin (2,), the step, and the cells (C, 2) within reach of ``places`` (K, 2)."""
+    """Origin (2,), step, and cells (C, 2) of the grid within reach of ``places`` (K, 2)."""
     step = _STEP_M * metre
     if len(places) == 0:
         return np.zeros(2), step, np.zeros((0, 2), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Small files by name: in a folder here, or wherever else a service keeps what all its servers share."""
+"""Small files by name, in a folder or in a store shared by several servers."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pathlib import Path
 from rholoc.disk import locked_folder, make_folder, replace_file
 from rholoc.maps.catalogue import is_name
 
-_TICK_NS = 2 * 10**9  # a folder that changed within its clock's last tick may change again and look the same
+_TICK_NS = 2 * 10**9  # a folder may change again within a tick of its clock without a new time of change
 
 Accepts = Callable[[bytes | None], bool]
 
 
 class Documents(ABC):
-    """Small files by name, each replaced whole or not at all. Safe to share between threads and processes."""
+    """Small files by name, each replaced atomically. Safe to share between threads and processes."""
 
     @abstractmethod
     def names(self) -> list[str]:
@@ -28,17 +28,17 @@ class Documents(ABC):
 
     @abstractmethod
     def stamp(self) -> object:
-        """What differs once any file has changed; None where it is too early to tell."""
+        """Value that changes when any file changes; None if it is too early to tell."""
 
     @abstractmethod
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
-        """Store a file if ``accepts`` is None or returns True for its present content, which is None if it is missing.
+        """Store a file, or remove it if ``content`` is None. Returns False if refused, or already missing.
 
-        Without ``content`` the file is removed. Returns False if it was not accepted, or was missing already.
+        ``accepts``, if given, must return True for the present content, which is None if the file is missing.
         """
 
     def write(self, name: str, content: bytes, called: str = "") -> None:
-        """Store a file in place of the one that was there. Errors refer to it as ``called``, by default its name.
+        """Store a file, replacing any of that name. Errors refer to it as ``called``, by default its name.
 
         Raises:
             StorageFull, InvalidInput, SQLAlchemyError: nothing was replaced.
@@ -46,9 +46,7 @@ class Documents(ABC):
         self._set(name, content, called)
 
     def exchange(self, name: str, before: bytes | None, content: bytes, called: str = "") -> bool:
-        """Store a file if it still holds ``before``, or is still missing where that is None. Returns whether it did.
-
-        Of several threads or processes that exchange the same content at once, one stores its file.
+        """Store a file if its present content is ``before`` (None: missing). Returns whether it did (compare and swap).
 
         Raises:
             StorageFull, InvalidInput, SQLAlchemyError: nothing was replaced.
@@ -77,7 +75,7 @@ class FolderDocuments(Documents):
         return (self._folder / name).read_bytes()
 
     def stamp(self) -> object:
-        """The folder's time of change: it does not show what is written into a file in place."""
+        """The folder's time of change, which does not show writes into a file in place."""
         try:
             changed_ns = self._folder.stat().st_mtime_ns
         except OSError:
@@ -100,6 +98,6 @@ class FolderDocuments(Documents):
 
 
 def stored_names(files: Documents, suffix: str) -> list[str]:
-    """The valid names, sorted, of files called a name and ``suffix``."""
+    """The valid names, sorted, of files called NAME + ``suffix``."""
     names = [file.removesuffix(suffix) for file in files.names() if file.endswith(suffix)]
     return sorted(name for name in names if is_name(name))

@@ -1,4 +1,4 @@
-"""A floor plan that is kept with a map, and where it lies in the map's frame."""
+"""A floor plan kept with a map, and its pose in the map frame."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ MEDIA_TYPES = (*_STARTS, GEOJSON)
 _MAX_PIXELS = 50_000_000
 _MAX_TEXT_BYTES = 2**20
 _TEXTS = (b"tEXt", b"zTXt", b"iTXt", b"iCCP")  # chunks of a PNG file
-_CHUNK_BYTES, _MAX_CHUNKS = 12, 10_000  # around the data of a chunk
-_LEVEL = 1e-6  # how far the cosine of a tilt may be from one
+_CHUNK_BYTES, _MAX_CHUNKS = 12, 10_000  # bytes around a chunk's data, and maximum number of chunks
+_LEVEL = 1e-6  # maximum deviation of a tilt's cosine from one
 
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """What a floor plan is, and where it lies.
+    """Type and pose of a floor plan.
 
     Attributes:
         media_type: of its file, one of ``MEDIA_TYPES``.
-        corner: (2,) where its lower left corner lies: x and y, metres, map frame.
-        turn_deg: how far its lower edge is turned from the map's x towards y.
-        m_per_unit: how long one unit of it is: a pixel, or a metre of GeoJSON.
+        corner: (2,) x and y of its lower left corner, metres, map frame.
+        turn_deg: angle of its lower edge from the map's x towards y.
+        m_per_unit: metres per unit: a pixel, or a metre of GeoJSON.
     """
 
     media_type: str
@@ -53,11 +53,11 @@ class FloorPlan:
 
 
 def check_plan(content: bytes, plan: FloorPlan) -> FloorPlan:
-    """The plan, if a map may keep it.
+    """Return the plan, checked for storage in a map.
 
     Raises:
         TooLarge: it is longer than ``MAX_PLAN_BYTES``.
-        InvalidInput: the file is not of its type, or its place is not valid.
+        InvalidInput: the file is not of its type, or its pose is not valid.
     """
     if len(content) > MAX_PLAN_BYTES:
         raise TooLarge(f"The floor plan is longer than {MAX_PLAN_BYTES} bytes.", "Make the picture smaller.")
@@ -73,7 +73,7 @@ def check_plan(content: bytes, plan: FloorPlan) -> FloorPlan:
 
 
 def _check_picture(content: bytes) -> None:
-    """Refuse a picture that would take much memory to show. Only its header is decoded. Raises InvalidInput."""
+    """Raise InvalidInput for a picture that takes too much memory to show. Decodes only its header."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
@@ -90,7 +90,7 @@ def _check_picture(content: bytes) -> None:
 
 
 def _png_text_bytes(content: bytes) -> int:
-    """Length of the texts and profiles of a PNG file once they are expanded; counted up to a little over the limit."""
+    """Expanded length of the texts and profiles of a PNG file; counting stops a little above the limit."""
     at, chunks, found = len(_STARTS["image/png"]), 0, 0
     while at + _CHUNK_BYTES <= len(content) and found <= _MAX_TEXT_BYTES:
         length, kind = int.from_bytes(content[at : at + 4]), content[at + 4 : at + 8]

@@ -1,4 +1,4 @@
-"""A map's description: what it was made from, and what it reports about itself."""
+"""A map's description: its sources and its report."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Source:
         name: its name.
         id: distinguishes it from other recordings, 16 hex digits.
         camera: its intrinsics.
-        frames: how many it had.
-        posed: how many of them got a pose.
-        views: how many became views of the map.
-        held_out: how many were held out for the report.
-        poses: where the poses came from: a pose method, or ``localized`` in the map.
+        frames: number of frames.
+        posed: number of frames with a pose.
+        views: number of views of the map among them.
+        held_out: number of frames held out for the report.
+        poses: source of the poses: a pose method, or ``localized`` in the map.
     """
 
     name: str
@@ -51,7 +51,7 @@ class MapWaypoint:
     Attributes:
         name: its name.
         position: (3,) metres, map frame.
-        residual_m: how far the trajectory misses it; None where that is not known.
+        residual_m: distance of the trajectory from it; None if unknown.
     """
 
     name: str
@@ -61,24 +61,24 @@ class MapWaypoint:
 
 @dataclass(frozen=True)
 class MapInfo:
-    """What a map says about itself.
+    """Description of a map.
 
     Attributes:
         id: unique for each built map, 32 hex digits.
         version: 1 for a new map, increased by every update.
         density: the form of its densities.
         features: the extractor's name.
-        metric: False where the unit of length is arbitrary; every answer then says so.
+        metric: whether the unit of length is the metre, not arbitrary; every answer says so.
         upright: whether z points up.
         created: when this version was made, ISO 8601, UTC.
         camera: the intrinsics of the first recording.
-        sources: what it was made from.
+        sources: recordings or tables that it was made from.
         waypoints: measured points.
         names: of points and areas.
         labels: site, floor and tags.
         plan: its floor plan, if any.
-        corrections: what people have corrected since it was built, by version.
-        report: what it found out about itself while it was built.
+        corrections: by people since it was built, by version.
+        report: figures from its construction.
     """
 
     id: str

@@ -1,4 +1,4 @@
-"""Checks JSON from clients that is stored as it is: restricts it to what every JSON reader and writer can handle."""
+"""Check clients' JSON before it is stored: only values that every JSON reader and writer can handle."""
 
 from __future__ import annotations
 

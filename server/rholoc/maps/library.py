@@ -1,4 +1,4 @@
-"""The library of maps: reading, publishing, replacing and restoring maps by name, whatever keeps their files."""
+"""The library of maps: read, publish, replace and restore maps by name, over any catalogue."""
 
 from __future__ import annotations
 
@@ -25,13 +25,12 @@ _PIECE_BYTES = 2**20
 class MapLibrary:
     """Maps by name. Safe to share between threads and processes.
 
-    A map that :meth:`get` returned is unaffected when it is replaced or deleted; the next :meth:`get` sees that.
-
-    Each method that takes a name raises InvalidName if no map can have it, and UnknownMap if none does.
+    A map returned by :meth:`get` does not change when it is replaced or deleted. Each method with a name raises
+    InvalidName if it is not valid, and UnknownMap if no map has it.
 
     Args:
         maps: the folder of the maps, or another catalogue of them.
-        cache_bytes: how much memory cached maps may take, including what is derived from them.
+        cache_bytes: memory for cached maps, including data derived from them.
     """
 
     def __init__(self, maps: Path | MapCatalogue, cache_bytes: float = math.inf) -> None:
@@ -51,7 +50,7 @@ class MapLibrary:
         return self._catalogue.names()
 
     def readable(self) -> list[str]:
-        """The names, sorted, of the maps that can be read; a file that was not checked is read once to find out."""
+        """Names of the readable maps, sorted; reads each unchecked file once."""
         names = self.names()
         return names if self._catalogue.holds_only_maps else [name for name in names if self._is_readable(name)]
 
@@ -70,7 +69,7 @@ class MapLibrary:
         check_map_name(name)
         file = self._catalogue.find(name)
         if file is None:
-            self._catalogue.look_again()  # another server may have published it just now
+            self._catalogue.look_again()  # another server may just have published it
             file = self._catalogue.find(name)
         if file is None:
             raise self._unknown(name)
@@ -84,7 +83,7 @@ class MapLibrary:
         """
         try:
             return self._catalogue.local(self.stat(name))
-        except MissingObject:  # it was replaced, and the file removed, before this process heard of it
+        except MissingObject:  # replaced, and removed, since this process last refreshed
             self._catalogue.refresh()
             return self._catalogue.local(self.stat(name))
 
@@ -93,7 +92,7 @@ class MapLibrary:
         return self.stat(name).map_id or self.outline(name).info.id
 
     def outline(self, name: str) -> MapOutline:
-        """Description and size of a map, by the header of its file; the map itself is not read.
+        """Description and size of a map, from the header of its file.
 
         Raises:
             InvalidMap: its file is not a map.
@@ -110,7 +109,7 @@ class MapLibrary:
         return self._catalogue.stamp()
 
     def get(self, name: str) -> Map:
-        """A map, from memory unless it was replaced. Reading one does not block others.
+        """A map, cached until it is replaced. Reading one does not block others.
 
         Raises:
             InvalidMap: its file is not a map.
@@ -140,22 +139,22 @@ class MapLibrary:
             raise self._unknown(name) from error
 
     def is_known(self, name: str) -> bool:
-        """Whether a map of this name was seen lately, judged by what is in memory: no disk is asked, no database."""
+        """Whether memory knows of a map of this name; accesses neither disk nor database."""
         return self._cache.has(name)
 
     def is_here(self, name: str) -> bool:
-        """Whether :meth:`get` would need nothing but memory and this machine's disk."""
+        """Whether :meth:`get` needs no fetch."""
         file = self._catalogue.find(name)
         if file is None:
             return False
         return self._cache.get(name, file.signature) is not None or self._catalogue.is_here(file)
 
     def keeps(self, name: str, map_: Map) -> bool:
-        """Whether this very object is the cached map of that name: neither replaced nor evicted."""
+        """Whether ``map_`` is the cached object of that name, neither replaced nor evicted."""
         return self._cache.holds(name, map_)
 
     def put(self, name: str, map_: Map) -> None:
-        """Publish a map under a name; the one that it replaces is kept.
+        """Publish a map under a name; the replaced one is kept as a version.
 
         Raises:
             InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
@@ -163,7 +162,7 @@ class MapLibrary:
         self._put(name, map_to_bytes(map_), lambda _: map_)
 
     def put_file(self, name: str, source: Path | bytes, check: Callable[[Map], None] = lambda _: None) -> Map:
-        """Publish the content of a ``.rho`` file under a name, and return the map; the one that it replaces is kept.
+        """Publish a ``.rho`` file under a name, and return the map; the replaced one is kept as a version.
 
         Args:
             name: the map's.
@@ -183,10 +182,10 @@ class MapLibrary:
         return self._put(name, source if isinstance(source, bytes) else _pieces(source), read)
 
     def replace(self, name: str, next_version: Map) -> None:
-        """Publish the next version of a map; do nothing if it is there already.
+        """Publish the next version of a map; idempotent.
 
         Raises:
-            Conflict: the map has changed since, and another update would be lost. Nothing was replaced.
+            Conflict: the map has changed since; nothing was replaced.
             InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
         """
         self._catalogue.refresh()
@@ -204,13 +203,13 @@ class MapLibrary:
         read: Callable[[Path], Map],
         instead_of: MapFile | None = None,
     ) -> Map:
-        """Publish a file under a name, once ``read`` has found a map in it.
+        """Publish a file under a name, after ``read`` has parsed it.
 
         Args:
             name: the map's.
             data: the file's content.
             read: returns the map in a file.
-            instead_of: the file that it replaces; None: whichever there is.
+            instead_of: the file that it must replace; None for any.
         """
         called = check_map_name(name) + SUFFIX
         self._catalogue.make_room()
@@ -240,12 +239,12 @@ class MapLibrary:
             return filecmp.cmp(self.path(name), file, shallow=False)
 
     def previous(self, name: str) -> MapInfo | None:
-        """Description of the map that was last replaced under a name; None if there is none to restore."""
+        """Description of a name's last replaced map; None if there is none to restore."""
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name)[:1]).get(1)
 
     def versions(self, name: str) -> dict[int, MapInfo]:
-        """Descriptions of the maps that were replaced under a name, by number: 1 was replaced last."""
+        """Descriptions of a name's replaced maps by number; 1 was replaced last."""
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name))
 
@@ -257,7 +256,7 @@ class MapLibrary:
         return found
 
     def version_path(self, name: str, number: int) -> Path:
-        """The file, on this machine, of a map that was replaced under a name, by its number in :meth:`versions`.
+        """Local file of a name's replaced map, by its number in :meth:`versions`.
 
         Raises:
             Conflict: it is not kept.
@@ -266,9 +265,9 @@ class MapLibrary:
         return self._catalogue.local(self._version(name, number, self._catalogue.versions(name)))
 
     def restore(self, name: str, number: int = 1) -> None:
-        """Restore a map that was replaced, by its number in :meth:`versions`.
+        """Restore a replaced map by its number in :meth:`versions`.
 
-        The present one is kept in turn: restoring number 1 twice changes nothing.
+        The present map becomes a version: restoring number 1 twice changes nothing.
 
         Raises:
             Conflict: none was replaced, or it is no longer kept.
@@ -287,7 +286,7 @@ class MapLibrary:
             change.arrange(name, wanted, [present, *(file for file in kept if file != wanted)])
 
     def delete(self, name: str) -> None:
-        """Delete a map, and those that it replaced. Raises StorageUnavailable, StorageFull: nothing was deleted."""
+        """Delete a map and its versions. Raises StorageUnavailable, StorageFull: nothing was deleted."""
         self.stat(name)
         with self._catalogue.changing() as change:
             if change.present(name) is None:
@@ -296,7 +295,7 @@ class MapLibrary:
         self._cache.drop(name)
 
     def rename(self, name: str, new_name: str) -> None:
-        """Give a map, and those that it replaced, another name.
+        """Rename a map and its versions.
 
         Raises:
             Conflict: a map has the new name.
@@ -315,15 +314,11 @@ class MapLibrary:
         self._cache.drop(name)
 
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
-        """Names, numbers and copies of all maps' files of one moment; see :meth:`MapCatalogue.snapshot`."""
+        """Consistent snapshot of all maps' files; see :meth:`MapCatalogue.snapshot`."""
         return self._catalogue.snapshot()
 
     def sweep(self) -> None:
-        """Remove files that belong to no map, and complete a change that a crash broke off.
-
-        Raises:
-            StorageUnavailable, SQLAlchemyError: it is done the next time.
-        """
+        """Sweep the catalogue; see :meth:`MapCatalogue.sweep`."""
         self._catalogue.sweep()
 
     def _version(self, name: str, number: int, versions: Sequence[MapFile]) -> MapFile:

@@ -1,4 +1,4 @@
-"""The map: features with their densities, and the views they were seen from."""
+"""The map: features with their densities, and the views that observed them."""
 
 from __future__ import annotations
 

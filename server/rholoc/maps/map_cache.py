@@ -1,4 +1,4 @@
-"""A cache of maps in memory: the most recently used ones, as many as there is room for."""
+"""In-memory cache of maps with least-recently-used eviction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rholoc.maps.map import Map
 
 Signature = tuple[int, int, int]
 
-_WITH_ITS_INDEX = 2  # times a map's own size: what a localizer derives from it takes about as much again
+_WITH_ITS_INDEX = 2  # times a map's own size, because a localizer's index is about as large
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +26,7 @@ class MapCache:
     """Maps by name; the least recently used are evicted when there is no room. Safe to share between threads.
 
     Args:
-        most_bytes: how much memory they may take together, including what is derived from them; the last one stays,
-            however large.
+        most_bytes: memory for all maps, including data derived from them; the last used map stays, however large.
     """
 
     def __init__(self, most_bytes: float) -> None:
@@ -59,17 +58,17 @@ class MapCache:
             self._entries.pop(name, None)
 
     def has(self, name: str) -> bool:
-        """Whether a map of that name is cached, whatever its file's signature is by now."""
+        """Whether a map of that name is cached, whatever its signature."""
         return name in self._entries
 
     def holds(self, name: str, map_: Map) -> bool:
-        """Whether this very object is the cached map of that name."""
+        """Whether ``map_`` is the cached object of that name."""
         entry = self._entries.get(name)
         return entry is not None and entry.map is map_
 
 
 def memory_bytes(map_: Map) -> int:
-    """Roughly how much memory a map takes, including what a localizer derives from it."""
+    """Estimated memory of a map, including a localizer's index [bytes]."""
     tables = (map_.landmarks, map_.descriptors, map_.views, map_.observations)
     arrays = [getattr(table, name) for table in tables for name in table.columns()]
     arrays += map_.densities.arrays().values()

@@ -15,12 +15,12 @@ from rholoc.maps.catalogue import KEPT_VERSIONS, MapCatalogue, MapChange, MapFil
 from rholoc.maps.formats.rho_file import SUFFIX, MapOutline, load_outline
 from rholoc.maps.map import Map
 
-_PREVIOUS = ".previous"  # the folder of the files that were replaced
-_BEGUN, _DECIDED = ".change-begun", ".change-decided"  # folders of a change: of links that will take their places
+_PREVIOUS = ".previous"  # folder of replaced files
+_BEGUN, _DECIDED = ".change-begun", ".change-decided"  # folders with a change's links
 
 
 def place_of(name: str, number: int = 0) -> str:
-    """Path below the folder of a map's file; of a file that it replaced where ``number``, from 1, is not 0."""
+    """Path below the folder of a map's file (``number`` 0), or of its version ``number`` from 1."""
     if number == 0:
         return name + SUFFIX
     return f"{_PREVIOUS}/{name}{SUFFIX}" + (f".{number}" if number > 1 else "")
@@ -29,8 +29,8 @@ def place_of(name: str, number: int = 0) -> str:
 class MapFolder(MapCatalogue):
     """Maps as ``NAME.rho`` in a folder; those that they replaced are in ``.previous``.
 
-    A file that somebody puts there, replaces or removes is a map that was published, replaced or deleted. A change of
-    several files is decided by one renaming: whoever changes the folder next completes it if its process was killed.
+    Putting, replacing or removing a file publishes, replaces or deletes a map. A change of several files is committed
+    by renaming one folder; if its process is killed, the next process that changes the folder completes it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -113,10 +113,10 @@ class MapFolder(MapCatalogue):
                 self._complete()
 
     def _decide(self, wanted: dict[str, str | None]) -> None:
-        """Prepare links for the files that places are to hold, an empty file for none, and rename their folder.
+        """Prepare a change's links (an empty file for a deletion), and commit it by renaming their folder.
 
         Args:
-            wanted: places below the folder, and what they are to hold: files below it, or None.
+            wanted: path below the folder → path of the file to put there, or None to delete it.
         """
         changes = {place: file for place, file in wanted.items() if file != place}
         if not changes:
@@ -135,9 +135,9 @@ class MapFolder(MapCatalogue):
         sync_folder(self.folder)
 
     def _complete(self, is_new: bool = False) -> None:
-        """Put the links of a change that was decided, if there is one, in their places.
+        """Apply a committed change, if there is one.
 
-        If the first of a new change cannot be put in its place, the change is not decided any more.
+        If the first link of a new change cannot be put in its place, the change is rolled back.
         """
         decided = self.folder / _DECIDED
         if not decided.exists():
@@ -164,7 +164,7 @@ class MapFolder(MapCatalogue):
 
 
 class _Change:
-    """What is wanted of a folder's places."""
+    """Pending changes of a folder's files."""
 
     def __init__(self, folder: MapFolder) -> None:
         self._folder = folder

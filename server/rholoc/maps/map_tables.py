@@ -1,4 +1,4 @@
-"""The tables that a map is made of. A column declares its type and shape once; rows are taken and joined by them."""
+"""The tables of a map. Each column declares its type and shape once, for selection, concatenation and checks."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ import numpy as np
 
 from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray, PosedCameras
 
-UNKNOWN_GREY = 128  # the red, green and blue of landmarks whose colour is not known
+UNKNOWN_GREY = 128  # red, green and blue of landmarks with unknown colour
 
 
 @dataclass(frozen=True)
 class Column:
-    """What a table's column holds.
+    """Declaration of a table's column.
 
     Attributes:
         dtype: of its array; ``object`` for a tuple of Python objects.
         shape: of one row; None is any length.
         optional: whether the whole column may be None.
-        unknown: the value of a row that is not known, where other rows of an optional column are; None if rows of an
-            optional column are all known, or none.
+        unknown: value of an unknown row in an optional column; None if all rows are known or none.
     """
 
     dtype: type[Any]
@@ -48,11 +47,11 @@ class MapTable:
 
     @classmethod
     def columns(cls) -> dict[str, Column]:
-        """What each column holds, by its name."""
+        """Column name → declaration."""
         return {one.name: one.metadata["column"] for one in _fields(cls)}
 
     def take(self, rows: IntArray | BoolArray) -> Self:
-        """The given rows of all columns, by their numbers (M,) or by a mask (N,)."""
+        """The selected rows of all columns, by numbers (M,) or a mask (N,)."""
         return replace(self, **{one.name: _taken(getattr(self, one.name), rows) for one in _fields(type(self))})
 
     @classmethod
@@ -69,7 +68,7 @@ class MapTable:
         return cls(**joined)
 
     def known(self, name: str) -> Any:
-        """An optional column, every row of it its ``unknown`` value where the column is None."""
+        """An optional column; if it is None, filled with its ``unknown`` value."""
         values, column = getattr(self, name), self.columns()[name]
         if values is not None:
             return values
@@ -104,9 +103,9 @@ class MapLandmarks(MapTable):
         positions: (F, 3) float32, metres, map frame.
         covariances: (F, 3, 3) float32, m², of the positions.
         colours: (F, 3) uint8, red, green and blue in the pictures; None if they are not known.
-        patches: (F, 3) float32, of each a vector along the orientation of the patch that its descriptors describe, in
-            the map frame, as long as the patch's diameter, metres (:mod:`rholoc.geometry.patches`); NaN where not
-            known. None if none is known.
+        patches: (F, 3) float32, for each feature a vector in the map frame along the orientation of its described
+            patch, with the patch's diameter as length [m] (:mod:`rholoc.geometry.patches`); NaN if unknown. None if
+            all are unknown.
     """
 
     channels: ByteArray = field(metadata=_column(np.uint8))
@@ -117,12 +116,12 @@ class MapLandmarks(MapTable):
 
     @property
     def known_colours(self) -> ByteArray:
-        """(F, 3) as ``colours``, all grey where there are none."""
+        """``colours`` (F, 3), all grey if None."""
         return np.asarray(self.known("colours"))
 
     @property
     def known_patches(self) -> FloatArray:
-        """(F, 3) as ``patches``, all NaN where there are none."""
+        """``patches`` (F, 3), all NaN if None."""
         return np.asarray(self.known("patches"))
 
 
@@ -162,17 +161,17 @@ class MapViews(MapTable, PosedCameras):
 
     @property
     def known_pictures(self) -> tuple[bytes, ...]:
-        """(K,) as ``pictures``, all empty where there are none."""
+        """``pictures`` (K,), all empty if None."""
         return tuple(self.known("pictures"))
 
     @property
     def known_covariances(self) -> FloatArray:
-        """(K, 6, 6) as ``covariances``, all NaN where there are none."""
+        """``covariances`` (K, 6, 6), all NaN if None."""
         return np.asarray(self.known("covariances"))
 
     @property
     def expected_errors_m(self) -> FloatArray:
-        """(K,) how far each is expected to be from the truth (root mean square, metres); NaN where unknown."""
+        """Expected RMS position error (K,) of each view [m]; NaN if unknown."""
         variances = np.trace(self.known_covariances[:, :3, :3].astype(np.float64), axis1=1, axis2=2)
         return np.asarray(np.sqrt(variances))
 
@@ -184,8 +183,8 @@ class MapObservations(MapTable):
     Attributes:
         views: (V,) int32, the view of each, never decreasing.
         features: (V,) int32, its feature.
-        pixels: (V, 2) float64, u and v, in whole steps of :func:`rholoc.maps.memory.packed_pixels`; None if the
-            map does not keep them.
+        pixels: (V, 2) float64, u and v, in whole steps of
+            :func:`rholoc.maps.kept_observations.packed_pixels`; None if the map does not keep them.
     """
 
     views: IntArray = field(metadata=_column(np.int32))

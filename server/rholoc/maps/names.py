@@ -1,4 +1,4 @@
-"""Names that people gave to a map's points and areas, and the labels of the map itself."""
+"""Names of a map's points and areas, and labels of the map."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class MapNames:
 
 @dataclass(frozen=True)
 class MapLabels:
-    """What lists of maps are grouped and searched by.
+    """Labels by which lists of maps are grouped and searched.
 
     Attributes:
         site: such as a building; empty if not given.
@@ -96,7 +96,7 @@ def within_outline(positions: FloatArray, outline: FloatArray) -> BoolArray:
 
 
 def check_labels(labels: MapLabels) -> MapLabels:
-    """The labels, stripped of surrounding spaces, if they are valid.
+    """Return the labels, stripped of surrounding spaces and checked.
 
     Raises:
         InvalidInput: there are too many tags; one is empty or given twice, or something is too long or not printable.
@@ -114,7 +114,7 @@ def check_labels(labels: MapLabels) -> MapLabels:
 
 
 def check_names(names: MapNames) -> MapNames:
-    """The names, if they are valid.
+    """Return the names, checked.
 
     Raises:
         InvalidInput: there are too many; one is empty, too long, not printable or given twice; an area is not valid.
@@ -137,7 +137,7 @@ def check_names(names: MapNames) -> MapNames:
 
 
 def check_outline(outline: FloatArray, what: str) -> FloatArray:
-    """The corners (N, 2) of an area, if they are valid; error messages refer to it as ``what``.
+    """Return the corners (N, 2) of an area, checked; error messages call it ``what``.
 
     Raises:
         InvalidInput: there are too few or too many corners, or they enclose nothing.

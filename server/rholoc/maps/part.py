@@ -1,4 +1,4 @@
-"""A part of a map, chosen by its views: a map of its own that is quick to cut out of a large one."""
+"""Cut a part, chosen by its views, out of a large map."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class MapPart:
     """Some views of a map, and all landmarks that they saw.
 
     Attributes:
-        map: only these, without the further points of the room.
+        map: with only these, without the cloud.
         features: (P,) the rows of its features in the whole map, ascending.
     """
 

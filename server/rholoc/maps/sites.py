@@ -1,4 +1,4 @@
-"""Sites: maps of rooms and floors in one frame, and where that lies on Earth."""
+"""Sites: maps of rooms and floors in one frame, and its pose on Earth."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ _MAX_LINKS = 10_000
 _MAX_FLOOR = 100
 _UNIT_TOLERANCE = 1e-2
 _MAX_M, _MAX_HEIGHT_M = 1e6, 1e5
-_NEGATIVE = -1e-6  # of the greatest: an eigenvalue that rounding made negative
+_NEGATIVE = -1e-6  # relative to the largest: minimum eigenvalue, negative by rounding
 
 
 class LinkOrigin(StrEnum):
-    """Where the pose between two maps comes from."""
+    """Origin of the relative pose of two maps."""
 
-    GIVEN = "given"  # somebody said so
+    GIVEN = "given"  # by people
     OVERLAP = "overlap"  # views of one were localized in the other
     WAYPOINTS = "waypoints"  # both have the same measured points
 
 
 @dataclass(frozen=True)
 class FramePose:
-    """Where one frame lies in another.
+    """Pose of one frame in another.
 
     Attributes:
         position: (3,) metres, its origin.
@@ -73,11 +73,11 @@ class SiteMap:
 
     Attributes:
         map: its name.
-        floor: such as "1" or "ground floor"; empty where it is not said.
-        given: T_site_map, where somebody gave it.
-        pose: T_site_map, given or found from links; None where nothing says.
-        covariance: (6, 6) of the pose: x, y, z in m, then a small rotation about the site's axes, from the left, in
-            radians; None where the pose is not known.
+        floor: such as "1" or "ground floor"; empty if unknown.
+        given: T_site_map given by people, or None.
+        pose: T_site_map, given or solved from links; None if unknown.
+        covariance: (6, 6) of the pose: x, y, z [m], then a small rotation about the site's axes, from the left [rad];
+            None if the pose is unknown.
     """
 
     map: str
@@ -94,9 +94,9 @@ class SiteLink:
     Attributes:
         first, second: their names.
         pose: T_first_second.
-        sigma_m: one sigma of its position, along each axis.
-        sigma_deg: one sigma of its rotation, about each axis.
-        origin: where it comes from.
+        sigma_m: standard deviation of the position along each axis.
+        sigma_deg: standard deviation of the rotation about each axis.
+        origin: of the link.
     """
 
     first: str
@@ -109,11 +109,11 @@ class SiteLink:
 
 @dataclass(frozen=True)
 class SiteOnEarth:
-    """Where a site's frame lies on Earth; its z axis is up.
+    """Pose of a site's frame on Earth; its z axis is up.
 
     Attributes:
         latitude_deg, longitude_deg, height_m: of its origin, WGS 84.
-        heading_deg: how far its y axis is turned from true north, clockwise.
+        heading_deg: of its y axis, clockwise from true north.
     """
 
     latitude_deg: float
@@ -123,7 +123,7 @@ class SiteOnEarth:
 
     @property
     def origin(self) -> EarthPlace:
-        """Of the site's frame."""
+        """Place of the site's origin."""
         return EarthPlace(self.latitude_deg, self.longitude_deg, self.height_m)
 
     def enu(self, vector: FloatArray) -> FloatArray:
@@ -133,11 +133,11 @@ class SiteOnEarth:
         return np.array([x * math.cos(turn) + y * math.sin(turn), y * math.cos(turn) - x * math.sin(turn), z])
 
     def place(self, position: FloatArray) -> EarthPlace:
-        """Where a position (3,) of the site's frame, metres, lies."""
+        """Place on Earth of a position (3,) in the site's frame [m]."""
         return place_at(self.enu(position), self.origin)
 
     def heading_deg_of(self, direction: FloatArray) -> float | None:
-        """How far a direction (3,) is turned from true north, clockwise, 0 to 360; None where it is vertical."""
+        """Angle of a direction (3,) clockwise from true north, 0 to 360; None if vertical."""
         east, north, _ = self.enu(direction)
         return None if math.hypot(east, north) < 1e-6 else math.degrees(math.atan2(east, north)) % 360
 
@@ -149,8 +149,8 @@ class Site:
     Attributes:
         version: 1 for a new site, counted up with every change.
         maps: its maps.
-        links: poses between them, from which poses are found that nobody gave.
-        earth: where it lies on Earth; None where that is not said.
+        links: relative poses of maps, to solve poses that are not given.
+        earth: pose on Earth, or None.
     """
 
     version: int = 1
@@ -163,7 +163,7 @@ class Site:
         return next((one for one in self.maps if one.map == map_name), None)
 
     def maps_near(self, place: EarthPlace, radius_m: float) -> list[str]:
-        """The names of the maps whose origins lie within so many metres of a place on Earth, the nearest first."""
+        """Names of the maps with an origin within ``radius_m`` of a place on Earth, the nearest first."""
         if self.earth is None:
             return []
         there = enu_of(place, self.earth.origin)[:2]
@@ -173,12 +173,12 @@ class Site:
 
 
 def check_site(site: Site) -> Site:
-    """The site, if it can be one.
+    """Return the site, checked.
 
     Raises:
         InvalidInput: there are too many maps or links, a map is named twice, a link is between maps that are not the
             site's, something is no pose, no covariance or no place on Earth.
-        InvalidName: a map's name is not one.
+        InvalidName: a map's name is not valid.
     """
     names = [one.map for one in site.maps]
     for name in names:
@@ -244,7 +244,7 @@ def _check_earth(earth: SiteOnEarth) -> None:
 
 @dataclass(frozen=True)
 class _AllSites:
-    """All sites as they were when their files had a stamp."""
+    """Cached sites, valid while the files have this stamp."""
 
     stamp: object
     sites: Mapping[str, Site]
@@ -275,8 +275,8 @@ class SiteLibrary:
     """Sites by name; safe to share between threads and processes.
 
     Args:
-        maps_dir: the folder of maps, in which they are ``sites/NAME.json``.
-        files: where they are kept instead.
+        maps_dir: the folder of maps, with sites as ``sites/NAME.json``.
+        files: used instead of ``maps_dir``.
     """
 
     def __init__(self, maps_dir: Path, files: Documents | None = None) -> None:
@@ -308,12 +308,12 @@ class SiteLibrary:
         return known[1]
 
     def put(self, name: str, site: Site, replaces: int | None = None) -> Site:
-        """Store a site, whatever its version says as the next one of what is there; returns it.
+        """Store a site with the next version number; returns it.
 
         Args:
-            name: the site's.
-            site: what :func:`check_site` accepts.
-            replaces: the version that it was made from; None: whichever there is.
+            name: of the site.
+            site: a valid site; its own version is ignored.
+            replaces: the version that it must replace; None for any.
 
         Raises:
             InvalidName, InvalidInput, StorageFull: nothing was replaced.
@@ -332,7 +332,7 @@ class SiteLibrary:
                 return site
 
     def _stored(self, name: str) -> tuple[bytes | None, int]:
-        """What the file of a site holds, None where there is none, and its version, 0 where it holds no site."""
+        """Content of a site's file (None if missing), and its version (0 if it holds no site)."""
         try:
             content = self._files.read(_file_name(name))
         except FileNotFoundError:
@@ -357,18 +357,18 @@ class SiteLibrary:
             raise self._unknown(name) from error
 
     def all(self) -> dict[str, Site]:
-        """All sites that can be read, by name; their files are read again only after one has changed."""
+        """All readable sites by name, cached until a file changes."""
         return dict(self._present().sites)
 
     def site_of(self, map_name: str) -> str | None:
-        """The name of the first site in which a map has a pose; None where it has one in none."""
+        """Name of the first site in which a map has a pose, or None."""
         return self._present().site_by_map.get(map_name)
 
     def rename_map(self, name: str, new_name: str) -> None:
-        """Let a map that was renamed stay in its sites; one that lists the new name already is left as it is.
+        """Rename a map in its sites; skips sites that list the new name already.
 
         Raises:
-            InvalidName, StorageFull: it is not in them all.
+            InvalidName, StorageFull: not all sites were changed.
         """
         for site_name, site in self.all().items():
             if site.member(name) is not None and site.member(new_name) is None:

@@ -1,4 +1,4 @@
-"""Whether a map is to be trusted, by what it reports about the trajectories that it was built on."""
+"""Trust in a map, from its report on the trajectories that it was built on."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class Trust:
     """Whether a map's frame poses passed every check.
 
     Attributes:
-        trusted: None if the map does not say: it came as a table, or an early version built it.
-        reasons: which checks failed, one line each; or why the poses are trusted.
+        trusted: None if unknown: it came as a table, or an early version built it.
+        reasons: failed checks, one line each; or why the poses are trusted.
     """
 
     trusted: bool | None
@@ -26,7 +26,7 @@ class Trust:
 
 
 def trust_of(info: MapInfo) -> Trust:
-    """What a map's report says about its trajectories and about what it has learned since."""
+    """Trust by the report on a map's trajectories and on its later learning."""
     report = info.report
     if all(trajectory.trusted is None for trajectory in report.trajectories):
         return Trust(None, ("The map does not say how its frame poses were checked.",))
@@ -38,10 +38,10 @@ def trust_of(info: MapInfo) -> Trust:
 
 
 def expected_error_m(info: MapInfo) -> float | None:
-    """How far a map's poses are expected to be from the truth (root mean square, metres); None if not known."""
+    """Expected RMS position error of a map [m]; None if unknown."""
     return info.report.expected_error.rms_m if info.metric and info.report.expected_error else None
 
 
 def consistency_m(info: MapInfo) -> float | None:
-    """How far held-out frames are localized from where their walk has them (median, metres); None if not known."""
+    """Median distance between localized held-out frames and their poses in the walk [m]; None if unknown."""
     return info.report.held_out.median_m if info.metric and info.report.held_out else None

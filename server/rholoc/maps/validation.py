@@ -1,4 +1,4 @@
-"""Checks that arrays make a map: shapes, types, finite values and consistent indices."""
+"""Check a map's arrays: shapes, types, finite values, consistent indices."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import numpy as np
 from rholoc.errors import InvalidMap, RholocError
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.floor_plan import FloorPlan, check_plan
+from rholoc.maps.kept_observations import memory_fits, memory_of
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapTable
-from rholoc.maps.memory import memory_fits, memory_of
 
 _ROTATION_TOLERANCE = 1e-3
-_COVARIANCE_TOLERANCE = 1e-5  # how far below zero rounding may put an eigenvalue, relative to the largest
+_COVARIANCE_TOLERANCE = 1e-5  # rounding error of an eigenvalue, relative to the largest
 _JPEG = b"\xff\xd8\xff"  # the first bytes of every JPEG
 _HINT = "Build it again, or take another copy."
 
 
 def validate_map(map_: Map) -> None:
-    """Check that the map's arrays are what :class:`rholoc.maps.Map` says.
+    """Check the map's arrays against :class:`rholoc.maps.Map`.
 
     Raises:
         InvalidMap: an array has another shape or type, holds values that are not finite, or contradicts another.
@@ -73,7 +73,7 @@ def _check_cloud(map_: Map) -> None:
 
 
 def check_usable(map_: Map) -> None:
-    """Check that a map is one that a camera can be localized in.
+    """Check that a camera can be localized in a map.
 
     Raises:
         InvalidMap: it has no landmarks, no descriptors or no views.
@@ -88,7 +88,7 @@ def _check(condition: bool, complaint: str) -> None:
 
 
 def _check_table(table: MapTable) -> None:
-    """Check a table's columns by their own description; NaN is allowed where it means that a row is not known."""
+    """Check a table's columns against their declarations; NaN is allowed where it marks an unknown row."""
     for name, column in table.columns().items():
         values = getattr(table, name)
         if values is None and column.optional:

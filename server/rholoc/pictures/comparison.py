@@ -11,8 +11,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from rholoc.evaluation.baselines import MatchSet, Solver
 from rholoc.evaluation.compare import RETRIEVAL, Comparison, MethodResult, SplitResult
+from rholoc.evaluation.pnp_baselines import MatchSet, Solver
 from rholoc.geometry import FloatArray
 from rholoc.pictures.style import AMBER, MARKED, TEAL, figure_of
 

@@ -3,7 +3,7 @@
 from rholoc.processes.async_program import AsyncProgram
 from rholoc.processes.child import ChildDied, ChildFailed, named, run_in_child
 from rholoc.processes.interrupts import interruptible
-from rholoc.processes.limits import LimitExceeded, Limits, MemoryLimitExceeded, TimeLimitExceeded, machine_memory_bytes
+from rholoc.processes.limits import Limits, MemoryLimitExceeded, TimeLimitExceeded, machine_memory_bytes
 from rholoc.processes.program import BACKGROUND_NICENESS, Program, call_when_input_ends, running_program
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "AsyncProgram",
     "ChildDied",
     "ChildFailed",
-    "LimitExceeded",
     "Limits",
     "MemoryLimitExceeded",
     "Program",

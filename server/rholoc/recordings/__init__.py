@@ -2,9 +2,9 @@
 
 from rholoc.recordings.archive import MAX_FILES, check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json
-from rholoc.recordings.contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
 from rholoc.recordings.description import describe_recording
-from rholoc.recordings.frames.image import decode_image, read_image
+from rholoc.recordings.file_contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
+from rholoc.recordings.frames.image_decoding import decode_image, read_image
 from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.frames.video import MAX_FRAME_PIXELS, frame_pixels_limited
 from rholoc.recordings.reader import read_recording
@@ -23,7 +23,7 @@ from rholoc.recordings.recording import (
 from rholoc.recordings.selection import parse_frame_slice
 from rholoc.recordings.tables.frames_table import read_frames_csv, write_frames_csv
 from rholoc.recordings.tables.imu_table import read_imu_csv, write_imu_csv
-from rholoc.recordings.tables.pose_table import PoseTable, read_pose_table
+from rholoc.recordings.tables.pose_table import read_pose_table
 from rholoc.recordings.tables.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
 from rholoc.recordings.walk.coaching import advise
 from rholoc.recordings.walk.stillness import pauses
@@ -47,7 +47,6 @@ __all__ = [
     "MemoryFrames",
     "Odometry",
     "PoseKind",
-    "PoseTable",
     "Recording",
     "RecordingFormat",
     "RecordingWarning",

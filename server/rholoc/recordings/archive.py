@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from rholoc.disk import is_full
 from rholoc.errors import InvalidRecording, StorageFull, TooLarge
-from rholoc.recordings.contents import START_BYTES, check_file_start
+from rholoc.recordings.file_contents import START_BYTES, check_file_start
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES
 
 DEFAULT_MAX_BYTES = 8 * 2**30  # unpacked

@@ -63,7 +63,7 @@ def parse_frame_slice(text: str) -> slice:
 
 
 def select_frames(recording: Recording, chosen: slice) -> Recording:
-    """The recording with only the frames whose *numbers* are in the slice; a step counts from its start.
+    """Select the frames with *numbers* in the slice; a step counts from its start.
 
     Poses are kept for these frames, waypoints outside the chosen frames' time are dropped, the IMU's table stays whole.
 

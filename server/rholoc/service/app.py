@@ -73,7 +73,7 @@ from rholoc.service.libraries import (
 from rholoc.service.maps.exports import Exports
 from rholoc.service.maps.map_watch import MapWatch
 from rholoc.service.maps.renderings import Renderings
-from rholoc.service.operate.readings import Readings
+from rholoc.service.operate.health_readings import Readings
 from rholoc.service.routes import ROUTERS
 from rholoc.service.routes.frames.reading import READ_BY_HAND
 from rholoc.service.settings import Settings

@@ -204,7 +204,7 @@ class Settings(BaseSettings):
         return Capacity(self.worker_jobs, self.worker_memory_gib * 2**30)
 
     def stores(self) -> Stores:
-        """Where the service keeps what it holds, not yet opened.
+        """The service's stores, not opened.
 
         Raises:
             InvalidInput: an URL is not valid.

@@ -26,7 +26,7 @@ from rholoc.service.libraries import (
 from rholoc.service.maps.exports import Exports
 from rholoc.service.maps.map_watch import MapWatch
 from rholoc.service.maps.renderings import Renderings
-from rholoc.service.operate.readings import Readings
+from rholoc.service.operate.health_readings import Readings
 from rholoc.service.settings import Settings
 from rholoc.service.threads.storage import StorageLanes
 

@@ -1,9 +1,9 @@
-"""Rooms, lights, walks: recordings with known truth, for the demo and the tests."""
+"""Simulated rooms, lights and walks: recordings with known truth, for the demo and the tests."""
 
 from rholoc.simulation.light import Light
 from rholoc.simulation.rearrangement import rearranged
 from rholoc.simulation.recording import PHONE_CAMERA, SimulatedRecording, render_view, simulate_recording
-from rholoc.simulation.render import Renderer, Surface
+from rholoc.simulation.render import Renderer
 from rholoc.simulation.rooms import make_blank_wall, make_test_site
 from rholoc.simulation.scene import Building, Scene
 from rholoc.simulation.sites import Site, make_site, make_site_walk
@@ -19,7 +19,6 @@ __all__ = [
     "Scene",
     "SimulatedRecording",
     "Site",
-    "Surface",
     "Walk",
     "make_blank_wall",
     "make_site",

@@ -260,7 +260,7 @@ def _jamb(seed: int) -> dict[str, Paint]:
 def _hang(
     build: Builder, name: str, face: str, low: _Triple, size: _Triple, texture: Texture, source: Source | None = None
 ) -> None:
-    """A thin thing on a wall or ceiling whose picture is on ``face``; a lamp or a window if it has a source."""
+    """A thin object on a wall or ceiling with its picture on ``face``; a lamp or a window if it has a source."""
     width, height = {"x": (size[1], size[2]), "y": (size[0], size[2]), "z": (size[0], size[1])}[face[0]]
     picture = build.paint(f"{name}/{face}", texture, width, height, _PICTURE_PX_PER_M)
     if source is not None:
@@ -275,7 +275,7 @@ def _hang(
 
 
 def _frame(build: Builder, face: str, x0: float, y: float, z: float = 0.0) -> None:
-    """The frame around an opening whose left edge is at ``x0``, on a wall along x whose surface is at ``y``."""
+    """The frame of an opening with its left edge at ``x0``, on a wall along x with its surface at ``y``."""
     strip, inward = 0.07, 1.0 if face == "y+" else -1.0
     back = y if inward > 0 else y - _THIN_M
     tall = DOOR_HEIGHT_M + strip

@@ -1,4 +1,4 @@
-"""How a room is lit: what reaches every patch of every face, and the light that leaves it.
+"""Lighting of a room: illuminance and luminance of every patch of every face.
 
 Direct light from windows and lamps as area sources with shadows, the sun through the windows, one bounce by virtual
 point lights (Keller 1997), and a uniform remainder for all later bounces. Colours are linear BGR; illuminance is in lux
@@ -27,7 +27,7 @@ _SAMPLES_PER_SIDE = 3
 _DARKEST_WHITE = 0.01  # cd/m²
 _SMALLEST_SOURCE_PX = 25
 _DARK_ROOMS_IN_A_ROW = 3
-_DARK_SHARE = 0.02  # of the brightest room's light, below which a room is lit by its neighbours
+_DARK_SHARE = 0.02  # of the brightest room's light; darker rooms are lit by their neighbours
 _SPILL = 0.5  # of their light
 _BRIGHT_SHARE = 0.998  # of a building's surfaces are less bright than white may be, lest walls near lamps be clipped
 _SOFTENING_M2 = 0.15  # keeps a virtual light from blazing at what touches it
@@ -43,7 +43,7 @@ class Light(StrEnum):
 
 @dataclass(frozen=True)
 class _Conditions:
-    """What the sources give. Luminances in cd/m², the sun's illuminance across its rays in lux."""
+    """Strength of the light sources: luminances in cd/m², the sun's illuminance across its rays in lux."""
 
     lamp_luminance: float
     lamp_kelvin: float
@@ -134,7 +134,7 @@ def _lighting(faces: list[Face], illuminance: list[FloatArray], brightest: float
 
 
 def _illuminance(scene: Scene, conditions: _Conditions) -> list[FloatArray]:
-    """What falls on each face (rows, columns, 3), in lux."""
+    """Illuminance of each face (rows, columns, 3) [lux]."""
     faces = scene.faces
     fine = [_patches(face, _PATCH_M) for face in faces]
     points = np.concatenate([p.reshape(-1, 3) for p in fine])

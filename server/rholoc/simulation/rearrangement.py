@@ -1,4 +1,4 @@
-"""Furniture moved: the same room, some of what stands in it somewhere else."""
+"""Rearrange a room's furniture."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class _Wall:
 
 
 def _walls(scene: Scene) -> list[_Wall]:
-    """Those of the room, and of what is built into it."""
+    """Walls of the room and of built-in boxes."""
     built_in = [box for box in scene.boxes if not box.piece and box.size[2] >= _FULL_HEIGHT * scene.room.size[2]]
     walls = []
     for box, way in [(scene.room, 1), *((box, -1) for box in built_in)]:
@@ -109,7 +109,7 @@ def _placed_elsewhere(scene: Scene, piece: str, rng: np.random.Generator, free: 
 
 
 def _gap(wall: _Wall, corners: FloatArray) -> float:
-    """How far what has these corners (N, 2) is from a wall that it stands along; infinite where it does not."""
+    """Distance of a piece with corners (N, 2) from the wall along which it stands; infinite if along none."""
     reach = (corners - wall.start) @ wall.along
     distance = float(wall.distances(corners).min())
     return distance if distance > -_APART_M and reach.min() < wall.length and reach.max() > 0 else math.inf
@@ -141,5 +141,5 @@ def _slack(edge: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _outline(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The least and the greatest x and y."""
+    """Minimum and maximum x and y."""
     return corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)

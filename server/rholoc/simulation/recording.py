@@ -28,14 +28,14 @@ PHONE_CAMERA = Camera(width=640, height=480, fx=520.0, fy=520.0, cx=319.5, cy=23
 TRUTH_COLUMNS = "timestamp,x,y,z,hx,hy,hz,frame,roll,qx,qy,qz,qw,confidence,inliers"
 _METER_INTERVAL_S = 0.25
 _METER_SIZE = (80, 60)
-_METER_INERTIA_S = 0.5  # how slowly the camera follows the light
+_METER_INERTIA_S = 0.5  # time constant of the camera's exposure
 _PREFETCH_FRAMES = 4
 _ROWS_AT_ONCE = 24  # of a rolling shutter, drawn as if read in one moment
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRecording:
-    """What was written, and its ground truth.
+    """A written recording, and its ground truth.
 
     Attributes:
         path: the folder.
@@ -86,7 +86,7 @@ def simulate_recording(
             where it ends before the third.
         site: where the walk is: the ``seed``'s room or building.
         scene: another place than the site.
-        readout_s: how long a rolling shutter takes from the first row to the last; the frame's time is that of the
+        readout_s: read-out time of a rolling shutter from the first row to the last; the frame's time is that of the
             middle row. Noted in ``camera.json``, as phones do that log it.
         progress: called with the fraction done; may raise to stop.
 
@@ -175,7 +175,7 @@ def _film(
 
 
 def _read_out(height: int, readout_s: float) -> list[tuple[tuple[int, int], float]]:
-    """The rows that are read at once, from the first to before the last, and how much later than the middle row."""
+    """Ranges of rows read at once (first, last + 1), and their read-out time relative to the middle row [s]."""
     if readout_s == 0:
         return [((0, height), 0.0)]
     parts = [(top, min(top + _ROWS_AT_ONCE, height)) for top in range(0, height, _ROWS_AT_ONCE)]
@@ -183,7 +183,7 @@ def _read_out(height: int, readout_s: float) -> list[tuple[tuple[int, int], floa
 
 
 def _metered(renderer: Renderer, walk: Motion, camera: Camera, times: FloatArray) -> FloatArray:
-    """The gains (N, 3) that auto exposure and white balance settle on, which follow the light with some inertia."""
+    """Gains (N, 3) of auto exposure and white balance, which follow the light with some inertia."""
     steps = np.arange(times[0], times[-1] + _METER_INTERVAL_S, _METER_INTERVAL_S)
     small = camera.resized(*_METER_SIZE)
     wanted = np.log([meter(renderer.radiance(small, [pose])) for pose in walk.poses(steps)])

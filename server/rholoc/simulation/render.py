@@ -78,7 +78,7 @@ class Atlas:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What each pixel's centre sees.
+    """Visible surface at each pixel's centre.
 
     Attributes:
         face: (H, W) int64, the face's index in ``scene.faces``.
@@ -119,7 +119,7 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Room:
-    """How one room of a building is painted: its faces' indices in all, its walls' first, then box after box."""
+    """Drawing data of one room: indices of its faces, walls first, then box after box."""
 
     draw_order: DrawOrder
     faces: range
@@ -144,7 +144,7 @@ class _Layer:
 
 
 class Renderer:
-    """Draws a scene or a building whose faces look like ``paints``, one image per face of ``scene.faces``.
+    """Draws a scene or a building with ``paints``, one image per face of ``scene.faces``.
 
     The camera must have no distortion and stand inside a room, outside of the boxes. Of a building only what is seen
     through the openings between the rooms is painted, each room clipped to the opening (Luebke and Georges 1995).
@@ -207,7 +207,7 @@ class Renderer:
         return order
 
     def _layers(self, part: _Rows, T: FloatArray, eye: FloatArray, order: _PaintOrder) -> Iterator[_Layer]:
-        """What is painted over what: walls, then what is seen through their openings, then the boxes before them."""
+        """Layers in painting order: walls, the view through their openings, the boxes before them."""
 
         def room_seen(room: int, came_from: int | None, window: FloatArray | None, depth: int) -> Iterator[_Layer]:
             walls, boxes = order(room)

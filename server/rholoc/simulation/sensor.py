@@ -1,4 +1,4 @@
-"""What a phone's camera makes of the light: exposure, white balance, noise, gamma."""
+"""Model of a phone's camera: exposure, white balance, noise, gamma."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class Wobble:
 
 @dataclass(frozen=True, eq=False)
 class Motion(ABC):
-    """How a phone is carried. Poses are known at any time, in the map frame.
+    """Motion of a carried phone, with poses in the map frame at any time.
 
     Attributes:
         number: 1 is the walk that the map frame's origin belongs to.
@@ -131,7 +131,7 @@ class Motion(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Walk(Motion):
-    """A way through the test site and when it is walked.
+    """Path through the test site, and its timing.
 
     Attributes:
         departures, arrivals: (4,) seconds, of each leg; in between and at both ends the walker stands still.
@@ -242,7 +242,7 @@ def measure_waypoints(walk: Motion, seconds: float, seed: int = 0) -> tuple[Wayp
 
 @dataclass(frozen=True)
 class ImuErrors:
-    """What is wrong with a phone's IMU: constant biases, drawn at random with these deviations, and white noise."""
+    """Errors of a phone's IMU: standard deviations of constant random biases, and white noise."""
 
     accelerometer_bias_m_s2: float = 0.05
     gyroscope_bias_rad_s: float = 0.005
@@ -258,7 +258,7 @@ def measure_imu(
     time_offset_s: float = 0.0,
     seed: int = 0,
 ) -> Imu:
-    """What the phone's IMU reads on the walk, gravity's reaction included.
+    """Readings of the phone's IMU on the walk, including gravity's reaction.
 
     A reading stamped t was taken at t − ``time_offset_s`` on the video's clock.
     """
@@ -278,7 +278,7 @@ def measure_imu(
 
 
 def _leg(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The share (N,) of a leg done after the share ``x`` of its time, and its derivative: twice differentiable."""
+    """Share (N,) of a leg's path after the share ``x`` of its time, and its derivative; twice differentiable."""
     top = 1 / (1 - _RAMP)
     x = np.clip(x, 0.0, 1.0)
     up, down = np.clip(x / _RAMP, 0, 1), np.clip((1 - x) / _RAMP, 0, 1)

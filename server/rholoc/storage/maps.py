@@ -14,7 +14,7 @@ from rholoc.disk import make_folder, temporary_folder
 from rholoc.maps import Map
 from rholoc.maps.catalogue import KEPT_VERSIONS, MapCatalogue, MapChange, MapFile
 from rholoc.maps.formats.rho_file import LENGTH_BYTES, MapOutline, header_bytes, outline_of
-from rholoc.storage.copies import Copies
+from rholoc.storage.object_cache import Copies
 from rholoc.storage.replica import Replica
 from rholoc.storage.tables import map_versions_table, maps_table
 

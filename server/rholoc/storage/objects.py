@@ -179,7 +179,7 @@ class ObjectStorage:
                     (self._folder / key).parent.rmdir()
 
     def list(self, prefix: str) -> Iterator[StoredObject]:
-        """The objects whose keys begin with a folder's name.
+        """The objects below a folder.
 
         Raises:
             StorageUnavailable: the storage does not answer.

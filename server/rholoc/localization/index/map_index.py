@@ -123,8 +123,7 @@ class MapIndex:
         """Mutual nearest-neighbour matches with a subset of the map's landmarks.
 
         With ``some`` (N,), only these rows of the features are matched, and only against each landmark's first
-        descriptor,
-        which is faster.
+        descriptor, which is faster.
         """
         return self.nearest_within(features, landmarks, some).matches(mutual=True)
 

@@ -153,8 +153,7 @@ def freed_focal(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: floa
     """Effect of freeing the focal length at an optimum: pose displacement [m] and gain in log-likelihood [nats].
 
     Compares one Gauss–Newton step with the focal length free to one without (Rao's score test). Cheap, and reliable if
-    it
-    reports little change.
+    it reports little change.
     """
     slope, curvature = _focal_equations(evidence, T_map_camera, tolerance_px, dof)
     curvature = curvature + 1e-9 * np.eye(7)
@@ -215,9 +214,8 @@ def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = Fals
     """Information (6, 6) at an optimum, or (7, 7) with ln(focal length) last if ``focal_free``.
 
     Position in metres, rotation in radians (a small rotation in the map frame from the left). Detection noise is
-    estimated
-    from the matches' residuals, and the landmark covariance is added. ``SYSTEMATIC`` accounts for the errors that
-    neighbouring landmarks share, because they were triangulated from the same views. An estimated focal length
+    estimated from the matches' residuals, and the landmark covariance is added. ``SYSTEMATIC`` accounts for the errors
+    that neighbouring landmarks share, because they were triangulated from the same views. An estimated focal length
     (``focal_free``) lowers the information on the pose.
     """
     agreeing = evidence.take(np.flatnonzero(optimum.density > 0))
@@ -287,8 +285,7 @@ def roll_prior(T_map_camera: FloatArray, dof: Dof) -> tuple[FloatArray, FloatArr
     """Gradient (6,) and curvature (6, 6) of the log prior on the camera's roll.
 
     ``UPRIGHT``: a Gaussian, which keeps the camera upright against any evidence. ``AUTO``: a Cauchy distribution of the
-    same
-    width, which steadies a nearly upright camera and lets go of a clearly tilted one. ``FREE``: no prior.
+    same width, which steadies a nearly upright camera and lets go of a clearly tilted one. ``FREE``: no prior.
     """
     pull, stiffness = np.zeros(6), np.zeros((6, 6))
     if dof is not Dof.FREE:

@@ -24,8 +24,7 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
     """How well the lightness of features is predicted by the colours of their landmarks.
 
     Coefficient of determination of a ridge regression between ranks, with each match left out in turn (PRESS). It does
-    not
-    depend on the colour of the light, nor on whether the camera is grey.
+    not depend on the colour of the light, nor on whether the camera is grey.
 
     Args:
         shown: (M, 3) uint8, red, green and blue at the M matched features; None if unknown.

@@ -129,10 +129,8 @@ def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> f
     """Probability 0 to 1 that a verified pose's focal length is harmless, given poses with other focal lengths.
 
     A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
-    length
-    fits from some distance. The focal length is therefore considered known no better than by either pose's matches,
-    unless
-    the other one explains much more. Part of any gain comes from errors that the map's landmarks share.
+    length fits from some distance. The focal length is therefore considered known no better than by either pose's
+    matches, unless the other one explains much more. Part of any gain comes from errors that the map's landmarks share.
     """
     scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
     gain = best.optimum.value - verified.optimum.value
@@ -172,8 +170,7 @@ def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -
     """Whether matches around the pose and matches with its place both agree with the given focal length.
 
     True for most frames. Matches around the pose alone would not suffice: a wrong focal length excludes the matches
-    that
-    contradict it.
+    that contradict it.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     for some in (verified.wide, matches):

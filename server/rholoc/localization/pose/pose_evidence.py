@@ -121,8 +121,7 @@ def _beyond_chance(
     """Nats by which matches concentrate close to their landmarks, beyond what chance predicts from a ring around.
 
     Chernoff bound on the tail of the Poisson distribution, maximized over thresholds on descriptor distance: chance
-    matches
-    are less similar than true ones, but the similarity of true matches depends on light and viewing distance.
+    matches are less similar than true ones, but the similarity of true matches depends on light and viewing distance.
     """
     T = T_map_camera
     shown = camera.project((index.landmarks[wide.landmarks] - T[:3, 3]) @ T[:3, :3])

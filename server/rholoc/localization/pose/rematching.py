@@ -72,8 +72,7 @@ def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optim
     """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, sharpened if the densities have exact peaks.
 
     Landmarks that were only seen from elsewhere look different from here and are detected less exactly. They help to
-    find
-    and to believe a pose, but the last steps only use landmarks that nearby views saw too.
+    find and to believe a pose, but the last steps only use landmarks that nearby views saw too.
     """
     densities = index.map.densities
     if not densities.has_exact_peaks:

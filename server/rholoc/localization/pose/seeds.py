@@ -41,8 +41,7 @@ def vote_for_places(index: MapIndex, matches: Matches, most: int, views_each: in
     """The places with the most votes, at most ``most``, all different.
 
     Each match votes with its probability for the views that saw its landmark (presence). A place is a view together
-    with
-    the views that share most features with it.
+    with the views that share most features with it.
     """
     return list(islice(places_by_votes(index, matches, views_each, prior), most))
 

@@ -74,8 +74,7 @@ def triangulate(views: Views, labels: IntArray) -> Landmarks:
     """Triangulate tracks with labels (N,), by robust information sums.
 
     Observations beyond the outlier limit lose their label. Landmarks with fewer than two observations or an
-    undetermined
-    position are dropped.
+    undetermined position are dropped.
     """
     rows = np.flatnonzero(labels >= 0)
     tracks, count = labels[rows], int(labels.max(initial=-1)) + 1
@@ -150,10 +149,8 @@ def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArra
     """Mask (F,) of well-determined landmarks that are among the best of some view.
 
     A landmark stays if it is among the ``per_view`` best of any view, so the map grows with the space it covers, not
-    with
-    the duration of the walk. The best are those that a further walk sees with the highest probability (with several
-    walks),
-    then those seen most often.
+    with the duration of the walk. With several walks, the best are those with the highest probability of being seen by
+    a further walk; after that, those seen most often.
 
     Args:
         views: K views.
@@ -213,8 +210,7 @@ def representative_rows(views: Views, labels: IntArray, count: int, metric: Metr
     """For each of ``count`` landmarks the detections with the most representative descriptors, at most ``most``.
 
     The first is the medoid. Further ones reduce the distances to the other descriptors most, as long as some descriptor
-    is
-    poorly represented. Empty for a landmark without detections labelled (N,) with it.
+    is poorly represented. Empty for a landmark without detections labelled (N,) with it.
     """
     order = np.argsort(labels, kind="stable")
     bounds = np.searchsorted(labels[order], np.arange(count + 1))

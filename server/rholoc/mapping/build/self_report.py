@@ -33,8 +33,7 @@ def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> MapR
     """Report on a map: statistics of landmarks, coverage, consistency with held-out frames.
 
     Held-out frames are localized and compared with the trajectory's poses. This measures consistency, not truth: an
-    error
-    of the trajectory affects map and frames alike.
+    error of the trajectory affects map and frames alike.
     """
     report = map_statistics(map_)
     if held_out.frames:

@@ -16,8 +16,7 @@ def choose_views(T_map_camera: FloatArray, hold_out: bool, step: float = VIEW_ST
     """Rows of the views and of the held-out frames, from a trajectory's poses (K, 4, 4) in order of time.
 
     Every tenth pose is held out. Among the others, a view is taken whenever the camera has moved by ``step`` (metres
-    plus
-    radians), at most 2000 in all.
+    plus radians), at most 2000 in all.
     """
     rows = np.arange(len(T_map_camera))
     held_out = (

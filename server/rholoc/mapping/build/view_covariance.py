@@ -26,8 +26,7 @@ def uncertainty_in(
     """Covariances (K, 6, 6) float32 of poses (K, 4, 4) that were localized in a map.
 
     The map's own covariance at each pose, plus ``residual_m`` and ``residual_rad``, the standard deviations per axis of
-    the
-    poses relative to the map. NaN if the map has no covariances.
+    the poses relative to the map. NaN if the map has no covariances.
     """
     covariances, positions = map_.views.known_covariances.astype(np.float64), map_.views.positions
     own = np.diag([residual_m**2] * 3 + [residual_rad**2] * 3)

@@ -27,8 +27,7 @@ def as_learned(
     report.
 
     ``learned`` is added to the report. With ``forgetting``, ``observed`` densities are updated recursively; without,
-    all
-    densities are fitted again.
+    all densities are fitted again.
     """
     report = _brought_up(after, before.info.report)
     report = replace(report, learned=_without_old_lessons((*report.learned, learned)))

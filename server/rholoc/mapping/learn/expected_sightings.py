@@ -73,8 +73,7 @@ class Sights:
         """Expected sightings of some cameras.
 
         Each camera is expected to see what nearby views of the map saw, with the probability that they did. Landmarks
-        hidden
-        behind one that the camera saw are not expected.
+        hidden behind one that the camera saw are not expected.
 
         Args:
             index: index of the map.
@@ -96,10 +95,8 @@ class Sights:
         cameras.
 
         A present landmark is seen as often as by the map's views, reduced by the camera's overall rate of sightings, so
-        a dark
-        or blurred picture says little. An absent one is seen by chance, and by the share ``misplaced`` of cameras that
-        were
-        localized by that landmark itself.
+        a dark or blurred picture says little. An absent one is seen by chance, and by the share ``misplaced`` of
+        cameras that were localized by that landmark itself.
         """
         nats: FloatArray = np.zeros(len(self.cameras))
         for _ in range(_ROUNDS):

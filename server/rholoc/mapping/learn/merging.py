@@ -33,8 +33,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     """New map of everything that two maps have learned, in the frame of ``a``.
 
     The views that ``b`` remembers are localized in ``a``, which aligns the maps, rigidly if both are metric. Features
-    at the
-    same pixels with similar descriptors are identified. A recording that both have learned counts once.
+    at the same pixels with similar descriptors are identified. A recording that both have learned counts once.
 
     Raises:
         InvalidInput: a map does not remember its observations, the features differ, or the densities are not ``ray``.

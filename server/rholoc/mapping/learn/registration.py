@@ -131,8 +131,7 @@ def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool,
     """Align a trajectory (K, 4, 4) with the frames localized in the map; ``what`` names it in messages.
 
     Robust least squares, rotations first: every frame determines the rotation between the two frames, so walks along a
-    line
-    or on the spot can be aligned too. The scale is kept if ``scale_is_known``, but checked.
+    line or on the spot can be aligned too. The scale is kept if ``scale_is_known``, but checked.
 
     Raises:
         MappingFailed: trajectory and map contradict each other; says by how much.

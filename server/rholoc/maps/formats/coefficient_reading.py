@@ -1,4 +1,4 @@
-"""Table 5 read back to a map."""
+"""Read a map from Table 5."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SNIFFED = 4096
 
 @dataclass(eq=False)
 class _Feature:
-    """The rows of one feature; ``texts`` are the values that all of its rows must share."""
+    """The rows of one feature; ``texts`` are the values common to all of its rows."""
 
     channel: int
     landmark: FloatArray
@@ -46,7 +46,7 @@ class _Feature:
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """The form of the table, and where its parts are in a row."""
+    """The form of the table, and its columns."""
 
     form: type[Densities]
     degree: int
@@ -59,7 +59,7 @@ class _Header:
 
 
 def is_coefficient_table(path: Path) -> bool:
-    """Whether a file begins with columns of text, like Table 5, and not with a binary length, like ``.rho``."""
+    """Whether a file begins with text columns, like Table 5, not with a binary length, like ``.rho``."""
     with path.open("rb") as file:
         first_line = file.read(_SNIFFED).removeprefix(codecs.BOM_UTF8).partition(b"\n")[0]
     return first_line.isascii() and b"," in first_line and b"\0" not in first_line
@@ -101,7 +101,7 @@ def read_coefficient_table(path: Path, called: str = "") -> Map:
 
 
 def _header(name: str, columns: list[str]) -> _Header:
-    """The form that the column names imply; they must be exactly those of that form."""
+    """The form implied by the column names, which must be exactly those of that form."""
     coefficients = [name for name in columns if name.startswith("a_")]
     last = coefficients[-1].removeprefix("a_").split("_") if coefficients else []
     forms: dict[int, list[type[Densities]]] = {}
@@ -137,7 +137,7 @@ def _with_columns(forms: list[type[Densities]], columns: list[str]) -> type[Dens
 
 
 def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:
-    """The number of each row, from 1, and its values; there must be as many rows as the table says."""
+    """Number, from 1, and values of each row; checks the stated number of rows."""
     total, count = "", 0
     for line in lines:
         if not line.strip():
@@ -278,7 +278,7 @@ def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
 
 
 def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Times (K,) and poses (K, 7) of the views, and the view (V,) and feature (V,) of each observation."""
+    """Times (K,) and poses (K, 7) of the views; view (V,) and feature (V,) of each observation."""
     known: dict[str, int] = {}
     saw: dict[int, list[int]] = {}
     for feature, text in enumerate(seen_from):

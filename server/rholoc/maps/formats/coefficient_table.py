@@ -41,8 +41,7 @@ def table_columns(form: type[Densities], degree: int) -> list[str]:
 def write_coefficient_table(map_: Map, path: Path) -> None:
     """Write a map as Table 5; an existing file is replaced atomically.
 
-    Numbers read back exactly. The whole map is in it but for what learning needs (its observations), its sources and
-    its report.
+    Numbers read back exactly. Contains the whole map except its observations (for learning), sources and report.
 
     Raises:
         InvalidMap: the map's arrays contradict each other.
@@ -95,7 +94,7 @@ def _sightings(map_: Map) -> Sightings:
 
 
 def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:
-    """Feature, descriptor and density of every row: each of a feature's descriptors and densities at least once."""
+    """Feature, descriptor and density of every row; each descriptor and density of a feature occurs at least once."""
     features = np.arange(len(map_) + 1)
     of_descriptors = np.searchsorted(map_.descriptors.features, features)
     of_densities = np.searchsorted(density_features, features)

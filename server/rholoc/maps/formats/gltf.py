@@ -72,7 +72,7 @@ class _File:
         return self._accessor(stored.tobytes(), len(points), _FLOAT, "VEC3", bounds)
 
     def colours(self, colours: NDArray[Any]) -> int:
-        """The accessor of colours (N, 3) uint8, which are stored with alpha: rows must be aligned to four bytes."""
+        """The accessor of colours (N, 3) uint8, stored with alpha because rows must be aligned to four bytes."""
         rows = np.column_stack([colours, np.full(len(colours), 255, dtype=np.uint8)])
         return self._accessor(
             rows.astype(np.uint8).tobytes(), len(colours), _UNSIGNED_BYTE, "VEC4", {"normalized": True}

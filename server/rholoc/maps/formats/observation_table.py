@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from rholoc.geometry import ByteArray, FloatArray
 
 OBSERVATION_COLUMNS = ("descriptor", "u", "v", "x", "y", "z", "hx", "hy", "hz")
-TIME_COLUMN, ROLL_COLUMN = "timestamp", "roll"  # before and after these, where they are known
+TIME_COLUMN, ROLL_COLUMN = "timestamp", "roll"  # optional first and last column
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +21,8 @@ class ObservationTable:
         pixels: (N, 2), u and v.
         positions: (N, 3), of the camera, metres, map frame.
         headings: (N, 3), unit vectors of the optical axis, map frame.
-        times: (N,) seconds, of the frame; None where they are not known.
-        rolls: (N,) radians about the heading, against the upright camera; None where all are zero, as in the paper.
+        times: (N,) of the frames [s]; None if unknown.
+        rolls: (N,) about the heading against the upright camera [rad]; None if all are zero, as in the paper.
     """
 
     channels: ByteArray
@@ -38,7 +38,7 @@ class ObservationTable:
 
 
 def descriptor_hex(channel: int, descriptor: ByteArray) -> str:
-    """A descriptor (B,) as the tables write it: two hex digits for its channel, then two for each byte."""
+    """A descriptor (B,) in the tables' notation: two hex digits for its channel, then two for each byte."""
     return f"{channel:02x}{descriptor.tobytes().hex()}"
 
 

@@ -12,12 +12,12 @@ from rholoc.maps.map import Map
 
 
 def landmark_sigmas(map_: Map) -> FloatArray:
-    """(F,) metres: the root mean variance of each landmark over the three axes, √(tr Σ / 3)."""
+    """Standard deviation (F,) [m] of each landmark, root mean square over the axes: √(tr Σ / 3)."""
     return np.asarray(np.sqrt(np.trace(map_.landmarks.covariances.astype(np.float64), axis1=1, axis2=2) / 3))
 
 
 def view_sigmas(map_: Map) -> FloatArray:
-    """(K,) metres: the same for each view's position; 0 where it is not known."""
+    """The same for each view's position (K,) [m]; 0 if unknown."""
     return np.asarray(np.nan_to_num(map_.views.expected_errors_m) / np.sqrt(3))
 
 

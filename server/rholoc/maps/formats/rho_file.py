@@ -26,27 +26,27 @@ from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.geometry import FloatArray, IntArray, Lens, poses_from_rows, rows_from_poses
 from rholoc.maps.cloud import Cloud
 from rholoc.maps.info import MapInfo, info_from_json, info_to_json
+from rholoc.maps.kept_observations import packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapTable, MapViews
-from rholoc.maps.memory import packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.patch_bytes import packed_patches, unpacked_patches
 from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
 FORMAT = "rholoc-map"
 FORMAT_VERSION = 2
-_LENS_VERSION = 3  # of a map with a camera that is not a pinhole, which earlier programs would take for one
+_LENS_VERSION = 3  # of maps with cameras other than pinholes, to stop earlier programs
 
 _CHECKSUM_BYTES = 16
 _HINT = "Take another copy, or build the map again."
 _UNIT_TOLERANCE = 1e-3  # of a stored quaternion's length
 
-Kind = tuple[str, tuple[int | None, ...]]  # of number, and the shape's known part; None is any length
+Kind = tuple[str, tuple[int | None, ...]]  # dtype, and shape with None for any length
 
 
 @dataclass(frozen=True)
 class _Stored:
-    """How a file keeps a column of one of the map's tables.
+    """Storage of a table's column in a file.
 
     Attributes:
         name: of the array in the file.
@@ -143,7 +143,7 @@ _INDICES = tuple(name for name, (number, _) in _KINDS.items() if number == "i4")
 Arrays = dict[str, NDArray[Any]]
 Table = TypeVar("Table", bound=MapTable)
 _ABSENT = {"shape": [0]}
-LENGTH_BYTES = 8  # of a file, which say how long its header is
+LENGTH_BYTES = 8  # at the start of a file, with the length of its header
 _MAX_HEADER_BYTES = 2**25  # twice the longest description: it is text within text
 _MAX_HEADER_TOKENS = 5000  # a map has a few dozen arrays of five texts each
 _TOKEN = re.compile(rb'"(?:[^"\\]++|\\.)*+"', re.DOTALL)
@@ -179,11 +179,11 @@ def map_to_bytes(map_: Map) -> bytes:
 
 
 def load_map(path: Path | str, called: str | None = None) -> Map:
-    """Read a map. The file is memory-mapped while it is read and not needed afterwards: it may be overwritten any time.
+    """Read a map. The file is not needed afterwards.
 
     Args:
         path: the file.
-        called: what error messages call it, by default its name.
+        called: name of the file in error messages, by default its own.
 
     Raises:
         UnknownMap: there is no such file.
@@ -214,11 +214,11 @@ def load_map(path: Path | str, called: str | None = None) -> Map:
 
 @dataclass(frozen=True)
 class MapOutline:
-    """What the header of a map's file says.
+    """Content of the header of a map's file.
 
     Attributes:
         info: the map's description.
-        landmarks, views: how many it has.
+        landmarks, views: their numbers.
         checksum: of the description and all arrays.
     """
 
@@ -228,13 +228,8 @@ class MapOutline:
     checksum: str = ""
 
 
-def load_info(path: Path) -> MapInfo:
-    """The description in a map's file. Raises as :func:`load_outline`."""
-    return load_outline(path).info
-
-
 def load_outline(path: Path) -> MapOutline:
-    """The description in a map's file and the lengths of its arrays; these themselves are not read.
+    """Read the description in a map's file and the lengths of its arrays, but not the arrays.
 
     Raises:
         InvalidMap: it is not a map, or cannot be read.
@@ -246,7 +241,7 @@ def header_bytes(start: bytes, called: str) -> int:
     """Length in bytes of the header that follows the first :data:`LENGTH_BYTES` of a map's file.
 
     Raises:
-        InvalidMap: it is longer than that of any map.
+        InvalidMap: it is longer than any map's.
     """
     length = int.from_bytes(start[:LENGTH_BYTES], "little")
     if len(start) < LENGTH_BYTES or length > _MAX_HEADER_BYTES:
@@ -255,10 +250,10 @@ def header_bytes(start: bytes, called: str) -> int:
 
 
 def outline_of(header: bytes, called: str) -> MapOutline:
-    """The outline of a map by the header of its file.
+    """Parse the header of a map's file.
 
     Raises:
-        InvalidMap: it is not that of a map, or describes more arrays than a map has.
+        InvalidMap: it is not a map's, or describes too many arrays.
     """
     for count, _ in enumerate(_TOKEN.finditer(header)):
         if count > _MAX_HEADER_TOKENS:
@@ -274,7 +269,7 @@ def outline_of(header: bytes, called: str) -> MapOutline:
 
 
 def _header(path: Path, called: str) -> bytes:
-    """The header of a map's file, which is checked to be quick to parse. Raises InvalidMap."""
+    """The header of a map's file, checked for its size. Raises InvalidMap."""
     try:
         with path.open("rb") as file:
             header = file.read(header_bytes(file.read(LENGTH_BYTES), called))
@@ -284,7 +279,7 @@ def _header(path: Path, called: str) -> bytes:
 
 
 def _reason(error: Exception) -> str:
-    """The text of an exception, without the path that those of the operating system have."""
+    """The text of an exception, without the path in operating-system errors."""
     return error.strerror or type(error).__name__ if isinstance(error, OSError) else str(error)
 
 
@@ -300,7 +295,7 @@ def _check_format(called: str, metadata: Mapping[str, str]) -> None:
 
 
 def _format_version(info: MapInfo) -> int:
-    """The least version that has what the map has."""
+    """Lowest format version that supports the map."""
     cameras = (info.camera, *source_cameras(info))
     return FORMAT_VERSION if all(camera.lens is Lens.PINHOLE for camera in cameras) else _LENS_VERSION
 
@@ -334,31 +329,31 @@ def _packed(map_: Map) -> Arrays:
 
 
 def _packed_table(table: MapTable, columns: Mapping[str, _Stored]) -> dict[str, Any]:
-    """A table's columns as the file keeps them, without those that are None."""
+    """A table's columns in the file's representation, without those that are None."""
     found = ((stored, getattr(table, column)) for column, stored in columns.items())
     return {stored.name: stored.pack(values) for stored, values in found if values is not None}
 
 
 def _narrowed(indices: IntArray) -> IntArray:
-    """Indices, none of them negative, as the smallest of uint8, uint16 and int32 that holds them all."""
+    """Non-negative indices in the smallest sufficient type of uint8, uint16 and int32."""
     greatest = indices.max(initial=0)
     fitting = (kind for kind in ("<u1", "<u2") if greatest <= np.iinfo(kind).max)
     return indices.astype(next(fitting, "<i4"))
 
 
 def _widened(arrays: Arrays) -> Arrays:
-    """A file's arrays with those indices as int32 that were narrowed."""
+    """A file's arrays with narrowed indices as int32."""
     narrow = (name for name in _INDICES if name in arrays and arrays[name].dtype in (np.uint8, np.uint16))
     return arrays | {name: arrays[name].astype(np.int32) for name in narrow}
 
 
 def _prefix(kind: DensityKind) -> str:
-    """What the names of a form's arrays begin with."""
+    """Prefix of the names of a form's arrays."""
     return f"extras/{kind.value}_"
 
 
 def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
-    """The map of a file's arrays; unknown arrays are ignored, and a memory of which a part is missing.
+    """The map of a file's arrays; unknown arrays and incomplete observations are ignored.
 
     Raises:
         InvalidMap: one is missing, of another type or shape, or contradicts another in length.
@@ -384,7 +379,7 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
 
 
 def _unpacked_table(table: type[Table], arrays: Arrays, columns: Mapping[str, _Stored]) -> Table:
-    """A table of a map, of the arrays of its file.
+    """A map's table from the arrays of its file.
 
     Raises:
         InvalidMap: one that is required is missing, or one is of another type or shape.

@@ -1,4 +1,4 @@
-"""A map for a 3-D viewer: what it draws, in few bytes."""
+"""Compact binary form of a map for a 3-D viewer."""
 
 from __future__ import annotations
 

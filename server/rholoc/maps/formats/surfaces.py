@@ -1,4 +1,4 @@
-"""Where densities peak, as surfaces for ParaView.
+"""Peaks of densities as surfaces for ParaView.
 
 Around its landmark a ``ray`` density seen from the feature's views is constant on ellipsoids: those of the landmark's
 covariance Λ⁻¹ (:mod:`rholoc.density.ray`). The surface drawn is three standard deviations wide.
@@ -20,7 +20,7 @@ from rholoc.maps.map import Map
 SIGMAS = 3.0
 _POINTS = 162  # of a surface
 MAX_SURFACES = 5000
-_PATH = -1  # the feature that the path's cell names
+_PATH = -1  # feature number of the path's cell
 
 
 def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:

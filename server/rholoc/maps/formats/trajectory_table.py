@@ -24,7 +24,7 @@ TRAJECTORY_COLUMNS = PAPER_COLUMNS + FURTHER_COLUMNS
 _MAX_SHOWN = 80  # characters of a wrong value
 _HINT = f"The first row must be {','.join(PAPER_COLUMNS)}, with or without {','.join(FURTHER_COLUMNS)} after it."
 _NORM_TOLERANCE = 1e-2
-_MAX_WHOLE = 2.0**53  # above which not every whole number is a float
+_MAX_WHOLE = 2.0**53  # largest float range with all whole numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,10 @@ class TrajectoryTable(PosedCameras):
         T_map_camera: (N, 4, 4).
         confidences: (N,) float64, 0..1; NaN where unknown.
         inliers: (N,) int64; 0 where unknown.
-        map_trusted: (N,) float64, whether the map that a frame was localized in is to be trusted: 1, 0, or NaN where
-            unknown. None if unknown for all.
-        expected_errors_m: (N,) float64, how far that map is expected to be off there (root mean square, metres); NaN
-            where unknown. None if unknown for all.
+        map_trusted: (N,) float64, whether the frame's map is to be trusted: 1, 0, or NaN if unknown. None if unknown
+            for all.
+        expected_errors_m: (N,) float64, expected RMS error of the frame's map there; NaN if unknown. None if unknown
+            for all.
     """
 
     times: FloatArray
@@ -71,7 +71,7 @@ class TrajectoryTable(PosedCameras):
 
 
 def view_trajectory(map_: Map) -> TrajectoryTable:
-    """A map's views as a trajectory, in order; frames and confidences are unknown, ``inliers`` count what each saw."""
+    """A map's views as a trajectory; frames and confidences are unknown, ``inliers`` count each view's observations."""
     views = len(map_.views)
     trusted = trust_of(map_.info).trusted
     return TrajectoryTable(

@@ -13,7 +13,7 @@ import numpy as np
 
 from rholoc.errors import InvalidImage, InvalidRecording, RholocError
 from rholoc.geometry import ByteArray, FloatArray, IntArray
-from rholoc.recordings.frames.image import decode_image
+from rholoc.recordings.frames.image_decoding import decode_image
 from rholoc.recordings.frames.video import check_frame_size
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidImage
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
-from rholoc.recordings.frames.image import read_grey
+from rholoc.recordings.frames.image_decoding import read_grey
 
 MILLIMETRE_M = 1e-3
 _MAX_DEPTH_M = 10.0  # larger depths are unreliable

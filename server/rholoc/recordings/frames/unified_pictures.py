@@ -14,7 +14,7 @@ import numpy as np
 from rholoc.errors import InvalidImage, InvalidRecording
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, on_plane
 from rholoc.geometry.lenses import places_of
-from rholoc.recordings.frames.image import read_image
+from rholoc.recordings.frames.image_decoding import read_image
 
 _MAX_EXTENT = 1.8  # tangent of a wide pinhole's maximum angle off the axis: 61°
 _SHRINKING = 1.5  # minimum reduction for a picture to be averaged before it is resampled

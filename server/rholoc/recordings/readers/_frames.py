@@ -97,7 +97,7 @@ def untimed_images(paths: Sequence[Path], cameras: Sequence[Camera] | None = Non
 
 
 def camera_of(frames: ImageFolderFrames | UnifiedPictures, cameras: Sequence[Camera] | None) -> Camera | None:
-    """Camera of the frames of images whose ``cameras`` are known; None if they are not."""
+    """Camera of the frames of images with known ``cameras``; None if unknown."""
     if cameras is None:
         return None
     return frames.common if isinstance(frames, UnifiedPictures) else cameras[0].fitted(*frames.size)
@@ -109,7 +109,7 @@ def depth_images(
     unknown: tuple[int, ...] = (0,),
     camera: Camera | None = None,
 ) -> DepthImages | None:
-    """:class:`DepthImages` of files some of which may be missing; None if all are."""
+    """:class:`DepthImages` of files that may be missing; None if all are."""
     found = tuple(path if path is not None and path.is_file() else None for path in paths)
     return DepthImages(found, unit_m, unknown, camera) if any(found) else None
 

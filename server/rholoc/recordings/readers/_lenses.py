@@ -66,6 +66,6 @@ def lens_of_model(model: str) -> Lens | None:
 
 
 def unsupported(model: str) -> RecordingWarning:
-    """Warn of a camera whose intrinsics cannot be used."""
+    """Warning about unusable intrinsics."""
     text = f"The camera's model is {model}, which is not supported: its intrinsics are ignored."
     return RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text)

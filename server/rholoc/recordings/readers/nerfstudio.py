@@ -20,7 +20,7 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidImage, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
-from rholoc.recordings.frames.image import image_size
+from rholoc.recordings.frames.image_decoding import image_size
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.readers._lenses import lens_of_model, unsupported
@@ -127,7 +127,7 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def _number(values: dict[str, Any], name: str) -> float:
-    """A number, NaN where there is none.
+    """A number; NaN if missing.
 
     Raises:
         InvalidCamera: it is something else, or far too large.

@@ -21,7 +21,7 @@ import numpy as np
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.frames.depth import MILLIMETRE_M
-from rholoc.recordings.frames.image import image_size
+from rholoc.recordings.frames.image_decoding import image_size
 from rholoc.recordings.readers._apple import opencv_camera, z_up
 from rholoc.recordings.readers._frames import depth_images, timed_images
 from rholoc.recordings.recording import GivenPoses, PoseKind, Recording, RecordingFormat

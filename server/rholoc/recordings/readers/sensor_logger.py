@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.errors import InvalidRecording
-from rholoc.recordings.frames.image import IMAGE_SUFFIXES
+from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
 from rholoc.recordings.frames.image_folder import number_in_name
 from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, interpolated, normalise_imu

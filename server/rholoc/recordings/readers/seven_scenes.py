@@ -70,7 +70,7 @@ def _depth_file(image: Path) -> Path:
 
 
 def _read_pose(path: Path) -> FloatArray:
-    """T_world_camera (4, 4), NaN where there is none."""
+    """T_world_camera (4, 4); NaN if unknown."""
     if not path.is_file():
         return np.full((4, 4), np.nan)
     try:

@@ -129,7 +129,7 @@ class OpenStreams:
         stream.end(Conflict("An administrator ended this stream.", "Ask whoever runs the server."))
 
     def end_invalid(self) -> None:
-        """End the streams whose keys are not valid any more."""
+        """End streams with invalid keys."""
         for one in self.all():
             if one.key is not None and not self._keys.is_valid(one.key):
                 one.end(Unauthorized("This API key was revoked, or has expired.", "Ask for another one."))

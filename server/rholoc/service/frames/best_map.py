@@ -36,7 +36,7 @@ def best_map(
     rank: Callable[[T], tuple[bool, float]],
     clock: Stopwatch,
 ) -> tuple[str, AnyLocalizer, T]:
-    """The map whose answer ranks highest: its name, its localizer and the answer.
+    """Name, localizer and answer of the map with the highest rank.
 
     Raises:
         InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
@@ -61,7 +61,7 @@ def best_map(
 def each_map(
     maps: Candidates, localizers: LocalizerSource, ask: Callable[[str, AnyLocalizer], bool | None], clock: Stopwatch
 ) -> None:
-    """Ask maps one after another until ``ask`` says that it is enough, passing over those that a frame does not fit.
+    """Call ``ask`` for maps one after another until it returns True; skips maps that do not fit the frame.
 
     Raises:
         InvalidCamera, InvalidDescriptors: the frame fits none of the maps.

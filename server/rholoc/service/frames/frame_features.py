@@ -13,7 +13,7 @@ from rholoc.errors import InvalidCamera
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray
 from rholoc.lazy import lazy
-from rholoc.recordings.frames.image import SENT_FORMATS, decode_image, image_size
+from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image, image_size
 from rholoc.service.frames.queries import Frame, feature_set
 from rholoc.service.frames.stopwatch import Stopwatch
 from rholoc.service.settings import Settings

@@ -37,13 +37,13 @@ class _Model(BaseModel):
 
 
 class RequestModel(_Model):
-    """Base of what clients send. Unknown members are refused."""
+    """Base of requests. Unknown members are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class AnswerModel(_Model):
-    """Base of what clients are sent, made of keywords or of an object with the same attributes."""
+    """Base of answers, made of keywords or of an object with the same attributes."""
 
     model_config = ConfigDict(frozen=True, from_attributes=True)
 

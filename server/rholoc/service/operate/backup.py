@@ -23,7 +23,7 @@ from uuid import uuid4
 from rholoc import __version__
 from rholoc.disk import reporting_full_disk, sync_folder, temporary_folder
 from rholoc.errors import Conflict, InvalidInput, MissingObject, UnknownRecording
-from rholoc.jobs import MovedIn, RecordingStore, Stores, move_in
+from rholoc.jobs import ImportedData, RecordingStore, Stores, import_data
 from rholoc.jobs.recording_store import ENTRY_FILE
 from rholoc.jobs.stores import CAMERAS, KEYS, SITES, documents_folder
 from rholoc.maps import FolderDocuments, MapLibrary
@@ -92,7 +92,7 @@ def back_up(file: Path, stores: Stores, recordings: bool = False) -> Manifest:
     raise AssertionError("unreachable")
 
 
-def restore(file: Path, stores: Stores) -> tuple[Manifest, MovedIn]:
+def restore(file: Path, stores: Stores) -> tuple[Manifest, ImportedData]:
     """Restore a backup into stores without replacing anything.
 
     Identical data is skipped, so that an interrupted restoration can be repeated.
@@ -112,7 +112,7 @@ def restore(file: Path, stores: Stores) -> tuple[Manifest, MovedIn]:
                 f"{len(other)} of the backup's files exist already and are different: {shown}. Nothing was restored.",
                 "Restore into empty folders (--maps and --data), or an empty storage and database.",
             )
-        return manifest, move_in(maps_dir, data_dir, stores)
+        return manifest, import_data(maps_dir, data_dir, stores)
 
 
 def unpack_backup(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:

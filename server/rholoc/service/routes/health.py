@@ -11,7 +11,7 @@ from rholoc.service.access.scopes import NEEDS_READ, OPEN
 from rholoc.service.http.metrics import METRICS_TYPE
 from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.openapi import content, declared
-from rholoc.service.operate.readings import OK, text_of, unanswered
+from rholoc.service.operate.health_readings import OK, text_of, unanswered
 from rholoc.service.state import Service, State
 
 

@@ -169,7 +169,7 @@ def _mistake(waypoints: Sequence[Waypoint], own: FloatArray) -> int | None:
 
 
 def _explain(waypoint: Waypoint, off: FloatArray) -> str:
-    """One line on a waypoint whose measured position is ``off`` (3,) [m] from the camera's."""
+    """One line on a waypoint with a measured position ``off`` (3,) [m] from the camera's."""
     text = f"{waypoint.name} is {np.linalg.norm(off):.2f} m off the walk, while all others agree; it was left out."
     axis = int(np.argmax(np.abs(off)))
     if abs(off[axis]) < _ONE_AXIS * np.linalg.norm(off):

@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import InvalidImage
 from rholoc.localization import MAX_FRAMES
-from rholoc.recordings.frames.image import IMAGE_START_BYTES, begins_like_an_image
+from rholoc.recordings.frames.image_decoding import IMAGE_START_BYTES, begins_like_an_image
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.frames.queries import Frame, effort_of, effort_of_set
 from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
@@ -70,7 +70,7 @@ class OptionParameters:
     ] = None
 
     def options(self) -> dict[str, Any]:
-        """The same as the fields of :class:`LocalizeOptions`; what was not given is left out."""
+        """The given options as fields of :class:`LocalizeOptions`."""
         camera = _given(
             name=self.camera,
             fx=self.fx,
@@ -118,7 +118,7 @@ Options = Annotated[OptionParameters, Depends()]
 
 @asynccontextmanager
 async def read_frame(request: Request, options: OptionParameters, service: State) -> AsyncIterator[Frame]:
-    """One picture or descriptor set, whose memory is counted until the end of the block.
+    """Read one picture or descriptor set; its memory is counted until the end of the block.
 
     Raises:
         InvalidRequest, UnsupportedMediaType, TooLarge, InvalidImage, Busy: the body is none, or there is no room.

@@ -19,7 +19,7 @@ from rholoc.errors import Busy, DeadlineExceeded, InvalidInput
 from rholoc.evaluation.tracking import client_camera
 from rholoc.geometry import Camera
 from rholoc.localization import AnyLocalizer
-from rholoc.recordings.frames.image import SENT_FORMATS, decode_image
+from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image
 from rholoc.service.errors import InvalidRequest, RequestTimeout
 from rholoc.service.frames.answers import LocalizationOut, PoseOut
 from rholoc.service.frames.map_choice import MapChoice

@@ -13,7 +13,7 @@ import pytest
 from fake_pipeline import tiny_map
 
 from rholoc.geometry import Camera
-from rholoc.jobs import RecordingStore, Stores, move_in
+from rholoc.jobs import RecordingStore, Stores, import_data
 from rholoc.jobs.recording_notes import WAYPOINTS_FILE
 from rholoc.jobs.stores import CAMERAS, KEYS, SITES
 from rholoc.maps import CameraLibrary, CameraProfile, FramePose, MapLibrary, Site, SiteLibrary, SiteMap
@@ -38,7 +38,7 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(storage_url: str, tmp_p
     shared = stores
     shared.library.put("room", tiny_map())
 
-    moved = move_in(maps_dir, data_dir, stores)
+    moved = import_data(maps_dir, data_dir, stores)
     assert (moved.maps, moved.cameras, moved.sites, moved.keys, moved.recordings) == (1, 1, 1, 1, 1)
     assert moved.left == ("maps: room",)
     assert shared.library.get("hall").info == folder.get("hall").info
@@ -54,7 +54,7 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(storage_url: str, tmp_p
     assert recordings.notes(entry.id) == {WAYPOINTS_FILE: b"name,x,y,z\n"}
     assert folder.names() == ["hall", "room"], "the folders stay as they are"
     assert (kept.path(entry.id) / "walk.mp4").is_file()
-    again = move_in(maps_dir, data_dir, stores)
+    again = import_data(maps_dir, data_dir, stores)
     stores.close()
     assert (again.maps, again.recordings, len(again.left)) == (0, 0, 6)
 

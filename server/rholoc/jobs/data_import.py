@@ -14,7 +14,7 @@ from rholoc.maps import Documents, FolderDocuments, MapLibrary
 
 
 @dataclass(frozen=True)
-class MovedIn:
+class ImportedData:
     """Result of a copy.
 
     Attributes:
@@ -49,9 +49,9 @@ class _Thing:
     bring: Callable[[str], None]
 
 
-def move_in(
+def import_data(
     maps_dir: Path, data_dir: Path, stores: Stores, advance: Callable[[float], None] = lambda fraction: None
-) -> MovedIn:
+) -> ImportedData:
     """Copy maps with their previous versions, cameras, sites, keys and recordings; the folders stay unchanged.
 
     Names that the stores have already are skipped, so that an interrupted copy can be repeated.
@@ -84,7 +84,7 @@ def move_in(
                 unreadable.append(thing.name)
         advance(number / len(things))
     left = tuple(f"{thing.kind}: {thing.name}" for thing in things if thing.present)
-    return MovedIn(**counts, left=left, unreadable=tuple(unreadable))
+    return ImportedData(**counts, left=left, unreadable=tuple(unreadable))
 
 
 def _maps(folder: MapLibrary, library: MapLibrary) -> Sequence[_Thing]:

@@ -1,4 +1,4 @@
-"""What a map keeps of its observations, so that it can go on learning.
+"""A map's stored observations, for learning and forgetting.
 
 A ``ray`` density is a sum over observations (:mod:`rholoc.density.ray`). A map keeps the observations themselves, so
 that another recording adds its own to the sums and forgetting a recording takes them away; either way the landmarks are
@@ -26,12 +26,12 @@ _STEPS = 65536
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What a map remembers of its recordings, which learning and forgetting need.
+    """Per-recording data of a map for learning and forgetting.
 
     Attributes:
         pixels: (V, 2) u and v of each observation, in whole steps of :func:`packed_pixels`.
         view_sources: (K,) int32, the row of ``info.sources`` that each view comes from.
-        descriptor_sources: (D,) int32, the same of each descriptor.
+        descriptor_sources: (D,) int32, the same for each descriptor.
     """
 
     pixels: FloatArray
@@ -52,7 +52,7 @@ def unpacked_pixels(packed: IntArray, camera: Camera) -> FloatArray:
 
 
 def memory_of(map_: Map) -> Memory | None:
-    """What a map remembers; None if it lacks a part of it."""
+    """A map's memory; None if a part is missing."""
     pixels, views, descriptors = map_.observations.pixels, map_.views.sources, map_.descriptors.sources
     if pixels is None or views is None or descriptors is None:
         return None
@@ -60,7 +60,7 @@ def memory_of(map_: Map) -> Memory | None:
 
 
 def without_memory(map_: Map) -> Map:
-    """The map without what it remembers: it localizes as before, and can no longer learn."""
+    """The map without its memory: it localizes as before, but cannot learn."""
     return replace(
         map_,
         descriptors=replace(map_.descriptors, sources=None),
@@ -70,10 +70,10 @@ def without_memory(map_: Map) -> Map:
 
 
 def check_memory(map_: Map, what: str) -> Memory:
-    """What a map that is to learn or forget remembers; error messages refer to the map as ``what``.
+    """The memory of a map, checked before learning or forgetting; error messages call the map ``what``.
 
     Raises:
-        InvalidInput: it remembers nothing.
+        InvalidInput: it has no memory.
         InvalidMap: its memory contradicts the rest of it.
     """
     memory = memory_of(map_)
@@ -88,7 +88,7 @@ def check_memory(map_: Map, what: str) -> Memory:
 
 
 def memory_fits(map_: Map, memory: Memory) -> bool:
-    """Whether a memory agrees with its map, in number and in the recordings that it refers to."""
+    """Whether a memory's lengths and source numbers agree with its map."""
     count = len(map_.info.sources)
     return (
         memory.pixels.shape == (len(map_.observations), 2)

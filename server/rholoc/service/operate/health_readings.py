@@ -78,7 +78,7 @@ class LastKnown(Generic[T]):
 
 
 class Readings:
-    """The last known state of what a server depends on. Use it from the event loop's thread only.
+    """Last known state of a server's database, storage and disks. Use it from the event loop's thread only.
 
     Args:
         settings: with the folders.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rholoc.evaluation.baselines import RansacOptions, Solver, solve
+from rholoc.evaluation.pnp_baselines import RansacOptions, Solver, solve
 from rholoc.features import FeatureSet
 from rholoc.features.matching import DescriptorIndex
 from rholoc.features.vlad import Vlad
