@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -152,20 +152,13 @@ def _pose(localizer: Localizer, image: np.ndarray, room: rooms.Room) -> FloatArr
     return np.full((4, 4), np.nan) if answer.pose is None else answer.pose.T_map_camera
 
 
-class _Asked(NamedTuple):
+def _ask(localizer: Localizer, image: np.ndarray, camera: Camera) -> tuple[bool, float, float]:
     """Whether a picture has no pose, and the CPU time of its features and of the whole answer [s]."""
-
-    refused: bool
-    extract_s: float
-    whole_s: float
-
-
-def _ask(localizer: Localizer, image: np.ndarray, camera: Camera) -> _Asked:
     begun = time.thread_time()
     query = Query.of_picture(image, localizer.extractor, camera)
     extracted = time.thread_time()
     refused = localizer.localize(query).pose is None
-    return _Asked(refused, extracted - begun, time.thread_time() - begun)
+    return refused, extracted - begun, time.thread_time() - begun
 
 
 def _kitchen_map(cache: Path) -> tuple[rooms.Room, Localizer]:
@@ -175,7 +168,7 @@ def _kitchen_map(cache: Path) -> tuple[rooms.Room, Localizer]:
 
 
 @functools.cache
-def _asked_strangers(cache: Path) -> list[_Asked]:
+def _asked_strangers(cache: Path) -> list[tuple[bool, float, float]]:
     """Pictures of other rooms asked in the kitchen's map, once for all parts."""
     _, localizer = _kitchen_map(cache)
     return [_ask(localizer, image, camera) for image, camera in rooms.strangers(rooms.ROOMS[0].recording, 4)]
@@ -183,7 +176,7 @@ def _asked_strangers(cache: Path) -> list[_Asked]:
 
 def strangers(cache: Path) -> Figures:
     """Pictures of other rooms in the kitchen's map."""
-    refused = [one.refused for one in _asked_strangers(cache)]
+    refused = [one for one, *_ in _asked_strangers(cache)]
     return {"strangers.refused_percent": share(refused, 0), "strangers.pictures": Figure(len(refused), 0, True)}
 
 
@@ -211,8 +204,8 @@ def request(cache: Path) -> Figures:
     room, localizer = _kitchen_map(cache)
     assert room.asked.camera is not None
     easy = [_ask(localizer, image, room.asked.camera) for _, image in room.pictures()]
-    extract_s, answered_s = np.median([(one.extract_s, one.whole_s) for one in easy], axis=0)
-    refused_s = float(np.median([one.whole_s for one in _asked_strangers(cache)]))
+    extract_s, answered_s = np.median([times for _, *times in easy], axis=0)
+    refused_s = float(np.median([whole_s for *_, whole_s in _asked_strangers(cache)]))
     return {
         "request.answered_to_extracting_ratio": Figure(round(answered_s / extract_s, 2), AGAIN_RATIO, False),
         "request.refused_to_answered_ratio": Figure(round(refused_s / answered_s, 2), 1.0, False),
