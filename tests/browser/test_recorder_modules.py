@@ -122,12 +122,15 @@ RECORD = """async ([type, milliseconds]) => {
     ],
 )
 def test_frame_times_are_those_that_the_reader_finds(run, page, tmp_path, kind):
-    data = base64.b64decode(page.evaluate(RECORD, [f"video/{kind}", 2500]))
-    times = run("container", f"m.frameTimes(new Blob([{BYTES}]))", base64.b64encode(data).decode())
     video = tmp_path / ("video." + kind.split(";")[0])
-    video.write_bytes(data)
-    expected = read_recording(video).frames.times
-    assert len(expected) >= 2  # software encoders drop most frames of a busy machine
+    for milliseconds in (2_500, 10_000, 40_000):  # software encoders drop most frames of a busy machine
+        data = base64.b64decode(page.evaluate(RECORD, [f"video/{kind}", milliseconds]))
+        video.write_bytes(data)
+        expected = read_recording(video).frames.times
+        if len(expected) >= 2:
+            break
+    assert len(expected) >= 2
+    times = run("container", f"m.frameTimes(new Blob([{BYTES}]))", base64.b64encode(data).decode())
     np.testing.assert_allclose(times, expected - expected[0], atol=0.0015)
     cut = run("container", f"m.frameTimes(new Blob([{BYTES}]))", base64.b64encode(data[:-1]).decode())
     assert len(times) - 1 <= len(cut) <= len(times)
