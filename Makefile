@@ -28,7 +28,7 @@ test: $(INSTALLED)
 	$(PYTEST) -n 4 -m "not slow" $(TESTS)
 
 test-all: test
-	$(PYTEST) -n 3 -m slow $(TESTS)
+	$(PYTEST) -n 4 -m slow $(TESTS)
 
 # What the documents quote, measured again: it fails where something is worse. WRITE=1 puts the new figures there.
 figures: $(INSTALLED)

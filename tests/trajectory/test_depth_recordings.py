@@ -21,7 +21,7 @@ def test_depth_pictures_make_a_walk_metric(tmp_path: Path) -> None:
     scene = make_test_site(0)
     renderer = Renderer(scene, [face.paint.albedo for face in scene.faces])
     camera, depth_camera = PHONE_CAMERA, PHONE_CAMERA.resized(160, 120)
-    poses = make_walk(1).poses(np.arange(0, 6, 0.25))
+    poses = make_walk(1).poses(np.arange(0, 6, 0.4))
     for i, pose in enumerate(poses):
         name = tmp_path / f"frame-{i:06d}"
         depth = np.round(1000 * renderer.surface(depth_camera, pose).depth).astype(np.uint16)
