@@ -40,7 +40,6 @@ def errors_m(map_: Map, real_data: Path) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.real
-@pytest.mark.timeout(300)
 def test_the_second_half_makes_the_map_no_worse_and_other_rooms_are_refused(real_data: Path) -> None:
     first = first_half(real_data)
     second = read_recording(real_data / "redkitchen", camera=_CAMERA, frames="700:1000:3")
