@@ -6,9 +6,7 @@ import math
 
 import numpy as np
 
-from rholoc_client.tracking.rigid import FloatArray, carried, inverse, motion_between, moved, pose, rotation
-
-_DEGREES = np.array([1.0, 1.0, 1.0, *[180 / math.pi] * 3])
+from rholoc_client.tracking.rigid import FloatArray, carried, in_radians, inverse, motion_between, moved, pose, rotation
 
 
 def map_to_odom(T_map_base: FloatArray, T_odom_base: FloatArray) -> FloatArray:
@@ -29,8 +27,7 @@ def base_covariance(
 
     Both are ordered x, y, z, rotation about x, y, z, all along the map's axes, as in ``PoseWithCovariance``.
     """
-    radians = np.asarray(covariance) / np.outer(_DEGREES, _DEGREES)
-    return carried(radians, T_map_base[:3, 3] - T_map_camera[:3, 3])
+    return carried(in_radians(covariance), T_map_base[:3, 3] - T_map_camera[:3, 3])
 
 
 def interpolated(before: FloatArray, after: FloatArray, share: float) -> FloatArray:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray: TypeAlias = NDArray[np.floating[Any]]
 
 _RIGID_TOLERANCE = 1e-3
+_DEGREES = np.array([1.0, 1.0, 1.0, *[180 / math.pi] * 3])
 
 
 def rigid(values: ArrayLike) -> FloatArray:
@@ -123,3 +124,13 @@ def carried(covariance: FloatArray, by: FloatArray) -> FloatArray:
     J = np.eye(6)
     J[:3, 3:] = -cross(by)
     return np.asarray(J @ covariance @ J.T)
+
+
+def in_radians(covariance: ArrayLike) -> FloatArray:
+    """A pose's covariance (6, 6) in metres and radians, from metres and degrees as answers have it."""
+    return np.asarray(np.asarray(covariance) / np.outer(_DEGREES, _DEGREES))
+
+
+def in_degrees(covariance: ArrayLike) -> FloatArray:
+    """A pose's covariance (6, 6) in metres and degrees, from metres and radians."""
+    return np.asarray(np.asarray(covariance) * np.outer(_DEGREES, _DEGREES))

@@ -20,6 +20,8 @@ from rholoc_client.tracking.belief import Belief, OdometryNoise, PoseBelief, Ste
 from rholoc_client.tracking.inertial import ImuNoise, ImuReading, InertialBelief
 from rholoc_client.tracking.rigid import (
     FloatArray,
+    in_degrees,
+    in_radians,
     inverse,
     motion_between,
     moved,
@@ -35,7 +37,6 @@ _MAX_READINGS = 20_000  # of an IMU that wait for a frame
 _PATIENT_FAILURES = 6
 _LONGEST_WAIT_S = 3.0
 _LONGEST_GAP_S = 5.0  # between frames; beyond it a track starts over
-_DEGREES = np.array([1.0, 1.0, 1.0, *[180 / math.pi] * 3])
 
 
 class TrackStatus(StrEnum):
@@ -130,7 +131,7 @@ class Answer:
         """The client's answer; None where there is no pose, or no covariance."""
         if not answer.localized or answer.pose is None or answer.covariance is None:
             return None
-        covariance = np.asarray(answer.covariance) / np.outer(_DEGREES, _DEGREES)
+        covariance = in_radians(answer.covariance)
         return cls(rigid(answer.pose.T_map_camera), covariance, answer.recognized, answer.scale == "metric")
 
     @property
@@ -303,9 +304,9 @@ class Track:
             time_s,
             status,
             _pose_of(belief.T_map_camera),
-            _rows(belief.covariance * np.outer(_DEGREES, _DEGREES)),
+            _rows(in_degrees(belief.covariance)),
             None if T_map_odom is None else _rows(T_map_odom),
-            None if covariance is None else _rows(covariance * np.outer(_DEGREES, _DEGREES)),
+            None if covariance is None else _rows(in_degrees(covariance)),
             *counted,
         )
 

@@ -480,12 +480,12 @@ class Localizer:
         """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
-        evidence = evidence_of(self.index, matches, rays, query.camera)
         seed = self._ransac_seed(matches, query, rays)
         watch.lap("seed")
         if seed is None:
             yield None
             return
+        evidence = evidence_of(self.index, matches, rays, query.camera)
         optimum = None
         if _plausible(seed, query):
             optimum = self._climb(matches, evidence, [seed], query, watch)

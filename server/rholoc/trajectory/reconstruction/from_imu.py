@@ -16,9 +16,14 @@ from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import Adjusted, InertialState, Problem, State, adjust
-from rholoc.trajectory.reconstruction.depth_scale import scale_by_depth, scales_by_lengths, with_depths
 from rholoc.trajectory.reconstruction.figures import scale_sigma_of
 from rholoc.trajectory.reconstruction.loops import with_loops_closed
+from rholoc.trajectory.reconstruction.measured_scale import (
+    scale_by_depth,
+    scale_by_steps,
+    scales_by_lengths,
+    with_depths,
+)
 from rholoc.trajectory.reconstruction.outcome import InertialFigures, Reconstruction, finished
 from rholoc.trajectory.reconstruction.rounds import (
     ITERATIONS,
@@ -28,7 +33,6 @@ from rholoc.trajectory.reconstruction.rounds import (
     camera_sigmas,
 )
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
-from rholoc.trajectory.reconstruction.step_scale import scale_by_steps
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.camera_guess import calibrate_by_flow
 from rholoc.trajectory.visual.directions import PairDirection, direction_between

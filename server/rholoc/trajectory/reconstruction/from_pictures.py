@@ -16,14 +16,16 @@ from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import GUESSED, Adjusted, Problem, State, adjust
-from rholoc.trajectory.reconstruction.depth_scale import (
+from rholoc.trajectory.reconstruction.figures import median_depth_of
+from rholoc.trajectory.reconstruction.measured_scale import (
     DEPTH_SIGMA,
     scale_by_depth,
+    scale_by_steps,
     scaled_by_depth,
+    scaled_by_steps,
     scales_by_lengths,
     with_depths,
 )
-from rholoc.trajectory.reconstruction.figures import median_depth_of
 from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished, held_keyframes
 from rholoc.trajectory.reconstruction.resection import with_missing_placed
 from rholoc.trajectory.reconstruction.rounds import (
@@ -33,7 +35,6 @@ from rholoc.trajectory.reconstruction.rounds import (
     camera_sigmas,
 )
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights
-from rholoc.trajectory.reconstruction.step_scale import scale_by_steps, scaled_by_steps
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
 from rholoc.trajectory.visual.two_view import PairRotation

@@ -1,4 +1,4 @@
-"""Scale of a reconstruction from depth pictures and known lengths."""
+"""Scale of a reconstruction from depth pictures, known lengths, and the steps that odometry measured."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from rholoc.geometry import Camera, FloatArray, Similarity
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.trajectory.frame.map_frame import ScaleMeasurement, ScaleSource
-from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State
+from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State, Step
 from rholoc.trajectory.reconstruction.outcome import moved, right_sightings
 from rholoc.trajectory.visual.tracks import Observations
 
@@ -22,6 +22,10 @@ _MAX_MISFIT = 0.1  # median relative deviation of the ratios from their median â
 _MAX_START_SIGMA = 0.25  # â€¦ and sigma of the scale, for the reconstruction to be adjusted to depths
 _LENGTH_SIGMA_M = 0.03  # of a measured distance between two hand-held camera positions
 _SENSOR_SIGMA = 0.01  # scale error of depth cameras
+_MIN_STEPS = 5
+_MIN_STEP = 0.2  # of the mean step's length, below which a step says little
+_MAX_STEP_MISFIT = 0.15  # as _MAX_MISFIT, of odometry
+_ODOMETRY_SIGMA = 0.01  # scale error of wheels and trackers
 _MAD_TO_SIGMA = 1.4826
 _MEDIAN_TO_MEAN = 1.2533  # standard deviation of a median relative to that of a mean
 
@@ -50,7 +54,7 @@ def scaled_by_depth(problem: Problem, adjusted: Adjusted) -> State | None:
     found = scale_by_depth(problem, adjusted)
     if found is None or found.sigma > _MAX_START_SIGMA:
         return None
-    return moved(adjusted.state, Similarity(found.ratio, np.eye(3), np.zeros(3)))
+    return _in_metres(adjusted.state, found)
 
 
 def scale_by_depth(problem: Problem, adjusted: Adjusted) -> ScaleMeasurement | None:
@@ -90,6 +94,31 @@ def scales_by_lengths(lengths: Sequence[tuple[int, int, float]], adjusted: Adjus
         ScaleMeasurement(ScaleSource.LENGTH, length_m / max(one, 1e-9), _LENGTH_SIGMA_M / length_m)
         for one, (_, _, length_m) in zip(apart, lengths, strict=True)
     ]
+
+
+def scaled_by_steps(steps: Sequence[Step], adjusted: Adjusted) -> State | None:
+    """The reconstruction in metres, to be adjusted to steps; None where these do not fix its scale."""
+    found = scale_by_steps(steps, adjusted)
+    return _in_metres(adjusted.state, found) if found is not None and found.usable else None
+
+
+def scale_by_steps(steps: Sequence[Step], adjusted: Adjusted) -> ScaleMeasurement | None:
+    """Median ratio of measured steps to those of a reconstruction; None where too few are long enough."""
+    positions = adjusted.state.positions
+    measured = np.array([np.linalg.norm(step.T_first_second[:3, 3]) for step in steps])
+    found = np.array([np.linalg.norm(positions[step.second] - positions[step.first]) for step in steps])
+    long = (measured > _MIN_STEP * measured.mean()) & (found > 0) if steps else np.zeros(0, dtype=np.bool_)
+    if long.sum() < _MIN_STEPS:
+        return None
+    ratio, misfit = _median(measured[long] / found[long])
+    if misfit > _MAX_STEP_MISFIT:
+        return ScaleMeasurement(ScaleSource.ODOMETRY, ratio, np.inf)
+    sigma = _MEDIAN_TO_MEAN * _MAD_TO_SIGMA * misfit / np.sqrt(long.sum())
+    return ScaleMeasurement(ScaleSource.ODOMETRY, ratio, float(np.hypot(sigma, _ODOMETRY_SIGMA)))
+
+
+def _in_metres(state: State, scale: ScaleMeasurement) -> State:
+    return moved(state, Similarity(scale.ratio, np.eye(3), np.zeros(3)))
 
 
 def _median(ratios: FloatArray) -> tuple[float, float]:

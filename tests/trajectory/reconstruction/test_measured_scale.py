@@ -14,7 +14,7 @@ from rholoc.geometry import BoolArray, FloatArray, Similarity
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.trajectory.frame.map_frame import ScaleMeasurement, ScaleSource
 from rholoc.trajectory.optimization.adjustment import Problem, State
-from rholoc.trajectory.reconstruction.depth_scale import scale_by_depth, scales_by_lengths, with_depths
+from rholoc.trajectory.reconstruction.measured_scale import scale_by_depth, scales_by_lengths, with_depths
 from rholoc.trajectory.visual.tracks import Observations
 
 _COUNT = 12
