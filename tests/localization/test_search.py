@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -54,7 +55,7 @@ def found(
     verified = Verified(optimum, Matches.none(), evidence, np.zeros((0, 2)), Matches.none(), Support(net, 0.0))
     estimate = FocalEstimate(500.0, 1.0, 0.0, focal)
     camera: Any = None
-    return _Found(verified, camera, estimate, Belief(recognized, exact), near_prior)
+    return _Found(verified, camera, lambda: estimate, Belief(recognized, exact), near_prior)
 
 
 def search(*candidates: _Found | None, prior: Prior | None = None) -> _Search:
@@ -101,11 +102,11 @@ def test_what_contradicts_a_prior_is_given_only_where_it_is_sure_and_the_other_i
 
 
 def test_a_search_is_over_once_a_place_is_recognized_wherever_it_is() -> None:
-    assert not search().is_over(0.9)
-    assert not search(found(0.89)).is_over(0.9)
+    assert not search().is_over(0.9, math.inf)
+    assert not search(found(0.89)).is_over(0.9, math.inf)
     assert not search(found(0.95)).is_over(0.9, max_sigma_m=0.07)  # nothing fixes that pose
-    assert search(found(0.9, focal=0.2)).is_over(0.9)
-    assert search(found(0.5), found(0.9, near_prior=False, focal=0.2)).is_over(0.9)
+    assert search(found(0.9, focal=0.2)).is_over(0.9, math.inf)
+    assert search(found(0.5), found(0.9, near_prior=False, focal=0.2)).is_over(0.9, math.inf)
 
 
 def test_only_what_lies_where_a_prior_expects_it_is_as_expected() -> None:

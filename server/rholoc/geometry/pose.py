@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry.arrays import FloatArray
 
-_UP = np.array([0.0, 0.0, 1.0])
 _VERTICAL = 1e-9  # a heading this close to the vertical has no horizontal direction of its own
 
 
@@ -51,12 +51,12 @@ def rotation_from_heading(heading: FloatArray, roll: float = 0.0) -> FloatArray:
     With roll 0 the camera's x axis is horizontal and its y axis points downwards: the paper's upright model.
     A vertical heading takes the map's x axis for the camera's.
     """
-    z = heading / np.linalg.norm(heading)
-    x = np.cross(z, _UP)
-    x = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(x) < _VERTICAL else x / np.linalg.norm(x)
-    y = np.cross(z, x)
-    upright = np.column_stack([x, y, z])
-    c, s = np.cos(roll), np.sin(roll)
+    x, y, z = (heading / np.linalg.norm(heading)).tolist()
+    level = math.hypot(x, y)
+    right = (1.0, 0.0, 0.0) if level < _VERTICAL else (y / level, -x / level, 0.0)
+    down = (-z * right[1], z * right[0], x * right[1] - y * right[0])
+    c, s = math.cos(roll), math.sin(roll)
+    upright = np.array([right, down, (x, y, z)]).T
     return np.asarray(upright @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
 
 
@@ -114,8 +114,9 @@ class Pose:
     @property
     def roll(self) -> float:
         """The rotation about the heading against the upright camera, radians in (-π, π]."""
-        R = rotation_from_heading(self.heading).T @ self.R_map_camera
-        return float(np.arctan2(R[1, 0], R[0, 0]))
+        upright = rotation_from_heading(self.heading)
+        right = self.R_map_camera[:, 0]
+        return math.atan2(float(upright[:, 1] @ right), float(upright[:, 0] @ right))
 
     @property
     def quaternion_xyzw(self) -> FloatArray:

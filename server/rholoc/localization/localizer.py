@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from itertools import islice
 
 import numpy as np
@@ -72,8 +73,7 @@ class SearchOptions:
         seed_tolerances_px: decreasing tolerances of that ascent.
         conclusive: probability of the right place above which no further place is searched.
         settled_sigma_m: a conclusive pose is final if its position's largest standard deviation is below this;
-            otherwise
-            its place is searched closely and all features are matched again.
+            otherwise all features are matched again around it.
         hopeless: probability of the right place below which a verified pose counts as hopeless.
         hopeless_looks: number of hopeless poses, or of looks that found none, after which the search ends, because the
             picture shows another place.
@@ -121,7 +121,8 @@ class _Found:
     Attributes:
         verified: the pose and its evidence.
         camera: camera it was found with.
-        focal: what the matches say about that camera's focal length.
+        check_focal: returns what the matches say about that camera's focal length; costs as much as a search of a place,
+            once.
         if_focal_right: belief in the pose, given that the focal length is right.
         near_prior: whether the pose agrees with the prior.
         share: factor 0 to 1 that rivals leave of the probability of the right place.
@@ -130,17 +131,22 @@ class _Found:
 
     verified: Verified
     camera: Camera
-    focal: FocalEstimate
+    check_focal: Callable[[], FocalEstimate]
     if_focal_right: Belief
     near_prior: bool
     share: float = 1.0
     rivals: tuple[tuple[float, _Found], ...] = ()
 
     @property
+    def focal(self) -> FocalEstimate:
+        """What the matches say about the camera's focal length."""
+        return self.check_focal()
+
+    @property
     def belief(self) -> Belief:
         """Belief in the pose."""
         recognized = self.if_focal_right.recognized * self.focal.belief * self.share
-        return Belief(recognized, self.if_focal_right.exact)
+        return Belief(recognized, self.if_focal_right.exact * self.focal.exact)
 
     @property
     def recognized(self) -> float:
@@ -196,7 +202,7 @@ class _Search:
         else:
             self.elsewhere = _likelier(self.elsewhere, found)
 
-    def is_over(self, conclusive: float, max_sigma_m: float = math.inf) -> bool:
+    def is_over(self, conclusive: float, max_sigma_m: float) -> bool:
         """Whether some candidate is probable and exact enough, and nearly uncontested."""
         candidates = [found for found in (self.best, self.elsewhere) if found is not None]
         return any(
@@ -205,6 +211,11 @@ class _Search:
             and found.sigma_m <= max_sigma_m
             for found in candidates
         )
+
+    def is_settled(self, max_sigma_m: float) -> bool:
+        """Whether the position of the likeliest candidate is known exactly enough."""
+        likeliest = self.best or self.elsewhere
+        return likeliest is not None and likeliest.sigma_m <= max_sigma_m
 
     def is_hopeless(self, options: SearchOptions) -> bool:
         """Whether enough was looked at without any chance of the right place."""
@@ -335,10 +346,10 @@ class Localizer:
     def _sure_search(self, query: Query, watch: _Stopwatch) -> _Search | None:
         """Search with the features at hand. Returns None if it is inconclusive."""
         search = self._search(self.adapted(query), watch)
-        found = search.outcome(self.options.conclusive)
-        if found is None or found.recognized < self.options.conclusive:
+        if not search.is_settled(self.options.settled_sigma_m):
             return None
-        return search if found.sigma_m <= self.options.settled_sigma_m else None
+        found = search.outcome(self.options.conclusive)
+        return None if found is None or found.recognized < self.options.conclusive else search
 
     def _search(self, query: Query, watch: _Stopwatch) -> _Search:
         """Search for candidates, then for their rivals; no close look if more features can be extracted."""
@@ -349,7 +360,8 @@ class Localizer:
         rays = query.camera.rays(query.features.pixels)
         self._look_around(search, rays)
         self._match_again(search, rays)
-        self._look_for_rivals(search, rays)
+        if query.more_features is None or search.is_settled(self.options.settled_sigma_m):
+            self._look_for_rivals(search, rays)
         return search
 
     def _look_around(self, search: _Search, rays: FloatArray) -> None:
@@ -363,10 +375,9 @@ class Localizer:
                 search.place = search.place or place
             for found in self._look(place, search, rays):
                 search.add(found)
-                if search.is_over(options.conclusive, options.settled_sigma_m) or search.is_hopeless(options):
+                max_sigma_m = options.settled_sigma_m if search.is_sampled else math.inf
+                if search.is_over(options.conclusive, max_sigma_m) or search.is_hopeless(options):
                     return
-            if not search.is_sampled and search.is_over(options.conclusive):
-                return
             if search.is_as_expected(options.expected):
                 return
 
@@ -377,9 +388,9 @@ class Localizer:
             return
         for _ in range(_ROUNDS):
             best = search.best or search.elsewhere
-            if best is None or best.recognized < MIN_RECOGNIZED or best.sigma_m <= self.options.settled_sigma_m:
+            if best is None or best.if_focal_right.recognized < MIN_RECOGNIZED:
                 return
-            if watch.late:
+            if best.sigma_m <= self.options.settled_sigma_m or watch.late:
                 return
             T = best.verified.optimum.T_map_camera
             wide, _ = self.index.match_near(query.features, query.camera, T, SEARCH_RADII_PX[0])
@@ -540,21 +551,20 @@ class Localizer:
         if found is not None:
             verified, focal, refined = found
             if _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
-                yield self._candidate(verified, refined, focal, belief_of(verified))
+                yield self._candidate(verified, refined, lambda: focal, belief_of(verified))
 
     def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> _Found | None:
-        """Candidate from a verified pose, with the camera's focal length checked. None if it is implausible."""
+        """Candidate from a verified pose; its matches check the camera's focal length. None if it is implausible."""
         if verified is None or matches is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
             return None
         belief = belief_of(verified)
         if belief.recognized < self.options.hopeless:
-            return self._candidate(verified, query, FocalEstimate.unchecked(query.camera), belief)
-        return self._candidate(verified, query, check_focal(self.index, query, verified, matches), belief)
+            return self._candidate(verified, query, partial(FocalEstimate.unchecked, query.camera), belief)
+        return self._candidate(verified, query, partial(check_focal, self.index, query, verified, matches), belief)
 
-    def _candidate(self, verified: Verified, query: Query, focal: FocalEstimate, belief: Belief) -> _Found:
-        belief = Belief(belief.recognized, belief.exact * focal.exact)
+    def _candidate(self, verified: Verified, query: Query, check: Callable[[], FocalEstimate], belief: Belief) -> _Found:
         near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)
-        return _Found(verified, query.camera, focal, belief, near_prior)
+        return _Found(verified, query.camera, cache(check), belief, near_prior)
 
     def _answer(self, search: _Search) -> Localization:
         found = search.outcome(self.options.conclusive)
@@ -643,7 +653,8 @@ def _likelier(a: _Found | None, b: _Found) -> _Found:
         return b
     are_two = are_rivals(a.verified, b.verified)
     of_a, of_b = (one.verified.support.net if are_two else one.verified.optimum.value for one in (a, b))
-    return a if (a.recognized >= MIN_RECOGNIZED, of_a) >= (b.recognized >= MIN_RECOGNIZED, of_b) else b
+    likely_a, likely_b = (one.if_focal_right.recognized >= MIN_RECOGNIZED for one in (a, b))
+    return a if (likely_a, of_a) >= (likely_b, of_b) else b
 
 
 def _contradicted(found: _Found, query: Query) -> Diagnosis:
