@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections import Counter
 
@@ -61,6 +62,32 @@ def test_clients_whose_frames_cost_much_do_not_hold_up_those_whose_cost_little(m
         return during
 
     assert asyncio.run(main()) < 6  # of 12 that would have been waited for
+
+
+def test_clients_whose_frames_are_all_refused_leave_a_thread_to_those_who_are_localized(monkeypatch):
+    monkeypatch.setattr(compute, "_ACTIVE_S", 600.0)
+
+    async def main() -> None:
+        pool, end = ComputePool(2, 16), threading.Event()
+        strangers = [f"stranger {i}" for i in range(4)]
+        await ask(pool, "honest", 0.02)
+        for name in strangers:
+            CLIENT.set(name)
+            await pool.run(work_for(0.02), is_useful=lambda _: False)
+        waiting = []
+        for name in strangers:
+            CLIENT.set(name)
+            waiting.append(asyncio.create_task(pool.run(end.wait, is_useful=lambda _: False)))
+        await asyncio.sleep(0)  # now they have all asked
+        try:
+            async with asyncio.timeout(10):
+                await ask(pool, "honest", 0.02)
+        finally:
+            end.set()
+            await asyncio.gather(*waiting)
+            pool.close()
+
+    asyncio.run(main())
 
 
 def test_a_client_with_many_calls_waits_for_its_own():

@@ -56,6 +56,7 @@ _MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 _MAX_UPRIGHT_ROLL_RAD = np.deg2rad(15.0)
 _MAX_MISSING = 0.25  # of the nats for a pose: what may speak against it where the search ends with it
 _ROUNDS = 2  # of matching again around a pose that is not known exactly
+_DIAGNOSTIC_SAMPLES = 300  # of each focal length: a cause is only named where many matches agree
 _TRACKING_RADIUS_PX = 14.0  # around a prior: as far as a tracker's are off. Pairs, and time, grow with the square
 
 
@@ -420,7 +421,7 @@ class Localizer:
         """Iterate over candidates from one place, cheapest search first."""
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN:
-            yield from self._look_with_any_focal(place, query, rays, watch)
+            yield from self._look_with_any_focal(place, query, self.options.ransac_samples[0], watch)
             return
         if search.everywhere is not None:
             in_place = np.isin(search.everywhere.landmarks, place.landmarks)
@@ -537,11 +538,11 @@ class Localizer:
         watch.lap("verify")
         return checked
 
-    def _look_with_any_focal(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found]:
+    def _look_with_any_focal(self, place: Place, query: Query, samples: int, watch: _Stopwatch) -> Iterator[_Found]:
         """As :meth:`_look_closely`, with the focal length estimated along with the pose."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
-        seed = focal_seed(self.index, matches, query, self.options.ransac_samples[0])
+        seed = focal_seed(self.index, matches, query, samples)
         watch.lap("seed")
         if seed is None:
             return
@@ -613,8 +614,7 @@ class Localizer:
         if refused is not None and refused.focal.belief < self.min_recognized <= refused.if_focal_right.recognized:
             return wrong_camera(query.camera.focal, refused.focal.focal_px)
         if search.place is not None:
-            rays = query.camera.rays(query.features.pixels)
-            for refocused in self._look_with_any_focal(search.place, freed, rays, watch):
+            for refocused in self._look_with_any_focal(search.place, freed, _DIAGNOSTIC_SAMPLES, watch):
                 if refocused.belief.confidence >= self.options.conclusive:
                     return wrong_camera(query.camera.focal, refocused.focal.focal_px)
         return self._diagnose_picture(query, answer)

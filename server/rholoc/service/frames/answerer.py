@@ -135,7 +135,10 @@ class Answerer:
         try:
             async with asyncio.timeout(deadline_s - clock.elapsed_s):
                 answer = await self._compute(
-                    lambda localizers: in_site(localize(localizers), self.sites, maps.site), effort, maps.named
+                    lambda localizers: in_site(localize(localizers), self.sites, maps.site),
+                    effort,
+                    maps.named,
+                    lambda answer: answer.localized,
                 )
         except (TimeoutError, DeadlineExceeded):
             answer = await self._late(maps.first, clock)
@@ -152,18 +155,25 @@ class Answerer:
             raise DeadlineExceeded("The deadline passed while the map was being loaded.", "Try again.") from None
         return late_answer(name, localizer, clock)
 
-    async def _compute(self, work: Callable[[LocalizerSource], T], effort: Effort, needs_all: bool = True) -> T:
+    async def _compute(
+        self,
+        work: Callable[[LocalizerSource], T],
+        effort: Effort,
+        needs_all: bool = True,
+        is_useful: Callable[[T], bool] = lambda result: True,
+    ) -> T:
         """The result of ``work`` in a compute thread; restarted whenever a map had to be fetched first.
 
         Args:
             work: function of the localizers.
             effort: of the work.
             needs_all: whether to wait for a map that takes long to fetch; otherwise it is skipped.
+            is_useful: whether a result is of use to the client.
         """
         localizers, patience_s = _RequestLocalizers(self.localizers), None if needs_all else _FETCHING_S
         while True:
             try:
-                return await self.compute.run(lambda: work(localizers), effort)
+                return await self.compute.run(lambda: work(localizers), effort, is_useful)
             except MapNotHereError as missing:
                 name = missing.name
             try:

@@ -31,7 +31,8 @@ _CLOSE_TIMEOUT_S = 5.0
 _BUSY_AFTER_S = 0.1  # the pool counts as busy for this time after a frame, to bridge the gaps in a client's stream
 _NICENESS = 5  # of large work; with more it might hold the interpreter while it waits for a core
 _THREADS = "rholoc-compute"
-_COSTLY_S, _COSTLY_RATIO = 0.25, 3.0  # minimum mean core time of a costly client, and its ratio to another client's
+_COSTLY_S, _COSTLY_RATIO = 0.25, 3.0  # minimum core time per result of a costly client, and its ratio to another's
+_MIN_USEFUL = 0.05  # of a client's calls
 _ACTIVE_S = 5.0
 _MAX_CLIENTS = 1000
 
@@ -47,9 +48,9 @@ class ComputePool:
     """Runs up to ``concurrency`` functions of each effort at a time; up to ``queue_length`` more of each may wait.
 
     Large work has its own queue and threads, one fewer than ``concurrency`` if that is over one, so that ordinary work
-    never waits for it and always has a core. In each queue, the client with the least used core time goes first. A
-    client whose ordinary work costs several times that of others counts as large while others are active. Use it from
-    the event loop's thread only.
+    never waits for it and always has a core. In each queue, the client with the least used core time goes first. While
+    others are active, the ordinary work of a client counts as large if each useful result costs several times what
+    theirs cost, because its work is long or seldom of use. Use it from the event loop's thread only.
     """
 
     def __init__(self, concurrency: int, queue_length: int) -> None:
@@ -78,8 +79,18 @@ class ComputePool:
         """Raise Busy if :meth:`run` would, before any work is done for a request."""
         self._lanes[effort].check_room(CLIENT.get())
 
-    async def run(self, work: Callable[[], _T], effort: Effort = Effort.ORDINARY) -> _T:
+    async def run(
+        self,
+        work: Callable[[], _T],
+        effort: Effort = Effort.ORDINARY,
+        is_useful: Callable[[_T], bool] = lambda result: True,
+    ) -> _T:
         """The result of ``work()``, computed in a thread. A call that is cancelled while it waits leaves the queue.
+
+        Args:
+            work: function to run.
+            effort: how long it is expected to take.
+            is_useful: whether a result is of use to the client, as a pose is and a refusal is not.
 
         Raises:
             Busy: the queue is full, and no other client has more calls in it.
@@ -89,23 +100,26 @@ class ComputePool:
             return (await self._lanes[effort].run(work, client))[0]
         lane = Effort.LARGE if self._is_costly(client) else effort
         result, cost_s = await self._lanes[lane].run(work, client)
-        self._note(client, cost_s)
+        self._note(client, cost_s, is_useful(result))
         return result
 
     def _is_costly(self, client: str) -> bool:
-        """Whether a client's recent calls cost ``_COSTLY_RATIO`` times those of another active client."""
+        """Whether a client's recent results cost ``_COSTLY_RATIO`` times those of another active client."""
         own, now_s = self._costs.get(client), time.monotonic()
-        if own is None or own.mean_s <= _COSTLY_S:
+        if own is None or own.per_result_s <= _COSTLY_S:
             return False
-        others = [one.mean_s for name, one in self._costs.items() if name != client and now_s - one.last_s < _ACTIVE_S]
-        return bool(others) and own.mean_s > _COSTLY_RATIO * min(others)
+        others = [one for name, one in self._costs.items() if name != client and now_s - one.last_s < _ACTIVE_S]
+        return any(own.per_result_s > _COSTLY_RATIO * other.per_result_s for other in others)
 
-    def _note(self, client: str, cost_s: float) -> None:
-        now_s, before = time.monotonic(), self._costs.get(client)
-        mean_s = cost_s if before is None else before.mean_s + _SMOOTHING * (cost_s - before.mean_s)
-        if before is None and len(self._costs) >= _MAX_CLIENTS:
+    def _note(self, client: str, cost_s: float, is_useful: bool) -> None:
+        now_s, before = time.monotonic(), self._costs.get(client, _Cost(cost_s, float(is_useful), 0.0))
+        if client not in self._costs and len(self._costs) >= _MAX_CLIENTS:
             self._costs = {name: one for name, one in self._costs.items() if now_s - one.last_s < _ACTIVE_S}
-        self._costs[client] = _Cost(mean_s, now_s)
+        self._costs[client] = _Cost(
+            before.mean_s + _SMOOTHING * (cost_s - before.mean_s),
+            before.useful + _SMOOTHING * (is_useful - before.useful),
+            now_s,
+        )
 
     def close(self) -> None:
         """Accept no more work, and wait at most a few seconds for running calls."""
@@ -123,10 +137,16 @@ def compute_threads() -> list[threading.Thread]:
 
 @dataclass(frozen=True)
 class _Cost:
-    """Mean core time of a client's ordinary calls, and the end of the last one."""
+    """Mean core time of a client's ordinary calls, the share that was useful, and the end of the last one."""
 
     mean_s: float
+    useful: float
     last_s: float
+
+    @property
+    def per_result_s(self) -> float:
+        """Core time per useful result."""
+        return self.mean_s / max(self.useful, _MIN_USEFUL)
 
 
 @dataclass(eq=False)
