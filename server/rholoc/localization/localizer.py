@@ -122,8 +122,8 @@ class _Found:
     Attributes:
         verified: the pose and its evidence.
         camera: camera it was found with.
-        check_focal: returns what the matches say about that camera's focal length; costs as much as a search of a place,
-            once.
+        check_focal: returns what the matches say about that camera's focal length; the first call takes as long as a
+            search of a place.
         if_focal_right: belief in the pose, given that the focal length is right.
         near_prior: whether the pose agrees with the prior.
         share: factor 0 to 1 that rivals leave of the probability of the right place.
@@ -563,7 +563,9 @@ class Localizer:
             return self._candidate(verified, query, partial(FocalEstimate.unchecked, query.camera), belief)
         return self._candidate(verified, query, partial(check_focal, self.index, query, verified, matches), belief)
 
-    def _candidate(self, verified: Verified, query: Query, check: Callable[[], FocalEstimate], belief: Belief) -> _Found:
+    def _candidate(
+        self, verified: Verified, query: Query, check: Callable[[], FocalEstimate], belief: Belief
+    ) -> _Found:
         near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)
         return _Found(verified, query.camera, cache(check), belief, near_prior)
 
