@@ -22,7 +22,7 @@ from rholoc.localization.index.map_error import (
     map_covariance_at,
     probability_right,
     rms_position_error,
-    trust_in_map,
+    widening_factor,
 )
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.mapping.build.view_covariance import storable_covariances
@@ -60,9 +60,9 @@ def test_the_bounds_are_ten_centimetres_and_five_degrees() -> None:
     turned = np.diag([1e-12] * 3 + [0.04] * 3)
     assert probability_right(turned, within_rad=0.2) == pytest.approx(chi(3).cdf(1.0), abs=0.01)
     assert rms_position_error(np.diag([1.0, 4.0, 4.0, 9.0, 9.0, 9.0])) == 3.0
-    lost = trust_in_map(np.diag([0.01] * 3 + [1e-12] * 3), np.diag([0.03] * 3 + [0.0] * 3))
+    lost = widening_factor(np.diag([0.01] * 3 + [1e-12] * 3), np.diag([0.03] * 3 + [0.0] * 3))
     assert lost == pytest.approx(chi(3).cdf(0.5) / chi(3).cdf(1.0), abs=0.01)
-    assert trust_in_map(1e30 * np.eye(6), np.eye(6)) == 1.0  # where nothing is left to lose
+    assert widening_factor(1e30 * np.eye(6), np.eye(6)) == 1.0  # where nothing is left to lose
 
 
 def test_a_covariance_is_carried_by_the_motions_derivative() -> None:
@@ -82,9 +82,8 @@ def test_a_covariance_is_carried_by_the_motions_derivative() -> None:
 
 def test_an_uncertain_map_lowers_the_probability_and_an_exact_one_does_not() -> None:
     local = covariance(0.01, 0)
-    assert trust_in_map(local, None) == 1
-    assert trust_in_map(local, np.zeros((6, 6))) == pytest.approx(1)
-    lowered = [trust_in_map(local, covariance(sigma_m, 1)) for sigma_m in (0.01, 0.05, 0.1, 0.3)]
+    assert widening_factor(local, np.zeros((6, 6))) == pytest.approx(1)
+    lowered = [widening_factor(local, covariance(sigma_m, 1)) for sigma_m in (0.01, 0.05, 0.1, 0.3)]
     assert lowered == sorted(lowered, reverse=True)
     assert lowered[0] > 0.99
     assert lowered[-1] < 0.2
@@ -181,8 +180,8 @@ def test_the_maps_error_is_added_to_a_sixteenth_of_the_frames_own(localizer: Loc
     assert found.covariance is not None
     np.testing.assert_allclose(found.covariance, own / 16 + of_map, rtol=1e-5, atol=1e-12)
     assert found.expected_error_m == pytest.approx(np.sqrt(np.trace(of_map)), rel=1e-5)
-    assert found.confidence == pytest.approx(0.8 * 0.8 * trust_in_map(own / 16, of_map), rel=1e-5)
-    assert found.recognized == pytest.approx(0.9 * trust_in_map(own / 16, of_map, PLACE_M, PLACE_RAD), rel=1e-5)
+    assert found.confidence == pytest.approx(0.8 * 0.8 * widening_factor(own / 16, of_map), rel=1e-5)
+    assert found.recognized == pytest.approx(0.9 * widening_factor(own / 16, of_map, PLACE_M, PLACE_RAD), rel=1e-5)
     np.testing.assert_allclose(found.alternatives[0].covariance, own / 8 + of_map, rtol=1e-5, atol=1e-12)
     assert found.map_trusted is False
     scaleless = MapIndex(replace(known.map, info=replace(info, metric=False)))

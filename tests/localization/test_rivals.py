@@ -102,7 +102,7 @@ def test_one_true_place_is_divided_among_all_poses_and_what_is_hardly_a_place_ta
 
 
 @pytest.mark.parametrize(
-    ("apart_m", "turned_deg", "rivals"), [(0.19, 9.0, False), (0.21, 0.0, True), (0.0, 11.0, True), (0.0, 0.0, False)]
+    ("apart_m", "turned_deg", "rivals"), [(0.49, 19.0, False), (0.51, 0.0, True), (0.0, 21.0, True), (0.0, 0.0, False)]
 )
 def test_poses_that_differ_in_place_or_heading_are_rivals(apart_m: float, turned_deg: float, rivals: bool) -> None:
     def verified(pose: Pose) -> Any:

@@ -125,6 +125,10 @@ def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
     alone = search(best, nearer).outcome(0.9)
     assert alone is not None
     assert (alone.verified, alone.belief) == (best.verified, best.belief)  # what is beside it is the same place
+    weight = 0.9 * np.exp(-1 / 12) / (0.95 + 0.9 * np.exp(-1 / 12))
+    assert alone.of_modes is not None
+    np.testing.assert_allclose(alone.of_modes, np.diag([weight * 0.1**2, 0, 0, 0, 0, 0]), atol=1e-12)
+    assert search(best).outcome(0.9).of_modes is None  # type: ignore[union-attr]
     contested = search(best, lesser, near, nearer).outcome(0.9)
     assert contested is not None
     assert contested.verified is best.verified

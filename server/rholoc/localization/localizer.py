@@ -32,6 +32,7 @@ from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.pose.ascent import Optimum, ascend, upright
 from rholoc.localization.pose.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
+from rholoc.localization.pose.modes import are_distinct, is_seen_from_afar, poses_on_arcs, spread_of_modes
 from rholoc.localization.pose.ransac import exceeds_chance, lo_ransac
 from rholoc.localization.pose.rematching import SEARCH_RADII_PX, Verified, evidence_of, verify
 from rholoc.localization.pose.rivals import are_rivals, rival_seeds, shares
@@ -128,6 +129,7 @@ class _Found:
         near_prior: whether the pose agrees with the prior.
         share: factor 0 to 1 that rivals leave of the probability of the right place.
         rivals: mutually exclusive poses, each with its probability of the right place, likeliest first.
+        of_modes: (6, 6) second moment of the modes in the pose's place; None if it is the only one.
     """
 
     verified: Verified
@@ -137,6 +139,7 @@ class _Found:
     near_prior: bool
     share: float = 1.0
     rivals: tuple[tuple[float, _Found], ...] = ()
+    of_modes: FloatArray | None = None
 
     @property
     def focal(self) -> FocalEstimate:
@@ -238,19 +241,24 @@ class _Search:
         return elsewhere if surely_elsewhere else best
 
     def _contested(self, found: _Found | None) -> _Found | None:
-        """A candidate with its rivals; the rivals of a candidate near the prior must be near it too."""
+        """A candidate with its rivals and the other modes of its place; those of one near the prior must be near it."""
         if found is None:
             return None
-        others = [other for other in self.found if other.near_prior or not found.near_prior]
-        modes = [found]
-        for other in sorted(others, key=lambda one: -one.verified.support.net):
-            if all(are_rivals(mode.verified, other.verified) for mode in modes):
-                modes.append(other)
-        places = np.array([mode.recognized for mode in modes])
-        share = shares(places, np.array([mode.verified.support.net for mode in modes]))
-        rivals = zip((places * share)[1:].tolist(), modes[1:], strict=True)
-        ordered = sorted(rivals, key=lambda rival: -rival[0])
-        return replace(found, share=float(share[0]), rivals=tuple(ordered))
+        modes, rivals = [found], [found]
+        for other in sorted(self.found, key=lambda one: -one.verified.support.net):
+            if not other.near_prior and found.near_prior:
+                continue
+            if not are_rivals(found.verified, other.verified):
+                if all(are_distinct(mode.verified, other.verified) for mode in modes):
+                    modes.append(other)
+            elif all(are_rivals(rival.verified, other.verified) for rival in rivals):
+                rivals.append(other)
+        share, places = _shares(rivals), [rival.recognized for rival in rivals]
+        others = zip((share * places)[1:].tolist(), rivals[1:], strict=True)
+        T = found.verified.optimum.T_map_camera
+        of_modes = spread_of_modes(T, [mode.verified for mode in modes], _shares(modes)) if len(modes) > 1 else None
+        ordered = sorted(others, key=lambda rival: -rival[0])
+        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=of_modes)
 
 
 class Localizer:
@@ -361,6 +369,7 @@ class Localizer:
         rays = query.camera.rays(query.features.pixels)
         self._look_around(search, rays)
         self._match_again(search, rays)
+        self._look_along_arcs(search, rays)
         if query.more_features is None or search.is_settled(self.options.settled_sigma_m):
             self._look_for_rivals(search, rays)
         return search
@@ -399,6 +408,21 @@ class Localizer:
             watch.lap("verify")
             if (search.best or search.elsewhere) is best:
                 return
+
+    def _look_along_arcs(self, search: _Search, rays: FloatArray) -> None:
+        """Search for other modes of the best candidate's place, if it is seen from afar."""
+        query, best = search.query, search.best or search.elsewhere
+        if best is None or best.if_focal_right.recognized < MIN_RECOGNIZED or query.more_features is not None:
+            return
+        if query.intrinsics is Intrinsics.UNKNOWN or not is_seen_from_afar(best.verified):
+            return
+        for T_map_camera in poses_on_arcs(self.index, best.verified):
+            if search.watch.late:
+                return
+            verified = verify(self.index, query, rays, T_map_camera) if _plausible(T_map_camera, query) else None
+            if verified is not None:
+                search.add(self._checked(verified, query, verified.wide))
+            search.watch.lap("verify")
 
     def _look_for_rivals(self, search: _Search, rays: FloatArray) -> None:
         """Search for rivals of the best candidate; not needed if it agrees with a prior."""
@@ -596,7 +620,7 @@ class Localizer:
                 if weight >= MIN_WEIGHT
             ),
         )
-        return gated(with_map_error(self.index, answer), self.min_recognized, query)
+        return gated(with_map_error(self.index, answer, found.of_modes), self.min_recognized, query)
 
     def _diagnose(self, search: _Search, answer: Localization) -> Diagnosis:
         """Likeliest cause of a refusal: the request, the camera, or the picture."""
@@ -657,6 +681,13 @@ def _likelier(a: _Found | None, b: _Found) -> _Found:
     of_a, of_b = (one.verified.support.net if are_two else one.verified.optimum.value for one in (a, b))
     likely_a, likely_b = (one.if_focal_right.recognized >= MIN_RECOGNIZED for one in (a, b))
     return a if (likely_a, of_a) >= (likely_b, of_b) else b
+
+
+def _shares(candidates: list[_Found]) -> FloatArray:
+    """Share (M,) of each of M poses that exclude one another."""
+    return shares(
+        np.array([one.recognized for one in candidates]), np.array([one.verified.support.net for one in candidates])
+    )
 
 
 def _contradicted(found: _Found, query: Query) -> Diagnosis:

@@ -1,11 +1,12 @@
-"""Add the map's own uncertainty to an answer, and withhold the pose if it is too doubtful or too inexact."""
+"""Add the uncertainty that a frame's own covariance lacks, and withhold poses that are too doubtful or too inexact."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+from rholoc.geometry import FloatArray
 from rholoc.localization.diagnosis import too_inexact
-from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, rms_position_error, trust_in_map, worst_sigma
+from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, rms_position_error, widening_factor, worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.types import MAX_ALTERNATIVES, MIN_WEIGHT, Alternative, Belief, Localization, Query, Reason
 
@@ -19,12 +20,13 @@ _LEFT_OF_OWN = 1 / 16
 _IN_UNTRUSTED_MAP = 0.8
 
 
-def with_map_error(index: MapIndex, answer: Localization) -> Localization:
-    """Add the map's own error to the covariances and probabilities of an answer.
+def with_map_error(index: MapIndex, answer: Localization, of_modes: FloatArray | None = None) -> Localization:
+    """Add the map's own error, and other modes of the place, to the covariances and probabilities of an answer.
 
     Args:
         index: index of the map.
         answer: an answer that treats the map as exact.
+        of_modes: (6, 6) second moment of the modes in the answer's place; None where it has one mode.
 
     Returns:
         The same answer relative to the real world.
@@ -36,19 +38,23 @@ def with_map_error(index: MapIndex, answer: Localization) -> Localization:
         return answer
     of_map = index.map_covariance(answer.inlier_features, answer.pose.position, _VIEWS_HERE)
     if of_map is None:
-        return answer
-    own = _LEFT_OF_OWN * answer.covariance
-    here, exact = trust_in_map(own, of_map, PLACE_M, PLACE_RAD), trust_in_map(own, of_map)
-    exact_if_here = min(exact / here, 1.0) if here > 0 else 0.0
-    return replace(
+        return answer if of_modes is None else _widened(answer, answer.covariance, of_modes)
+    known = replace(
         answer,
-        covariance=own + of_map,
-        belief=Belief(belief.recognized * here, belief.exact * exact_if_here),
         alternatives=tuple(
             replace(one, covariance=_LEFT_OF_OWN * one.covariance + of_map) for one in answer.alternatives
         ),
         expected_error_m=rms_position_error(of_map),
     )
+    return _widened(known, _LEFT_OF_OWN * answer.covariance, of_map if of_modes is None else of_map + of_modes)
+
+
+def _widened(answer: Localization, own: FloatArray, others: FloatArray) -> Localization:
+    """The answer with a covariance of ``own`` + ``others`` (6, 6), and as much less sure."""
+    here, exact = widening_factor(own, others, PLACE_M, PLACE_RAD), widening_factor(own, others)
+    exact_if_here = min(exact / here, 1.0) if here > 0 else 0.0
+    belief = Belief(answer.belief.recognized * here, answer.belief.exact * exact_if_here)
+    return replace(answer, covariance=own + others, belief=belief)
 
 
 def gated(answer: Localization, min_recognized: float, query: Query) -> Localization:

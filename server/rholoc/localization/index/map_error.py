@@ -97,21 +97,19 @@ def probability_right(covariance: FloatArray, within_m: float = RIGHT_M, within_
     return float(gammainc(3.0, farthest**2 / 2).mean())
 
 
-def trust_in_map(
-    local: FloatArray, map_covariance: FloatArray | None, within_m: float = RIGHT_M, within_rad: float = RIGHT_RAD
+def widening_factor(
+    own: FloatArray, others: FloatArray, within_m: float = RIGHT_M, within_rad: float = RIGHT_RAD
 ) -> float:
-    """Factor 0 to 1 by which the map's own error lowers the probability that a pose is within both bounds.
+    """Factor 0 to 1 by which further errors lower the probability that a pose is within both bounds.
 
     Args:
-        local: (6, 6) covariance of the pose relative to an exact map.
-        map_covariance: (6, 6) of the map there; None if unknown, which gives 1.
+        own: (6, 6) covariance of the pose.
+        others: (6, 6) of the further errors.
         within_m: bound on the position error.
         within_rad: bound on the rotation error.
     """
-    if map_covariance is None:
-        return 1.0
-    alone = probability_right(local, within_m, within_rad)
-    return min(probability_right(local + map_covariance, within_m, within_rad) / alone, 1.0) if alone > 0 else 1.0
+    alone = probability_right(own, within_m, within_rad)
+    return min(probability_right(own + others, within_m, within_rad) / alone, 1.0) if alone > 0 else 1.0
 
 
 @cache

@@ -13,6 +13,7 @@ from itertools import islice
 import numpy as np
 
 from rholoc.geometry import FloatArray, pose_distances
+from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.pose.ransac import lo_ransac
@@ -28,7 +29,6 @@ _EXPLAINED_PX = 24.0
 _TOLERANCE_PX = 12.0
 _SAMPLES = (300, 30)
 _MIN_AGREEING, _MIN_OF_FOUND = 8, 0.2  # matches; of the matches of the pose that was found
-_APART_M, _APART_RAD = 0.2, np.deg2rad(10.0)
 _TELLING_NATS = 12.0  # by which much more support one of two poses is twice as sure again; about a cell of the picture
 
 
@@ -72,9 +72,9 @@ def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified)
 
 
 def are_rivals(a: Verified, b: Verified) -> bool:
-    """Whether two poses exclude each other."""
+    """Whether two poses are of different places, and so exclude each other."""
     apart_m, turned_rad = pose_distances(a.optimum.T_map_camera, b.optimum.T_map_camera)
-    return bool(apart_m > _APART_M or turned_rad > _APART_RAD)
+    return bool(apart_m > PLACE_M or turned_rad > PLACE_RAD)
 
 
 def shares(places: FloatArray, nets: FloatArray) -> FloatArray:

@@ -1,0 +1,62 @@
+"""Modes of one place: poses along an arc around what a picture shows, from which it looks nearly the same.
+
+A scene that is far away and has little depth looks nearly the same from all along such an arc, and matching again
+around any pose there finds matches that confirm it: the curvature at one mode says nothing of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rholoc.geometry import FloatArray, pose_distances
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.pose.rematching import Verified
+
+_ARC_RAD = np.deg2rad(8.0)
+_MAX_FOUND_FROM_AFAR = 0.25  # of the expected landmarks: near the map's views more are found again
+_DISTINCT_M, _DISTINCT_RAD = 0.05, np.deg2rad(2.0)
+
+
+def is_seen_from_afar(verified: Verified) -> bool:
+    """Whether so few of the expected landmarks were found that other modes of the place are likely."""
+    support = verified.support
+    return support.found < _MAX_FOUND_FROM_AFAR * support.expected
+
+
+def poses_on_arcs(index: MapIndex, verified: Verified) -> Iterator[FloatArray]:
+    """Iterate over poses (4, 4) carried by 8° around what is seen, up, down, left and right."""
+    T = verified.optimum.T_map_camera
+    seen = verified.matches.landmarks[verified.optimum.density > 0]
+    if len(seen) == 0:
+        return
+    centre = np.median(index.landmarks[seen], axis=0)
+    for axis in (0, 1):
+        for angle_rad in (_ARC_RAD, -_ARC_RAD):
+            R = Rotation.from_rotvec(angle_rad * T[:3, axis]).as_matrix()
+            carried = T.copy()
+            carried[:3, :3] = R @ T[:3, :3]
+            carried[:3, 3] = centre + R @ (T[:3, 3] - centre)
+            yield carried
+
+
+def are_distinct(a: Verified, b: Verified) -> bool:
+    """Whether two poses are different modes, and not one mode that was found twice."""
+    apart_m, turned_rad = pose_distances(a.optimum.T_map_camera, b.optimum.T_map_camera)
+    return bool(apart_m > _DISTINCT_M or turned_rad > _DISTINCT_RAD)
+
+
+def spread_of_modes(T_map_camera: FloatArray, modes: Sequence[Verified], weights: FloatArray) -> FloatArray:
+    """Second moment (6, 6) of the modes about a pose (4, 4), position [m] and rotation [rad, map frame, from the left].
+
+    Args:
+        T_map_camera: the pose that is answered.
+        modes: M poses, that one among them.
+        weights: (M,) probability of each, with sum 1.
+    """
+    poses = np.array([mode.optimum.T_map_camera for mode in modes])
+    turned = Rotation.from_matrix(poses[:, :3, :3] @ T_map_camera[:3, :3].T).as_rotvec()
+    moves = np.hstack([poses[:, :3, 3] - T_map_camera[:3, 3], turned])
+    return np.asarray((weights[:, None] * moves).T @ moves)
