@@ -178,8 +178,7 @@ def frame_of(localizer: Localizer, picture: FloatArray, camera: Camera, truth: F
 def ransac_pose(index: MapIndex, frame: Frame, samples: int) -> FloatArray | None:
     matches = frame.mutual
     seen = frame.rays[matches.detections]
-    plane, points = seen[:, :2] / seen[:, 2:], index.landmarks[matches.landmarks]
-    found = lo_ransac(plane, points, frame.query.camera.focal, RANSAC_PX, samples, samples)
+    found = lo_ransac(seen, index.landmarks[matches.landmarks], frame.query.camera.focal, RANSAC_PX, samples, samples)
     return None if found is None else found[0]
 
 
