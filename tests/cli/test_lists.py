@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from rholoc.cli import main
-from rholoc.jobs import Job, JobPriority, JobState, RecordingStore
+from rholoc.jobs import Job, JobPriority, JobState
 from rholoc.jobs.queue import JobQueue
+from rholoc.library import RecordingStore
 from rholoc.maps import Map, MapInfo, save_map
 from rholoc.progress import Stage
 from rholoc.reports import ExpectedError, MapReport, TrajectoryReport

@@ -16,12 +16,9 @@ import numpy as np
 import pytest
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, TooLarge
-from rholoc.jobs import JobOptions, MappingTask, RecordingStore, Stores
-from rholoc.jobs.build_process import build_in_process, run_build
-from rholoc.jobs.pipeline import MappingPipeline
+from rholoc.jobs import JobOptions
 from rholoc.jobs.table import JobWork, Lease, shortened
-from rholoc.jobs.workplace import Workplace
-from rholoc.maps import MapLibrary
+from rholoc.library import MapLibrary, RecordingStore, Stores
 from rholoc.processes import Limits, machine_memory_bytes
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import check_archive, frame_pixels_limited, read_recording
@@ -29,6 +26,10 @@ from rholoc.recordings.archive import unpack
 from rholoc.recordings.tables.csv_table import read_numbers
 from rholoc.recordings.tables.logged_table import read_logged_table
 from rholoc.service import Settings
+from rholoc.worker import MappingTask
+from rholoc.worker.build_process import build_in_process, run_build
+from rholoc.worker.pipeline import MappingPipeline
+from rholoc.worker.workplace import Workplace
 
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz\n"
 

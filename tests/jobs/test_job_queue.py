@@ -17,7 +17,7 @@ from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, Unknow
 from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
 from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for_walk
 from rholoc.jobs.table import JobTable, overall, turn_of
-from rholoc.jobs.worker_table import WorkerTable
+from rholoc.jobs.workers import WorkerTable
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.storage.database import open_database, reporting_full_database

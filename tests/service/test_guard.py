@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from rholoc.errors import Conflict, InvalidName, NotFound
-from rholoc.maps import FolderDocuments
+from rholoc.library import FolderDocuments
 from rholoc.service.access.guard import _address, check_query, check_same_site
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.access.scopes import Access, RouteAccess

@@ -139,8 +139,8 @@ def _https(settings: Settings, port: int) -> tuple[Path, str]:
 
 def worker(maps: Maps = None, data: Data = None) -> None:
     """Work on mapping jobs, apart from the server. Any number of workers share the queue."""
-    from rholoc.jobs import run_worker
     from rholoc.logs import configure_process_logs
+    from rholoc.worker import run_worker
 
     configure_process_logs()
     settings = service_settings(maps_dir=maps, data_dir=data)
@@ -183,13 +183,13 @@ def opened_keys(settings: Settings) -> KeyStore:
     Raises:
         InvalidInput, Conflict, StorageFull, StorageUnavailable: the database cannot be opened.
     """
-    from rholoc.jobs.stores import KEYS
+    from rholoc.library.stores import KEYS
     from rholoc.service.access.keys import KeyStore
 
     stores = settings.stores()
     stores.open()
     stores.engine.dispose()
-    return KeyStore(stores.data_dir, stores.documents(KEYS))
+    return KeyStore(stores.documents(KEYS))
 
 
 def service_settings(**options: object) -> Settings:

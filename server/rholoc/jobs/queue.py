@@ -17,10 +17,10 @@ from rholoc import telemetry
 from rholoc.errors import Conflict, RholocError, UnknownRecording
 from rholoc.jobs.capacity import SECONDS_PER_PICTURE, memory_for_walk
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
-from rholoc.jobs.recording_notes import read_notes
-from rholoc.jobs.recording_store import RecordingStore
 from rholoc.jobs.table import JobTable, JobWork, shortened
-from rholoc.jobs.worker_table import WorkerOffer, WorkerTable, process_name
+from rholoc.jobs.workers import WorkerOffer, WorkerTable, process_name
+from rholoc.library.recording_notes import read_notes
+from rholoc.library.recordings import RecordingStore
 from rholoc.maps import check_map_name
 from rholoc.storage.database import check_database, database_engine, reporting_full_database
 

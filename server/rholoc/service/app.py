@@ -16,18 +16,11 @@ from starlette.exceptions import HTTPException
 
 from rholoc import __version__, telemetry
 from rholoc.errors import RholocError
-from rholoc.jobs import (
-    EmbeddedWorker,
-    JobQueue,
-    KeptLimits,
-    QueryStore,
-    Stores,
-    UploadStore,
-)
-from rholoc.jobs.stores import ASKERS, CAMERAS, KEYS, SITES
+from rholoc.jobs import JobQueue, UploadStore
+from rholoc.library import CameraLibrary, KeptLimits, QueryStore, SiteLibrary, Stores
+from rholoc.library.stores import ASKERS, CAMERAS, KEYS, SITES
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
-from rholoc.maps import CameraLibrary, SiteLibrary
 from rholoc.service.access.audit import Audited, AuditLog
 from rholoc.service.access.guard import Guard, SecurityHeaders
 from rholoc.service.access.keys import KeyStore
@@ -81,6 +74,7 @@ from rholoc.service.state import Operation, State
 from rholoc.service.threads.compute import ComputePool
 from rholoc.service.threads.storage import StorageLanes
 from rholoc.storage.holdings import Holdings
+from rholoc.worker import EmbeddedWorker
 
 _log = structlog.get_logger("rholoc.service")
 _MIN_UNDER_WAY = 8  # concurrent requests of a client, regardless of the limit of connections
@@ -97,7 +91,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
     settings, metrics = settings or Settings(), Metrics()
     stores = settings.stores()
-    keys, audit, lanes = KeyStore(stores.data_dir, stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()
+    keys, audit, lanes = KeyStore(stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -181,7 +175,7 @@ def _start(
     )
     queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
     learner = Learner(queries, settings, stores.documents(ASKERS))
-    sites = SiteLibrary(settings.maps_dir, stores.documents(SITES))
+    sites = SiteLibrary(stores.documents(SITES))
     finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
     compute = ComputePool(settings.concurrency, settings.queue_length)
     frames = Answerer(
@@ -205,7 +199,7 @@ def _start(
     return State(
         settings=settings,
         maps=AsyncMaps(library, queries, settings, lanes),
-        cameras=AsyncCameras(CameraLibrary(settings.maps_dir, stores.documents(CAMERAS)), lanes),
+        cameras=AsyncCameras(CameraLibrary(stores.documents(CAMERAS)), lanes),
         sites=AsyncSites(sites, lanes),
         recordings=AsyncRecordings(recordings, uploads, jobs, lanes),
         jobs=AsyncJobs(jobs, async_quotas, lanes),

@@ -11,10 +11,12 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from rholoc.jobs import BuildLimits, Capacity, Stores
+from rholoc.jobs import Capacity
+from rholoc.library import Stores
 from rholoc.localization import MIN_RECOGNIZED
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
+from rholoc.worker import BuildLimits
 
 
 class KeyPolicy(StrEnum):

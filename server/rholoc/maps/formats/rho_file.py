@@ -25,11 +25,11 @@ from rholoc.disk import replace_file
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.geometry import FloatArray, IntArray, Lens, poses_from_rows, rows_from_poses
 from rholoc.maps.cloud import Cloud
+from rholoc.maps.formats.patch_bytes import packed_patches, unpacked_patches
 from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.kept_observations import packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapTable, MapViews
-from rholoc.maps.patch_bytes import packed_patches, unpacked_patches
 from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
