@@ -1,10 +1,10 @@
-"""The clients: a blocking one, and one for asyncio with the same methods."""
+# Written by client/write_sync.py from _async/client.py: change that one, and run `make format`.
+"""The client: each method's request is sent, again if need be, and its answer read."""
 
 from __future__ import annotations
 
-import asyncio
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -12,11 +12,19 @@ from typing import Any, TypeVar
 import httpx
 
 from rholoc_client import _calls
-from rholoc_client._calls import Call, Maps, Outcome, localize_options, result_of
+from rholoc_client._calls import Call, Maps, Outcome, camera_text, headers, localize_options, request, result_of
 from rholoc_client._images import ImageLike
 from rholoc_client._retry import Attempts, Backoff
-from rholoc_client._uploads import UploadProgress, map_upload_steps, opened_recording, upload_steps
-from rholoc_client.errors import JobFailed, RholocClientError, WaitTimedOut
+from rholoc_client._uploads import (
+    UploadProgress,
+    content_of,
+    map_upload_steps,
+    opened_recording,
+    recording_fields,
+    upload_steps,
+)
+from rholoc_client._waiting import JobProgress, deadline_of, next_look_s, published
+from rholoc_client.errors import RholocClientError
 from rholoc_client.models import (
     Camera,
     CameraProfile,
@@ -32,11 +40,13 @@ from rholoc_client.models import (
 )
 
 T = TypeVar("T")
-JobProgress = Callable[[Job], None]
 
 
 class Client:
-    """The service, for programs that block on its answers. Safe to share between threads; use it in a ``with``.
+    """The service. Use it in a ``with`` statement.
+
+    :class:`Client` blocks until the service answers and is safe to share between threads. :class:`AsyncClient` is for
+    asyncio, with ``async with`` and ``await``.
 
     Args:
         base_url: where the service is, ``http://host:port``.
@@ -59,7 +69,7 @@ class Client:
         retries: int = 4,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
-        self._http = httpx.Client(base_url=base_url, headers=_headers(api_key), timeout=timeout_s, transport=transport)
+        self._http = httpx.Client(base_url=base_url, headers=headers(api_key), timeout=timeout_s, transport=transport)
         self._backoff = Backoff(retries)
 
     def __enter__(self) -> Client:
@@ -207,7 +217,7 @@ class Client:
             name: the map's.
             source: a ``.rho`` file or a map as CSV: its path, or its content as bytes.
         """
-        return self._run(map_upload_steps(name, _content(source), self._backoff.retries))
+        return self._run(map_upload_steps(name, content_of(source), self._backoff.retries))
 
     def download_map(
         self, name: str, format: str = "rho", *, degree: int | None = None, features: Sequence[int] | None = None
@@ -238,7 +248,7 @@ class Client:
             poses: where frame poses come from; None: the recording's own, else each frame is localized.
             camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
         """
-        fields = {"recording": recording, "poses": poses, "camera": _camera_text(camera)}
+        fields = {"recording": recording, "poses": poses, "camera": camera_text(camera)}
         return self._send(_calls.update_map(name, fields))
 
     def learn_from_users(self, name: str) -> Job:
@@ -337,7 +347,7 @@ class Client:
             priority: "high", "normal" or "low": how soon its turn comes; None: normal.
             progress: called with how many bytes the service has, and how many there are.
         """
-        fields = _recording_fields(map_name, kind, features, density, poses, camera, priority)
+        fields = recording_fields(map_name, kind, features, density, poses, camera, priority)
         with opened_recording(path, waypoints) as (name, file):
             return self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
 
@@ -375,14 +385,14 @@ class Client:
             JobFailed: it failed or was cancelled.
             WaitTimedOut: it did not end in ``timeout_s``.
         """
-        deadline = _deadline(timeout_s)
+        deadline = deadline_of(timeout_s)
         while True:
             job = self.job(job_id)
             if progress is not None:
                 progress(job)
             if job.has_ended:
-                return _published(job)
-            time.sleep(_next_look_s(job, deadline, poll_s))
+                return published(job)
+            time.sleep(next_look_s(job, deadline, poll_s))
 
     def readiness(self) -> dict[str, str]:
         """The service's checks of itself by name: "ok", or what is wrong."""
@@ -413,373 +423,6 @@ class Client:
 
     def _attempt(self, call: Call[T]) -> Outcome:
         try:
-            return self._http.send(_request(self._http, call))
+            return self._http.send(request(self._http, call))
         except httpx.TransportError as error:
             return error
-
-
-class AsyncClient:
-    """The service, for programs on asyncio. As :class:`Client`, with ``async with`` and ``await``."""
-
-    def __init__(
-        self,
-        base_url: str,
-        api_key: str | None = None,
-        timeout_s: float | None = 10.0,
-        retries: int = 4,
-        transport: httpx.AsyncBaseTransport | None = None,
-    ) -> None:
-        self._http = httpx.AsyncClient(
-            base_url=base_url, headers=_headers(api_key), timeout=timeout_s, transport=transport
-        )
-        self._backoff = Backoff(retries)
-
-    async def __aenter__(self) -> AsyncClient:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
-
-    async def close(self) -> None:
-        """Close the connections."""
-        await self._http.aclose()
-
-    async def localize(
-        self,
-        maps: Maps,
-        image: ImageLike,
-        *,
-        camera: Camera | str | None = None,
-        prior: Prior | None = None,
-        dof: int | str | None = None,
-        gravity: Vector3 | None = None,
-        deadline_ms: float | None = None,
-        max_sigma_m: float | None = None,
-        max_sigma_deg: float | None = None,
-        intrinsics: str | None = None,
-        with_matches: bool = False,
-    ) -> Localization:
-        """As :meth:`Client.localize`."""
-        options = localize_options(
-            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
-        )
-        return await self._send(_calls.localize_image(maps, image, options))
-
-    async def localize_together(
-        self,
-        maps: Maps,
-        frames: Sequence[Frame],
-        *,
-        camera: Camera | str | None = None,
-        dof: int | str | None = None,
-        sigma_m: float | None = None,
-        sigma_deg: float | None = None,
-        deadline_ms: float | None = None,
-        max_sigma_m: float | None = None,
-        max_sigma_deg: float | None = None,
-    ) -> Localization:
-        """As :meth:`Client.localize_together`."""
-        return await self._send(
-            _calls.localize_frames(
-                maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms, max_sigma_m, max_sigma_deg
-            )
-        )
-
-    async def places(self, maps: str | Sequence[str] | None, image: ImageLike, *, limit: int = 10) -> list[Place]:
-        """As :meth:`Client.places`."""
-        return await self._send(_calls.find_places(maps, image, limit))
-
-    async def localize_descriptors(
-        self,
-        maps: Maps,
-        features: Features,
-        *,
-        camera: Camera | str | None = None,
-        prior: Prior | None = None,
-        dof: int | str | None = None,
-        gravity: Vector3 | None = None,
-        deadline_ms: float | None = None,
-        max_sigma_m: float | None = None,
-        max_sigma_deg: float | None = None,
-        intrinsics: str | None = None,
-        with_matches: bool = False,
-    ) -> Localization:
-        """As :meth:`Client.localize_descriptors`."""
-        options = localize_options(
-            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
-        )
-        return await self._send(_calls.localize_features(maps, features, options))
-
-    async def maps(self) -> list[MapSummary]:
-        """As :meth:`Client.maps`."""
-        return await self._send(_calls.list_maps())
-
-    async def map(self, name: str) -> MapSummary:
-        """As :meth:`Client.map`."""
-        return await self._send(_calls.get_map(name))
-
-    async def map_report(self, name: str) -> dict[str, Any]:
-        """As :meth:`Client.map_report`."""
-        return await self._send(_calls.map_report(name))
-
-    async def map_report_picture(self, name: str) -> bytes:
-        """As :meth:`Client.map_report_picture`."""
-        return await self._send(_calls.map_report_picture(name))
-
-    async def map_preview(self, name: str) -> bytes:
-        """As :meth:`Client.map_preview`."""
-        return await self._send(_calls.map_preview(name))
-
-    async def upload_map(self, name: str, source: Path | str | bytes) -> MapSummary:
-        """As :meth:`Client.upload_map`."""
-        return await self._run(map_upload_steps(name, _content(source), self._backoff.retries))
-
-    async def download_map(
-        self, name: str, format: str = "rho", *, degree: int | None = None, features: Sequence[int] | None = None
-    ) -> bytes:
-        """As :meth:`Client.download_map`."""
-        return await self._send(_calls.download_map(name, format, degree, features))
-
-    async def rename_map(self, name: str, new_name: str) -> MapSummary:
-        """As :meth:`Client.rename_map`."""
-        return await self._send(_calls.rename_map(name, new_name))
-
-    async def update_map(
-        self, name: str, recording: str, *, poses: str | None = None, camera: Camera | str | None = None
-    ) -> Job:
-        """Have a map learn a stored recording, by its id; the job that does so.
-
-        Args:
-            name: the map.
-            recording: the recording's id: :attr:`Job.recording` of the job that its upload started.
-            poses: where frame poses come from; None: the recording's own, else each frame is localized.
-            camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
-        """
-        fields = {"recording": recording, "poses": poses, "camera": _camera_text(camera)}
-        return await self._send(_calls.update_map(name, fields))
-
-    async def learn_from_users(self, name: str) -> Job:
-        """As :meth:`Client.learn_from_users`."""
-        return await self._send(_calls.learn_from_users(name))
-
-    async def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
-        """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
-        return await self._send(_calls.merge_maps(name, other, into))
-
-    async def forget_recording(self, name: str, source: str) -> MapSummary:
-        """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
-        return await self._send(_calls.forget_recording(name, source))
-
-    async def correct_map(self, name: str, correction: Mapping[str, Any]) -> MapSummary:
-        """As :meth:`Client.correct_map`."""
-        return await self._send(_calls.correct_map(name, correction))
-
-    async def restore_map(self, name: str, number: int = 1) -> MapSummary:
-        """As :meth:`Client.restore_map`."""
-        return await self._send(_calls.restore_map(name, number))
-
-    async def cameras(self) -> list[CameraProfile]:
-        """As :meth:`Client.cameras`."""
-        return await self._send(_calls.list_cameras())
-
-    async def camera(self, name: str) -> CameraProfile:
-        """As :meth:`Client.camera`."""
-        return await self._send(_calls.get_camera(name))
-
-    async def put_camera(
-        self, name: str, camera: Camera, calibration: Mapping[str, Any] | None = None
-    ) -> CameraProfile:
-        """As :meth:`Client.put_camera`."""
-        return await self._send(_calls.put_camera(name, camera, calibration))
-
-    async def delete_camera(self, name: str) -> None:
-        """As :meth:`Client.delete_camera`."""
-        await self._send(_calls.delete_camera(name))
-
-    async def sites(self) -> list[Site]:
-        """As :meth:`Client.sites`."""
-        return await self._send(_calls.list_sites())
-
-    async def site(self, name: str) -> Site:
-        """As :meth:`Client.site`."""
-        return await self._send(_calls.get_site(name))
-
-    async def put_site(self, name: str, document: Mapping[str, Any]) -> Site:
-        """As :meth:`Client.put_site`."""
-        return await self._send(_calls.put_site(name, document))
-
-    async def find_site_link(self, name: str, first: str, second: str) -> Site:
-        """As :meth:`Client.find_site_link`."""
-        return await self._send(_calls.find_site_link(name, first, second))
-
-    async def place_site(self, name: str) -> Job:
-        """As :meth:`Client.place_site`."""
-        return await self._send(_calls.place_site(name))
-
-    async def delete_site(self, name: str) -> None:
-        """As :meth:`Client.delete_site`."""
-        await self._send(_calls.delete_site(name))
-
-    async def delete_map(self, name: str) -> None:
-        """As :meth:`Client.delete_map`."""
-        await self._send(_calls.delete_map(name))
-
-    async def upload_recording(
-        self,
-        path: Path | str,
-        map_name: str,
-        *,
-        kind: str | None = None,
-        features: str | None = None,
-        density: str | None = None,
-        poses: str | None = None,
-        camera: Camera | str | None = None,
-        waypoints: Path | str | None = None,
-        priority: str | None = None,
-        progress: UploadProgress | None = None,
-    ) -> Job:
-        """As :meth:`Client.upload_recording`."""
-        fields = _recording_fields(map_name, kind, features, density, poses, camera, priority)
-        with opened_recording(path, waypoints) as (name, file):
-            return await self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
-
-    async def jobs(self, before: str | None = None) -> list[Job]:
-        """As :meth:`Client.jobs`."""
-        return await self._send(_calls.list_jobs(before))
-
-    async def job(self, job_id: str) -> Job:
-        """As :meth:`Client.job`."""
-        return await self._send(_calls.get_job(job_id))
-
-    async def cancel_job(self, job_id: str) -> Job:
-        """As :meth:`Client.cancel_job`."""
-        return await self._send(_calls.cancel_job(job_id))
-
-    async def retry_job(self, job_id: str) -> Job:
-        """As :meth:`Client.retry_job`."""
-        return await self._send(_calls.retry_job(job_id))
-
-    async def prioritize_job(self, job_id: str, priority: str) -> Job:
-        """As :meth:`Client.prioritize_job`."""
-        return await self._send(_calls.prioritize_job(job_id, priority))
-
-    async def wait_for_job(
-        self,
-        job_id: str,
-        *,
-        timeout_s: float | None = None,
-        poll_s: float = 1.0,
-        progress: JobProgress | None = None,
-    ) -> Job:
-        """As :meth:`Client.wait_for_job`."""
-        deadline = _deadline(timeout_s)
-        while True:
-            job = await self.job(job_id)
-            if progress is not None:
-                progress(job)
-            if job.has_ended:
-                return _published(job)
-            await asyncio.sleep(_next_look_s(job, deadline, poll_s))
-
-    async def readiness(self) -> dict[str, str]:
-        """As :meth:`Client.readiness`."""
-        return await self._send(_calls.readiness())
-
-    async def _run(self, steps: Generator[Call[Any], Any, T]) -> T:
-        try:
-            call = next(steps)
-            while True:
-                try:
-                    answer = await self._send(call)
-                except RholocClientError as error:
-                    call = steps.throw(error)
-                else:
-                    call = steps.send(answer)
-        except StopIteration as ended:
-            result: T = ended.value
-            return result
-
-    async def _send(self, call: Call[T]) -> T:
-        attempts = Attempts(self._backoff, call)
-        while True:
-            outcome = await self._attempt(call)
-            wait_s = attempts.wait_s(outcome)
-            if wait_s is None:
-                return result_of(call, outcome)
-            await asyncio.sleep(wait_s)
-
-    async def _attempt(self, call: Call[T]) -> Outcome:
-        try:
-            return await self._http.send(_request(self._http, call))
-        except httpx.TransportError as error:
-            return error
-
-
-def _headers(api_key: str | None) -> dict[str, str]:
-    return {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
-
-
-def _request(http: httpx.Client | httpx.AsyncClient, call: Call[T]) -> httpx.Request:
-    own = http.timeout
-    read_s = None if own.read is None else own.read + call.work_s
-    return http.build_request(
-        call.method,
-        call.path,
-        params=call.params,
-        headers=call.headers,
-        content=call.content,
-        files=call.files,
-        timeout=httpx.Timeout(connect=own.connect, read=read_s, write=own.write, pool=own.pool),
-    )
-
-
-def _content(source: Path | str | bytes) -> bytes:
-    return source if isinstance(source, bytes) else Path(source).read_bytes()
-
-
-def _recording_fields(
-    map_name: str,
-    kind: str | None,
-    features: str | None,
-    density: str | None,
-    poses: str | None,
-    camera: Camera | str | None,
-    priority: str | None,
-) -> dict[str, str | None]:
-    return {
-        "map": map_name,
-        "kind": kind,
-        "features": features,
-        "density": density,
-        "poses": poses,
-        "camera": _camera_text(camera),
-        "priority": priority,
-    }
-
-
-def _camera_text(camera: Camera | str | None) -> str | None:
-    if camera is None or isinstance(camera, str):
-        return camera
-    values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
-    text = ",".join(repr(float(value)) for value in values)
-    return text if camera.lens == "pinhole" else f"{camera.lens}:{text}"
-
-
-def _deadline(timeout_s: float | None) -> float:
-    return float("inf") if timeout_s is None else time.monotonic() + timeout_s
-
-
-def _next_look_s(job: Job, deadline: float, poll_s: float) -> float:
-    left_s = deadline - time.monotonic()
-    if left_s <= 0:
-        raise WaitTimedOut(f"Job {job.id} has not ended; it is at {job.stage}, {job.progress:.0%}.")
-    return min(poll_s, left_s)
-
-
-def _published(job: Job) -> Job:
-    if job.state != "published":
-        fallback = "The job was cancelled." if job.state == "cancelled" else "The job failed."
-        raise JobFailed(job.error_code or job.state, job.error_message or fallback, job.error_hint or "")
-    return job
