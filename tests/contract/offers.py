@@ -31,7 +31,7 @@ def present_offers() -> dict[str, dict[str, Offer]]:
         "routes": dict(sorted(_routes(openapi))),
         "commands": dict(sorted(_commands(typer.main.get_command(app), ""))),
         "settings": {f"RHOLOC_{name.upper()}": _offer() for name in sorted(Settings.model_fields)},
-        "python": dict(sorted([*_names("rholoc_client"), *_names("rholoc")])),
+        "python": dict(sorted([*_names("rholoc_client", with_methods=True), *_names("rholoc")])),
     }
 
 
@@ -85,9 +85,10 @@ def _members(openapi: Any, schema: Any, above: tuple[str, ...] = (), prefix: str
             yield from _members(openapi, openapi["components"]["schemas"][name], (*above, name), prefix)
         return
     for kind in ("anyOf", "oneOf", "allOf"):
-        for one in schema.get(kind, ()):
+        choices = [one for one in schema.get(kind, ()) if one.get("type") != "null"]
+        for one in choices:
             for member, is_required in _members(openapi, one, above, prefix):
-                yield member, is_required and kind == "allOf"
+                yield member, is_required and (kind == "allOf" or len(choices) == 1)
     if isinstance(schema.get("items"), dict):
         yield from _members(openapi, schema["items"], above, f"{prefix}[]")
     for name, member in schema.get("properties", {}).items():
@@ -108,13 +109,15 @@ def _commands(command: Any, path: str) -> Iterator[tuple[str, Offer]]:
     yield path, _offer(takes, [one.name for one in arguments])
 
 
-def _names(module: str) -> Iterator[tuple[str, Offer]]:
+def _names(module: str, with_methods: bool = False) -> Iterator[tuple[str, Offer]]:
     for name in importlib.import_module(module).__all__:
         thing = getattr(importlib.import_module(module), name)
         yield f"{module}.{name}", _called(thing)
-        if inspect.isclass(thing) and not issubclass(thing, enum.Enum):
-            for method, function in inspect.getmembers(thing, lambda one: inspect.isfunction(one) or inspect.ismethod(one)):
-                if not method.startswith("_") and thing.__module__.startswith("rholoc"):
+        if with_methods and inspect.isclass(thing) and not issubclass(thing, enum.Enum):
+            for method, function in inspect.getmembers(
+                thing, lambda one: inspect.isfunction(one) or inspect.ismethod(one)
+            ):
+                if not method.startswith("_") and not inspect.ismethoddescriptor(function):
                     yield f"{module}.{name}.{method}", _called(function)
 
 

@@ -1,4 +1,4 @@
-"""Map files of earlier versions: they load, and their reports are understood."""
+"""The map that is shipped: it loads, and its report is understood."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_the_shipped_map_is_read_with_all_that_it_reports() -> None:
     assert report.features == len(map_)
     assert report.held_out is not None
     assert report.held_out.frames == report.held_out.localized == 4
-    assert (report.coverage, report.coaching) == (None, ())  # it is older than they are
+    assert (report.coverage, report.coaching) == (None, ())
     assert trust_of(map_.info).trusted
     assert memory_of(map_) is not None
 
