@@ -33,7 +33,7 @@ from rholoc.maps import (
 )
 from rholoc.progress import ProgressListener, Stage
 from rholoc.reports import MapReport, TrajectoryReport
-from rholoc.worker import MappingPipeline, MappingTask, Timing, run_worker
+from rholoc.worker import MappingPipeline, MappingTask, Timing, WorkerSetup, run_worker
 
 TIMING = Timing(poll_s=0.1, heartbeat_s=0.25, dead_after_s=1.5, cancel_grace_s=0.5)
 _NOT_OF_BUILDS = (Stage.RECEIVED, Stage.LINKS, Stage.PUBLISHED)
@@ -214,12 +214,8 @@ if __name__ == "__main__":
     from fake_pipeline import FakePipeline as ImportablePipeline  # not of __main__, so that it can be pickled
 
     run_worker(
-        data_dir,
-        maps_dir,
-        database_url,
+        WorkerSetup(data_dir, maps_dir, database_url, storage_url, Capacity(jobs, memory_gib * 2**30)),
         pipeline=ImportablePipeline(Control(control_dir)),
         timing=TIMING,
         stop=orphaned(),
-        storage_url=storage_url,
-        capacity=Capacity(jobs, memory_gib * 2**30),
     )

@@ -36,7 +36,7 @@ class Site:
         self.stores = Stores(self.maps_dir, self.data_dir, database_url, storage_url)
         self.stores.open(follow=True)
         self.recordings, self.library = self.stores.recordings, self.stores.library
-        self.queue = JobQueue(self.data_dir, database_url, self.recordings)
+        self.queue = JobQueue(self.recordings)
         self._workers: list[subprocess.Popen[bytes]] = []
 
     def start_worker(self, memory_gib: float = math.inf, jobs: int = 1) -> subprocess.Popen[bytes]:

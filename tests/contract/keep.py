@@ -105,7 +105,7 @@ def _keep_server(server: Path, folder: Path) -> None:
 def _keep_jobs(stores: Stores) -> None:
     """A published and a queued job, an unfinished upload, a kept query, a noted change and a key's holding."""
     queue, table = (
-        JobQueue(stores.data_dir, engine=stores.engine, recordings=stores.recordings),
+        JobQueue(stores.recordings),
         JobTable(stores.engine),
     )
     entry = stores.recordings.create([("walk.mp4", [VIDEO])])

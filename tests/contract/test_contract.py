@@ -88,7 +88,7 @@ def test_a_server_has_its_maps_cameras_sites_and_keys(stores: Stores, kept: Path
 
 def test_a_server_has_its_jobs_recordings_uploads_and_queries(server: Path) -> None:
     stores = Stores(server / "maps", server / "data")
-    queue = JobQueue(stores.data_dir, engine=stores.engine, recordings=stores.recordings)
+    queue = JobQueue(stores.recordings)
     queued, published = queue.list()
     assert (queued.state, published.state) == (JobState.QUEUED, JobState.PUBLISHED)
     assert published.warnings == ("It is only a test.",)

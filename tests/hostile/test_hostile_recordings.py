@@ -134,7 +134,7 @@ def test_the_pixels_of_a_video_are_a_setting_of_the_service(tmp_path):
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (640, 480))
     writer.write(np.zeros((480, 640, 3), np.uint8))
     writer.release()
-    limits = Settings(max_video_pixels=1000).job_limits
+    limits = Settings(max_video_pixels=1000).worker_setup.limits
     stores = Stores(tmp_path / "maps", tmp_path / "data")
     workplace = Workplace(stores, limits.frame_pixels)
     stored = stores.recordings.create([(path.name, [path.read_bytes()])]).id
@@ -285,7 +285,7 @@ def test_a_build_that_asks_for_too_much_memory_fails_for_that_reason(tmp_path):
 
 
 def test_jobs_are_limited_by_default():
-    limits = Settings().job_limits
+    limits = Settings().worker_setup.limits
     assert 3600 <= limits.time_s <= 24 * 3600
     assert limits.memory_bytes == pytest.approx(0.75 * machine_memory_bytes())
     machine_kib = int(Path("/proc/meminfo").read_text().split()[1])

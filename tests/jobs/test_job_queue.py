@@ -18,6 +18,7 @@ from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
 from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for_walk
 from rholoc.jobs.table import JobTable, overall, turn_of
 from rholoc.jobs.workers import WorkerTable
+from rholoc.library import RecordingStore
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.storage.database import open_database, reporting_full_database
@@ -38,7 +39,7 @@ def test_a_submitted_job_waits(site: Site) -> None:
 
 def test_another_process_sees_the_same_queue(site: Site) -> None:
     job = site.submit()
-    other = JobQueue(site.data_dir)
+    other = JobQueue(RecordingStore(site.data_dir))
     assert other.list() == [job]
     other.close()
 

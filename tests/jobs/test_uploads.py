@@ -25,7 +25,7 @@ def uploads(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[Upl
     objects, engine = ObjectStorage(tmp_path / "a" if in_place else "memory:///"), open_database(tmp_path)
     machines = [tmp_path / "a", tmp_path / ("a" if in_place else "b")]
     recordings = [RecordingStore(machine, objects, engine) for machine in machines]
-    queues = [JobQueue(tmp_path, None, one, engine) for one in recordings]
+    queues = [JobQueue(one) for one in recordings]
     yield [UploadStore(one, queue, 3600.0, max_unfinished=3) for one, queue in zip(recordings, queues, strict=True)]
     engine.dispose()
 

@@ -16,6 +16,7 @@ from rholoc.library.stores import ASKERS
 from rholoc.service.frames.learning import Learner
 from rholoc.service.settings import Settings
 from rholoc.storage import ObjectStorage
+from rholoc.worker import WorkerSetup
 from rholoc.worker.worker import Worker
 from waiting import until
 
@@ -44,9 +45,9 @@ def test_a_worker_elsewhere_publishes_what_the_map_learned(
     store = QueryStore(shared.objects)
     for query in QueryStore(ObjectStorage(tmp_path / "asked")).load(before.info.id):
         store.add(before.info.id, replace(query, asker=ALICE))
-    queue = JobQueue(tmp_path / "data")
+    queue = JobQueue(shared.recordings)
     queue.submit("", "west", JobOptions(kind=JobKind.LEARN))
-    worker = Worker(tmp_path / "data", tmp_path / "elsewhere", storage_url=storage_url)
+    worker = Worker(WorkerSetup(tmp_path / "data", tmp_path / "elsewhere", storage_url=storage_url))
     worker.start()
     try:
         until(lambda: queue.last_learning("west") is not None)

@@ -15,15 +15,15 @@ from rholoc.jobs import JobQueue, JobState, Obstacle
 from rholoc.jobs.table import JobTable
 from rholoc.jobs.workers import WorkerTable, process_name
 from rholoc.library import RecordingStore
-from rholoc.worker import EmbeddedWorker
+from rholoc.worker import EmbeddedWorker, WorkerSetup
 from rholoc.worker.embedded import reason_of_death
 from waiting import BREAKS_WORKERS, alive, until
 
 _SERVER = """
 import sys, time
 from pathlib import Path
-from rholoc.worker import EmbeddedWorker
-worker = EmbeddedWorker(Path(sys.argv[1]), Path(sys.argv[2]))
+from rholoc.worker import EmbeddedWorker, WorkerSetup
+worker = EmbeddedWorker(WorkerSetup(Path(sys.argv[1]), Path(sys.argv[2])))
 worker.start()
 sys.stdout.write(f"{worker.pid}\\n")
 sys.stdout.flush()
@@ -33,8 +33,8 @@ time.sleep(60)
 
 @pytest.mark.slow
 def test_it_works_restarts_and_stops(tmp_path: Path) -> None:
-    queue, recordings = JobQueue(tmp_path), RecordingStore(tmp_path)
-    worker = EmbeddedWorker(tmp_path, tmp_path / "maps")
+    recordings = RecordingStore(tmp_path)
+    queue, worker = JobQueue(recordings), EmbeddedWorker(WorkerSetup(tmp_path, tmp_path / "maps"))
     worker.start()
     try:
         job = queue.submit(recordings.create([("notes.txt", [b"not a recording"])]).id, "room")
@@ -54,15 +54,16 @@ def test_it_works_restarts_and_stops(tmp_path: Path) -> None:
 def test_one_that_dies_whenever_it_is_started_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "sitecustomize.py").write_text(BREAKS_WORKERS)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    queue, recordings = JobQueue(tmp_path / "data"), RecordingStore(tmp_path / "data")
+    recordings = RecordingStore(tmp_path / "data")
+    queue = JobQueue(recordings)
     job = queue.submit(recordings.create([("walk.mp4", [b"a walk"])]).id, "room")
-    worker = EmbeddedWorker(tmp_path / "data", tmp_path / "maps", queue=queue)
+    worker = EmbeddedWorker(WorkerSetup(tmp_path / "data", tmp_path / "maps"), queue)
     worker.start()
     try:
         until(lambda: queue.get(job.id).obstacle is Obstacle.WORKER_FAILS, timeout_s=30.0)
         assert "signal 6: its library is broken" in queue.get(job.id).message
         assert worker.trouble is not None
-        other = JobQueue(tmp_path / "data")
+        other = JobQueue(RecordingStore(tmp_path / "data"))
         assert other.worker_trouble() == worker.trouble, "other servers say it too"
         other.close()
         until(lambda: "4 times" in str(worker.trouble))
@@ -76,9 +77,10 @@ def test_one_that_dies_whenever_it_is_started_is_reported(tmp_path: Path, monkey
 
 @pytest.mark.slow
 def test_the_jobs_of_one_that_is_killed_are_queued_at_once(tmp_path: Path) -> None:
-    queue = JobQueue(tmp_path)
+    recordings = RecordingStore(tmp_path)
+    queue = JobQueue(recordings)
     table, workers = JobTable(queue.engine), WorkerTable(queue.engine)
-    entry = RecordingStore(tmp_path).create([("walk.mp4", [b"a walk"])])
+    entry = recordings.create([("walk.mp4", [b"a walk"])])
     job = queue.submit(entry.id, "room")
     name = process_name(12345)
     workers.beat(f"{name}-1")

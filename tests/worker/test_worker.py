@@ -229,7 +229,7 @@ def test_a_full_disk_is_reported(busy_site: Site, tmp_path: Path) -> None:
 _SIGNALLED_ON_THE_WAY = """
 import signal, sys, threading
 from pathlib import Path
-from rholoc.worker import run_worker
+from rholoc.worker import WorkerSetup, run_worker
 
 class Stop(threading.Event):
     def wait(self, timeout=None):
@@ -237,7 +237,7 @@ class Stop(threading.Event):
             signal.raise_signal(signal.SIGINT)
         return super().wait(timeout)
 
-run_worker(Path(sys.argv[1]) / "data", Path(sys.argv[1]) / "maps", stop=Stop())
+run_worker(WorkerSetup(Path(sys.argv[1]) / "data", Path(sys.argv[1]) / "maps"), stop=Stop())
 """
 
 

@@ -146,14 +146,7 @@ def worker(maps: Maps = None, data: Data = None) -> None:
     settings = service_settings(maps_dir=maps, data_dir=data)
     target = settings.maps_dir if settings.shared_storage is None else "the shared storage"
     print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {target}.")
-    run_worker(
-        settings.data_dir,
-        settings.maps_dir,
-        settings.jobs_database,
-        limits=settings.job_limits,
-        storage_url=settings.shared_storage,
-        capacity=settings.worker_capacity,
-    )
+    run_worker(settings.worker_setup)
 
 
 def _keys(settings: Settings) -> KeyStore | None:

@@ -169,7 +169,7 @@ def _start(
     _open(settings, stores)
     keys.refresh()
     library, recordings = stores.library, stores.recordings
-    jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings, engine=stores.engine)
+    jobs = JobQueue(recordings)
     uploads = UploadStore(
         recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads
     )
@@ -195,7 +195,7 @@ def _start(
     streams = OpenStreams(keys, *stream_limits(settings.max_streams, settings.max_connections))
     readiness = Readings(settings, jobs, stores)
     _measure(metrics, readiness, frames, streams)
-    worker = _worker(settings, jobs) if settings.worker else None
+    worker = EmbeddedWorker(settings.worker_setup, jobs) if settings.worker else None
     return State(
         settings=settings,
         maps=AsyncMaps(library, queries, settings, lanes),
@@ -241,18 +241,6 @@ def _measure(metrics: Metrics, known: Readings, frames: Answerer, streams: OpenS
     metrics.gauge("rholoc_maps", present, "state", frames.finder.counts)
     counted = lambda: {str(kind): streams.count(kind) for kind in StreamKind}  # noqa: E731
     metrics.gauge("rholoc_streams", "Streams that are open", "kind", counted)
-
-
-def _worker(settings: Settings, jobs: JobQueue) -> EmbeddedWorker:
-    return EmbeddedWorker(
-        settings.data_dir,
-        settings.maps_dir,
-        settings.jobs_database,
-        settings.job_limits,
-        settings.shared_storage,
-        settings.worker_capacity,
-        jobs,
-    )
 
 
 async def _answer_error(request: Request, error: Exception) -> JSONResponse:

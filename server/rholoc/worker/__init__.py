@@ -3,6 +3,7 @@
 from rholoc.worker.build_process import BuildLimits
 from rholoc.worker.embedded import EmbeddedWorker
 from rholoc.worker.pipeline import MappingPipeline, MappingTask
+from rholoc.worker.setup import WorkerSetup
 from rholoc.worker.timing import Timing
 from rholoc.worker.worker import run_worker
 
@@ -12,5 +13,6 @@ __all__ = [
     "MappingPipeline",
     "MappingTask",
     "Timing",
+    "WorkerSetup",
     "run_worker",
 ]

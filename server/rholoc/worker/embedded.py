@@ -8,16 +8,13 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import astuple
-from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.errors import RholocError
-from rholoc.jobs.capacity import Capacity
 from rholoc.jobs.queue import JobQueue
 from rholoc.processes import Program
-from rholoc.worker.build_process import BuildLimits
+from rholoc.worker.setup import WorkerSetup
 
 _log = logging.getLogger("rholoc.worker")
 
@@ -33,24 +30,12 @@ class EmbeddedWorker:
     """Runs ``python -m rholoc.worker`` as a child, restarts it if it dies, and stops it with its parent.
 
     Args:
-        data_dir, maps_dir, database_url, limits, storage_url, capacity: as for :class:`rholoc.worker.worker.Worker`.
+        setup: where the worker works.
         queue: receives reports that workers die repeatedly; None for no reports.
     """
 
-    def __init__(
-        self,
-        data_dir: Path,
-        maps_dir: Path,
-        database_url: str | None = None,
-        limits: BuildLimits | None = None,
-        storage_url: str | None = None,
-        capacity: Capacity | None = None,
-        queue: JobQueue | None = None,
-    ) -> None:
-        taken_on = [astuple(capacity or Capacity()), astuple(limits or BuildLimits())]
-        configuration = [str(data_dir), str(maps_dir), database_url, storage_url, *taken_on]
-        # Through the standard input, not the command line: the URL may hold a password.
-        self._configuration = json.dumps(configuration).encode() + b"\n"
+    def __init__(self, setup: WorkerSetup, queue: JobQueue | None = None) -> None:
+        self._setup = setup
         self._queue = queue
         self._stopping = threading.Event()
         self._program: Program | None = None
@@ -86,7 +71,8 @@ class EmbeddedWorker:
             self._program.stop(_STOP_TIMEOUT_S)
 
     def _spawn(self) -> Program:
-        return Program("rholoc.worker", first_input=self._configuration, keep_errors=True)
+        # Through the standard input, not the command line: an URL may hold a password.
+        return Program("rholoc.worker", first_input=self._setup.to_line(), keep_errors=True)
 
     def _keep_running(self) -> None:
         begun_s, deaths = time.monotonic(), 0

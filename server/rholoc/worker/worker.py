@@ -12,22 +12,20 @@ import threading
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from types import FrameType
 
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc import telemetry
 from rholoc.errors import RholocError, StorageFull, StorageUnavailable
-from rholoc.jobs.capacity import Capacity
 from rholoc.jobs.table import Claim, JobTable
 from rholoc.jobs.workers import WorkerTable, process_name
 from rholoc.library.stores import Stores
-from rholoc.worker.build_process import BuildLimits
 from rholoc.worker.claims import Claims
 from rholoc.worker.heartbeat import Heartbeat
 from rholoc.worker.job_runner import JobRunner
 from rholoc.worker.pipeline import MappingPipeline, Pipeline
+from rholoc.worker.setup import WorkerSetup
 from rholoc.worker.timing import Timing
 from rholoc.worker.workplace import Workplace
 
@@ -40,36 +38,19 @@ class Worker:
     """A worker. Database and storage are first accessed in :meth:`start`.
 
     Args:
-        data_dir, maps_dir: folders of jobs and of maps.
-        database_url: ``postgresql://…``, or None for the SQLite file.
+        setup: where it works.
         pipeline: how maps are built and published.
         timing: intervals and timeouts.
-        limits: limits of one job.
-        storage_url: URL of the storage shared with other machines, None for the folders.
-        capacity: of the worker.
     """
 
-    def __init__(
-        self,
-        data_dir: Path,
-        maps_dir: Path,
-        database_url: str | None = None,
-        *,
-        pipeline: Pipeline | None = None,
-        timing: Timing | None = None,
-        limits: BuildLimits | None = None,
-        storage_url: str | None = None,
-        capacity: Capacity | None = None,
-    ) -> None:
-        data_dir, maps_dir = Path(data_dir).resolve(), Path(maps_dir).resolve()
-        limits = limits or BuildLimits()
+    def __init__(self, setup: WorkerSetup, pipeline: Pipeline | None = None, timing: Timing | None = None) -> None:
         self.id = f"{process_name()}-{uuid.uuid4().hex[:8]}"
         self._timing = timing or Timing()
         self._stopping = threading.Event()
-        self._stores = Stores(maps_dir, data_dir, database_url, storage_url)
+        self._stores = Stores(setup.maps_dir.resolve(), setup.data_dir.resolve(), setup.database_url, setup.storage_url)
         self._jobs, workers = JobTable(self._stores.engine), WorkerTable(self._stores.engine)
-        self._workplace = Workplace(self._stores, limits.frame_pixels)
-        self._claims = Claims(capacity or Capacity(), limits.memory_bytes)
+        self._workplace = Workplace(self._stores, setup.limits.frame_pixels)
+        self._claims = Claims(setup.capacity, setup.limits.memory_bytes)
         self._heartbeat = Heartbeat(self.id, self._jobs, workers, self._claims, self._timing)
         self._runner = JobRunner(
             self._jobs,
@@ -77,7 +58,7 @@ class Worker:
             self._workplace,
             pipeline or MappingPipeline(),
             self._claims,
-            limits,
+            setup.limits,
             self._timing,
             self._stopping,
         )
@@ -164,16 +145,10 @@ class Worker:
 
 
 def run_worker(
-    data_dir: Path,
-    maps_dir: Path,
-    database_url: str | None = None,
-    *,
+    setup: WorkerSetup,
     pipeline: Pipeline | None = None,
     timing: Timing | None = None,
-    limits: BuildLimits | None = None,
     stop: threading.Event | None = None,
-    storage_url: str | None = None,
-    capacity: Capacity | None = None,
 ) -> None:
     """Work until SIGINT, SIGTERM or ``stop``. Call it in the main thread of a process that does nothing else.
 
@@ -187,16 +162,7 @@ def run_worker(
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, ask_to_stop)
-    worker = Worker(
-        data_dir,
-        maps_dir,
-        database_url,
-        pipeline=pipeline,
-        timing=timing,
-        limits=limits,
-        storage_url=storage_url,
-        capacity=capacity,
-    )
+    worker = Worker(setup, pipeline, timing)
     telemetry.begin("rholoc-worker")
     worker.start()
     stop.wait()

@@ -147,7 +147,7 @@ def _jobs(settings: Settings) -> _Found:
     if not settings.data_dir.is_dir():
         yield Level.OK, "There is no database of jobs yet; the first start creates it."
         return
-    queue = JobQueue(settings.data_dir, settings.jobs_database)
+    queue = JobQueue(settings.stores().recordings)
     try:
         queue.check()
         begun = time.perf_counter()
