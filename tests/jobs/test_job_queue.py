@@ -155,7 +155,7 @@ def test_a_worker_leaves_what_it_has_no_memory_for(site: Site, table: JobTable) 
 
 
 def test_a_job_that_no_worker_can_take_says_why(site: Site, table: JobTable) -> None:
-    workers = WorkerTable(table._engine)
+    workers = WorkerTable(site.queue.engine)
     job = site.submit()
     assert (job.obstacle, job.message) == (Obstacle.NO_WORKER, "waiting for a worker: none is running")
     workers.beat("small", memory_bytes=2 * 2**30)
@@ -176,9 +176,9 @@ def test_a_worker_that_dies_again_and_again_stands_in_the_way(site: Site, table:
     waiting = site.queue.get(job.id)
     assert waiting.obstacle is Obstacle.WORKER_FAILS
     assert waiting.message == "waiting for a worker: the worker died 2 times in a row: signal 6"
-    WorkerTable(table._engine).beat("another")
+    WorkerTable(site.queue.engine).beat("another")
     assert site.queue.get(job.id).obstacle is None, "it can take the job"
-    WorkerTable(table._engine).remove("another")
+    WorkerTable(site.queue.engine).remove("another")
     site.queue.report_worker(None)
     assert site.queue.get(job.id).obstacle is Obstacle.NO_WORKER
 

@@ -223,6 +223,6 @@ def test_the_next_version_is_published_and_the_one_before_is_kept(asked_often):
 
 def test_jobs_without_recordings_leave_recordings_alone(asked_often):
     state = asked_often.app.state.rholoc
-    assert "" not in JobTable(state.jobs.sync._engine).mapped_before(9e9)
+    assert "" not in JobTable(state.jobs.sync.engine).mapped_before(9e9)
     state.jobs.sync.delete_mapped_recordings(0)
     assert state.recordings.sync.list() == []

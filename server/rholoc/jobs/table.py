@@ -460,7 +460,7 @@ def overall(stage: Stage, fraction: float) -> float:
     return min(1.0, before + _SHARES[stage] * within)
 
 
-_QUEUED: dict[str, Any] = {
+_QUEUED: dict[str, object] = {
     "state": JobState.QUEUED,
     "stage": Stage.RECEIVED,
     "progress": 0.0,
@@ -476,7 +476,7 @@ _QUEUED: dict[str, Any] = {
     "deaths": 0,
     "worker": None,
 }
-_GIVEN_BACK: dict[str, Any] = {"state": JobState.QUEUED, "worker": None, "message": "waiting for another worker"}
+_GIVEN_BACK: dict[str, object] = {"state": JobState.QUEUED, "worker": None, "message": "waiting for another worker"}
 
 _kind_of_row = jobs_table.c.options["kind"].as_string()
 

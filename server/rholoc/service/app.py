@@ -13,6 +13,7 @@ from fastapi.responses import JSONResponse
 from pydantic import ValidationError
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
 
 from rholoc import __version__, telemetry
 from rholoc.errors import RholocError
@@ -98,28 +99,13 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         configure_logs()
         telemetry.begin("rholoc-server")
         app.state.rholoc = state = await asyncio.to_thread(_start, settings, metrics, keys, audit, stores, lanes)
-        parts = state.operation
-        parts.watch.start()
-        state.frames.learner.start()
-        if parts.worker is not None:
-            parts.worker.start()
-        cleanup = asyncio.create_task(clean_up_regularly(state))
-        following = asyncio.create_task(follow_keys(state))
+        tasks = _begin(state)
         try:
             yield
         finally:
-            cleanup.cancel()
-            following.cancel()
-            if parts.worker is not None:
-                parts.worker.stop()
-            parts.watch.stop()
-            state.frames.compute.close()
-            state.frames.learner.close()
-            await state.renderings.close()
-            parts.readiness.close()
-            parts.lanes.close()
-            state.jobs.sync.close()
-            stores.close()
+            for task in tasks:
+                task.cancel()
+            await _end(state)
             telemetry.end()
 
     app = FastAPI(
@@ -137,30 +123,62 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     web.install(app)
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError, SQLAlchemyError):
         app.add_exception_handler(kind, _answer_error)
-    app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
-    app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.frames.compute.busy)
-    app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
-    app.add_middleware(RateLimited, keys=keys)
-    app.add_middleware(ConcurrencyLimited, max_of_client=max(_MIN_UNDER_WAY, settings.max_connections // 4))
-    app.add_middleware(ProbesOnly)
-    open_paths = ("/metrics",) if settings.open_metrics else ()
-    app.add_middleware(
-        Guard,
-        routes=app.routes,
-        keys=keys,
-        lanes=lanes,
-        policy=settings.keys,
-        host=settings.host,
-        open_paths=open_paths,
-    )
-    app.add_middleware(Tus)
-    app.add_middleware(Audited, log=audit, lanes=lanes)
-    app.add_middleware(RequestBoundary)
-    app.add_middleware(Traced)
-    app.add_middleware(SecurityHeaders)
-    app.add_middleware(Metered, metrics=metrics)
+    app.user_middleware.extend(_middlewares(app, settings, metrics, keys, audit, lanes))
     install(app, READ_BY_HAND)
     return app
+
+
+def _middlewares(
+    app: FastAPI, settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, lanes: StorageLanes
+) -> list[Middleware]:
+    """What a request passes on its way to its route, from the outermost to the innermost."""
+    return [
+        Middleware(Metered, metrics=metrics),
+        Middleware(SecurityHeaders),
+        Middleware(Traced),
+        Middleware(RequestBoundary),
+        Middleware(Audited, log=audit, lanes=lanes),
+        Middleware(Tus),
+        Middleware(
+            Guard,
+            routes=app.routes,
+            keys=keys,
+            lanes=lanes,
+            policy=settings.keys,
+            host=settings.host,
+            open_paths=("/metrics",) if settings.open_metrics else (),
+        ),
+        Middleware(ProbesOnly),
+        Middleware(ConcurrencyLimited, max_of_client=max(_MIN_UNDER_WAY, settings.max_connections // 4)),
+        Middleware(RateLimited, keys=keys),
+        Middleware(SlowBodies, silence_s=settings.slow_client_timeout_s),
+        Middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.frames.compute.busy),
+        Middleware(JsonBodies, max_bytes=settings.max_json_bytes),
+    ]
+
+
+def _begin(state: State) -> list[asyncio.Task[None]]:
+    """Start what works in the background; returns the tasks to cancel at the end."""
+    state.operation.watch.start()
+    state.frames.learner.start()
+    if state.operation.worker is not None:
+        state.operation.worker.start()
+    return [asyncio.create_task(clean_up_regularly(state)), asyncio.create_task(follow_keys(state))]
+
+
+async def _end(state: State) -> None:
+    """Stop what works in the background, and close the stores."""
+    parts = state.operation
+    if parts.worker is not None:
+        parts.worker.stop()
+    parts.watch.stop()
+    state.frames.compute.close()
+    state.frames.learner.close()
+    await state.renderings.close()
+    parts.readiness.close()
+    parts.lanes.close()
+    state.jobs.sync.close()
+    parts.stores.close()
 
 
 def _start(

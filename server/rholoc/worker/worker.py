@@ -63,18 +63,8 @@ class Worker:
             self._stopping,
         )
         self._threads = [
-            threading.Thread(
-                target=self._repeat,
-                args=(self._heartbeat.beat, self._timing.heartbeat_s, "the heartbeat"),
-                name="rholoc-heartbeat",
-                daemon=True,
-            ),
-            threading.Thread(
-                target=self._repeat,
-                args=(self._take_jobs, self._timing.poll_s, "taking jobs"),
-                name="rholoc-jobs",
-                daemon=True,
-            ),
+            self._repeating(self._heartbeat.beat, self._timing.heartbeat_s, "the heartbeat"),
+            self._repeating(self._take_jobs, self._timing.poll_s, "taking jobs"),
         ]
 
     def start(self) -> None:
@@ -107,6 +97,10 @@ class Worker:
             self._heartbeat.end()
         self._stores.close()
         _log.info("worker %s stopped", self.id)
+
+    def _repeating(self, act: Callable[[], None], every_s: float, name: str) -> threading.Thread:
+        """A thread for :meth:`_repeat`."""
+        return threading.Thread(target=self._repeat, args=(act, every_s, name), name=f"rholoc {name}", daemon=True)
 
     def _repeat(self, act: Callable[[], None], every_s: float, name: str) -> None:
         """Call ``act`` again and again until the worker stops; log only the first of several failures in a row."""
