@@ -21,7 +21,7 @@ from rholoc import Localizer, Query, __version__, load_map, read_recording
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobOptions, JobQueue, UploadStore
-from rholoc.jobs.table import JobTable
+from rholoc.jobs.leases import Leases
 from rholoc.library import CameraLibrary, CameraProfile, QueryStore, SiteLibrary, Stores
 from rholoc.library.stores import CAMERAS, KEYS, SITES
 from rholoc.maps import FramePose, Site, SiteMap
@@ -104,16 +104,13 @@ def _keep_server(server: Path, folder: Path) -> None:
 
 def _keep_jobs(stores: Stores) -> None:
     """A published and a queued job, an unfinished upload, a kept query, a noted change and a key's holding."""
-    queue, table = (
-        JobQueue(stores.recordings),
-        JobTable(stores.engine),
-    )
+    queue, leases = JobQueue(stores.recordings), Leases(stores.engine)
     entry = stores.recordings.create([("walk.mp4", [VIDEO])])
     stores.recordings.note(entry.id, {".waypoints.csv": b"name,time,x,y,z\nW1,0.5,1,2,1.5\n"})
     queue.submit(entry.id, MAP)
-    claim = table.take("a worker")
+    claim = leases.take("a worker")
     assert claim is not None
-    table.publish(claim.lease, ("It is only a test.",))
+    leases.publish(claim.lease, ("It is only a test.",))
     queue.submit(entry.id, TINY, JobOptions(pictures=True))
     uploads = UploadStore(stores.recordings, queue, 1e10)
     upload = uploads.create("more.mp4", 2 * len(VIDEO), MAP, JobOptions())

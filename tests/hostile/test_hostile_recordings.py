@@ -17,7 +17,8 @@ import pytest
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, TooLarge
 from rholoc.jobs import JobOptions
-from rholoc.jobs.table import JobWork, Lease, shortened
+from rholoc.jobs.leases import Lease, shortened
+from rholoc.jobs.table import JobWork
 from rholoc.library import MapLibrary, RecordingStore, Stores
 from rholoc.processes import Limits, machine_memory_bytes
 from rholoc.progress import ProgressListener, silent

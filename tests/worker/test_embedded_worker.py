@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from rholoc.jobs import JobQueue, JobState, Obstacle
-from rholoc.jobs.table import JobTable
+from rholoc.jobs.leases import Leases
 from rholoc.jobs.workers import WorkerTable, process_name
 from rholoc.library import RecordingStore
 from rholoc.worker import EmbeddedWorker, WorkerSetup
@@ -79,13 +79,13 @@ def test_one_that_dies_whenever_it_is_started_is_reported(tmp_path: Path, monkey
 def test_the_jobs_of_one_that_is_killed_are_queued_at_once(tmp_path: Path) -> None:
     recordings = RecordingStore(tmp_path)
     queue = JobQueue(recordings)
-    table, workers = JobTable(queue.engine), WorkerTable(queue.engine)
+    leases, workers = Leases(queue.engine), WorkerTable(queue.engine)
     entry = recordings.create([("walk.mp4", [b"a walk"])])
     job = queue.submit(entry.id, "room")
     name = process_name(12345)
     workers.beat(f"{name}-1")
     workers.beat(f"{name}6-1")
-    assert table.take(f"{name}-1") is not None
+    assert leases.take(f"{name}-1") is not None
     queue.requeue_jobs_of(12345, "signal 9")
     assert [worker.id for worker in workers.living()] == [f"{name}6-1"], "of another process"
     assert (queue.get(job.id).state, queue.get(job.id).log[-1].endswith("its worker died (signal 9)")) == (

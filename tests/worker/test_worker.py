@@ -16,7 +16,7 @@ import sqlalchemy as sa
 from fake_pipeline import BUILD_STAGES, TIMING, FakePipeline
 from rholoc.errors import Conflict
 from rholoc.jobs import JobOptions, JobState
-from rholoc.jobs.table import Failure
+from rholoc.jobs.leases import Failure
 from rholoc.jobs.workers import WorkerTable
 from rholoc.library import MapLibrary
 from rholoc.processes import Limits

@@ -16,7 +16,8 @@ from rholoc import telemetry
 from rholoc.errors import Conflict, RholocError, UnknownRecording
 from rholoc.jobs.capacity import SECONDS_PER_PICTURE, memory_for_walk
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
-from rholoc.jobs.table import JobTable, JobWork, shortened
+from rholoc.jobs.leases import Leases, shortened
+from rholoc.jobs.table import JobTable, JobWork
 from rholoc.jobs.workers import WorkerOffer, WorkerTable, process_name
 from rholoc.library.recording_notes import read_notes
 from rholoc.library.recordings import RecordingStore
@@ -213,8 +214,9 @@ class JobQueue:
         """
         name = process_name(pid)
         self._workers.remove_all(name)
-        for lease in self._jobs.held_at(name):
-            self._jobs.lose(lease, f"its worker died ({error})")
+        leases = Leases(self._engine)
+        for lease in leases.held_at(name):
+            leases.lose(lease, f"its worker died ({error})")
 
     def report_worker(self, trouble: str | None) -> None:
         """Record why workers started by this process die; None if they do not."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 from rholoc.jobs.capacity import Capacity
-from rholoc.jobs.table import Claim, Lease
+from rholoc.jobs.leases import Claim, Lease
 
 
 class Claims:

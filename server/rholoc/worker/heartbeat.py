@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from rholoc.jobs.table import JobTable, Lease
+from rholoc.jobs.leases import Lease, Leases
 from rholoc.jobs.workers import WorkerTable
 from rholoc.worker.claims import Claims
 from rholoc.worker.timing import Timing
@@ -17,14 +17,15 @@ class Heartbeat:
 
     Args:
         worker: the worker's id.
-        jobs, workers: tables of the queue.
+        leases: on the jobs of the queue.
+        workers: of the queue.
         claims: jobs that the worker works on.
         timing: when a worker counts as dead.
     """
 
-    def __init__(self, worker: str, jobs: JobTable, workers: WorkerTable, claims: Claims, timing: Timing) -> None:
+    def __init__(self, worker: str, leases: Leases, workers: WorkerTable, claims: Claims, timing: Timing) -> None:
         self._worker = worker
-        self._jobs, self._workers = jobs, workers
+        self._leases, self._workers = leases, workers
         self._claims, self._timing = claims, timing
         self._left_before: set[Lease] = set()
 
@@ -33,8 +34,10 @@ class Heartbeat:
         self._workers.beat(self._worker, self._claims.offered_bytes)
         self._workers.forget(self._timing.dead_after_s)
         living = [worker.id for worker in self._workers.living(self._timing.dead_after_s)]
-        requeued = self._jobs.take_back([self._worker, *living])
-        requeued += sum(self._jobs.lose(lease, "its worker could not record its end") for lease in self._left_behind())
+        requeued = self._leases.take_back([self._worker, *living])
+        requeued += sum(
+            self._leases.lose(lease, "its worker could not record its end") for lease in self._left_behind()
+        )
         if requeued:
             _log.warning("%d jobs that nobody works on are queued again", requeued)
 
@@ -47,6 +50,6 @@ class Heartbeat:
 
         A full disk or a failing database can prevent a job's end from being recorded.
         """
-        left = self._jobs.held_by(self._worker) - self._claims.leases
+        left = self._leases.held_by(self._worker) - self._claims.leases
         found, self._left_before = left & self._left_before, left
         return found

@@ -16,7 +16,8 @@ from rholoc import telemetry
 from rholoc.disk import is_full, storage_full
 from rholoc.errors import Cancelled, RholocError, StorageUnavailable
 from rholoc.jobs.capacity import MoreMemoryNeeded
-from rholoc.jobs.table import Claim, Failure, JobTable, JobWork, Lease
+from rholoc.jobs.leases import Claim, Failure, Lease, Leases
+from rholoc.jobs.table import JobWork
 from rholoc.jobs.workers import WorkerTable
 from rholoc.maps import Map
 from rholoc.progress import Stage
@@ -61,7 +62,8 @@ class JobRunner:
     only under a valid lease.
 
     Args:
-        jobs, workers: tables of the queue.
+        leases: on the jobs of the queue.
+        workers: of the queue.
         workplace: where inputs and built files are.
         pipeline: how maps are built and published.
         claims: jobs of this worker.
@@ -72,7 +74,7 @@ class JobRunner:
 
     def __init__(
         self,
-        jobs: JobTable,
+        leases: Leases,
         workers: WorkerTable,
         workplace: Workplace,
         pipeline: Pipeline,
@@ -81,7 +83,7 @@ class JobRunner:
         timing: Timing,
         stopping: threading.Event,
     ) -> None:
-        self._jobs, self._workers = jobs, workers
+        self._leases, self._workers = leases, workers
         self._workplace, self._pipeline = workplace, pipeline
         self._claims, self._limits, self._timing, self._stopping = claims, limits, timing, stopping
 
@@ -102,7 +104,7 @@ class JobRunner:
                 self._record(lease, self._outcome(claim), marks)
         except Cancelled:
             _log.info("job %s left: cancelled, or given to another worker", lease.job)
-            self._workplace.clear(self._jobs.unfinished_runs)
+            self._workplace.clear(self._leases.unfinished_runs)
 
     def _outcome(self, claim: Claim) -> tuple[str, ...] | Failure | MoreMemoryNeeded:
         """Publish and return reasons not to trust the map; or return why there is none."""
@@ -130,13 +132,13 @@ class JobRunner:
     ) -> None:
         if isinstance(outcome, MoreMemoryNeeded):
             _log.info("job %s is handed on: it needs %.1f GiB of memory", lease.job, outcome.memory_bytes / 2**30)
-            ended = self._jobs.hand_on(lease, outcome.memory_bytes)
+            ended = self._leases.hand_on(lease, outcome.memory_bytes)
         elif isinstance(outcome, Failure):
             _log.warning("job %s failed: %s", lease.job, outcome.message)
             marks.fail(outcome.message)
-            ended = self._jobs.fail(lease, outcome)
+            ended = self._leases.fail(lease, outcome)
         else:
-            ended = self._jobs.publish(lease, outcome)
+            ended = self._leases.publish(lease, outcome)
         if ended:  # otherwise another worker has the job and needs the built map
             self._workplace.remove(lease)
 
@@ -178,7 +180,7 @@ class JobRunner:
 
     def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...]:
         """Publish the built file. Returns reasons not to trust it."""
-        if not self._jobs.begin_publishing(lease):
+        if not self._leases.begin_publishing(lease):
             raise Cancelled("This worker no longer has the job.")
         task = self._task(lease, work)
         with telemetry.span("publish"):
@@ -188,7 +190,7 @@ class JobRunner:
 
     def _put(self, lease: Lease, work: JobWork, task: MappingTask) -> tuple[str, ...]:
         def note(connection: sa.Connection, map_: Map) -> None:
-            if not self._jobs.publish(lease, doubts(map_), connection):
+            if not self._leases.publish(lease, doubts(map_), connection):
                 raise Cancelled("This worker no longer has the job.")
 
         library = self._workplace.library(note)
@@ -220,14 +222,14 @@ class JobRunner:
 
     def _note(self, lease: Lease, stage: Stage, fraction: float, message: str = "") -> None:
         try:
-            self._jobs.note(lease, stage, fraction, message)
+            self._leases.note(lease, stage, fraction, message)
         except SQLAlchemyError:
             _log.exception("progress of job %s could not be noted", lease.job)
 
     def _check_held(self, lease: Lease) -> None:
         """Raise Cancelled if this worker no longer has the job."""
         try:
-            held = self._jobs.holds(lease)
+            held = self._leases.holds(lease)
         except SQLAlchemyError:
             _log.exception("job %s could not be looked up", lease.job)
             return

@@ -1,6 +1,6 @@
 """A worker: takes jobs from the queue and runs them, and requeues the jobs of dead workers.
 
-A job's row is its lease (:mod:`rholoc.jobs.table`). A worker takes the next job that fits its memory by changing that
+A job's row is its lease (:mod:`rholoc.jobs.leases`). A worker takes the next job that fits its memory by changing that
 row. Each step of a job writes a file, so that a repeated step does nothing.
 """
 
@@ -18,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc import telemetry
 from rholoc.errors import RholocError, StorageFull, StorageUnavailable
-from rholoc.jobs.table import Claim, JobTable
+from rholoc.jobs.leases import Claim, Leases
 from rholoc.jobs.workers import WorkerTable, process_name
 from rholoc.library.stores import Stores
 from rholoc.worker.claims import Claims
@@ -48,12 +48,12 @@ class Worker:
         self._timing = timing or Timing()
         self._stopping = threading.Event()
         self._stores = Stores(setup.maps_dir.resolve(), setup.data_dir.resolve(), setup.database_url, setup.storage_url)
-        self._jobs, workers = JobTable(self._stores.engine), WorkerTable(self._stores.engine)
+        self._leases, workers = Leases(self._stores.engine), WorkerTable(self._stores.engine)
         self._workplace = Workplace(self._stores, setup.limits.frame_pixels)
         self._claims = Claims(setup.capacity, setup.limits.memory_bytes)
-        self._heartbeat = Heartbeat(self.id, self._jobs, workers, self._claims, self._timing)
+        self._heartbeat = Heartbeat(self.id, self._leases, workers, self._claims, self._timing)
         self._runner = JobRunner(
-            self._jobs,
+            self._leases,
             workers,
             self._workplace,
             pipeline or MappingPipeline(),
@@ -78,7 +78,7 @@ class Worker:
         try:
             self._stores.open()
             self._heartbeat.beat()
-            self._workplace.clear(self._jobs.unfinished_runs)
+            self._workplace.clear(self._leases.unfinished_runs)
         except (StorageFull, StorageUnavailable, SQLAlchemyError) as error:
             _log.warning("the worker waits for its database: %s", error)
         for thread in self._threads:
@@ -92,7 +92,7 @@ class Worker:
             thread.join()
         with suppress(SQLAlchemyError, RholocError):  # without a database the heartbeat's silence says it too
             for lease in self._claims.leases:
-                self._jobs.give_back(lease)
+                self._leases.give_back(lease)
             self._claims.wait_until_empty(self._timing.cancel_grace_s + _END_TAKES_S)
             self._heartbeat.end()
         self._stores.close()
@@ -122,7 +122,7 @@ class Worker:
         """Take a job and start it in a thread of its own. Returns whether there was one, and room for it."""
         if self._claims.is_full or self._stopping.is_set():
             return False
-        claim = self._jobs.take(self.id, self._claims.offered_bytes, self._claims.unused_bytes)
+        claim = self._leases.take(self.id, self._claims.offered_bytes, self._claims.unused_bytes)
         if claim is None:
             return False
         self._claims.add(claim)

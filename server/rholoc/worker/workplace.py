@@ -8,7 +8,8 @@ from pathlib import Path
 
 from rholoc.disk import link_file, reporting_full_disk
 from rholoc.jobs.job import JobKind
-from rholoc.jobs.table import JobWork, Lease
+from rholoc.jobs.leases import Lease
+from rholoc.jobs.table import JobWork
 from rholoc.library import CameraLibrary, MapLibrary, SiteLibrary
 from rholoc.library.map_folder import place_of
 from rholoc.library.queries import QueryStore
