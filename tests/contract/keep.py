@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -17,17 +16,19 @@ import cv2
 from offers import present_offers
 
 from kept_queries import a_query
-from rholoc import Localizer, Query, __version__, load_map, read_recording
+from rholoc import Localizer, Query, __version__, build_map, load_map, read_recording, save_map
 from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobOptions, JobQueue, UploadStore
 from rholoc.jobs.leases import Leases
 from rholoc.library import CameraLibrary, CameraProfile, QueryStore, SiteLibrary, Stores
 from rholoc.library.stores import CAMERAS, KEYS, SITES
+from rholoc.mapping import BuildOptions
 from rholoc.maps import FramePose, Site, SiteMap
 from rholoc.service.access.audit import AuditLog, Change
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.operate.backup import back_up
+from rholoc.simulation import simulate_recording
 from rholoc.storage.holdings import Holding, Holdings, Kind
 from synthetic_map import synthetic_map
 
@@ -60,8 +61,8 @@ def _keep_walk(map_file: Path, folder: Path) -> None:
     """A map of a simulated walk, one of its pictures, and where this version localizes it."""
     with tempfile.TemporaryDirectory() as walk:
         map_file.parent.mkdir(parents=True)
-        _rholoc("simulate", walk, "--seconds", "3.5", "--fps", "6", "--seed", "3")
-        _rholoc("map", "build", walk, "-o", str(map_file), "--features", "gray")
+        simulate_recording(Path(walk), seconds=3.5, fps=6.0, seed=3)
+        save_map(build_map([read_recording(walk)], BuildOptions(features="gray")), map_file)
         image = next(iter(read_recording(walk).frames.images([_FRAME])))
     cv2.imwrite(str(folder / QUERY), image, [cv2.IMWRITE_JPEG_QUALITY, 80])
     map_ = load_map(map_file)
@@ -70,10 +71,6 @@ def _keep_walk(map_file: Path, folder: Path) -> None:
     assert answer.pose is not None
     kept = {"landmarks": len(map_), "id": map_.info.id, "T_map_camera": answer.pose.T_map_camera.tolist()}
     (folder / ANSWER).write_text(json.dumps(kept), encoding="utf-8")
-
-
-def _rholoc(*arguments: str) -> None:
-    subprocess.run([sys.executable, "-m", "rholoc", *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
 def _keep_server(server: Path, folder: Path) -> None:
