@@ -44,6 +44,7 @@ lint: $(INSTALLED) $(PAGE_TOOLS)
 	npm --prefix client run --silent test
 
 format: $(INSTALLED) $(PAGE_TOOLS)
+	$(BIN)/python client/write_sync.py
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	npm --prefix client run --silent format

@@ -52,7 +52,7 @@ from fuzz_requests import (
     request,
 )
 from hostile import MOST_HEALTH_MS, MOST_MEMORY_MIB, Watched, shipped_service, watch
-from rholoc.maps.catalogue import is_name
+from rholoc.maps.naming import is_name
 from rholoc.processes.limits import limit_own_memory
 from rholoc.service.access.keys import KeyStore, Scope
 

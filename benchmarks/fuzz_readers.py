@@ -42,16 +42,13 @@ from rholoc.density.tensor import fit_tensors
 from rholoc.errors import RholocError
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.exports import ExportFormat, export_map
-from rholoc.jobs import Stores
+from rholoc.library import CameraLibrary, MapLibrary, SiteLibrary, Stores
 from rholoc.maps import (
-    CameraLibrary,
     DensityKind,
     FloorPlan,
     FramePose,
     Map,
-    MapLibrary,
     Site,
-    SiteLibrary,
     SiteLink,
     SiteMap,
     SiteOnEarth,

@@ -27,8 +27,8 @@ import uvicorn
 from fastapi import FastAPI
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from rholoc.jobs import RecordingStore
-from rholoc.jobs.recording_notes import notes_of
+from rholoc.library import RecordingStore
+from rholoc.library.recording_notes import notes_of
 from rholoc.mapping import BuildOptions, build_map, set_labels, set_names
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_map
 from rholoc.recordings import Recording, read_recording

@@ -13,7 +13,7 @@ def files(folder: str) -> list[str]:
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version="1.0.0",
     description="Visual localization in a map of rholoc, as a ROS 2 lifecycle node.",
     license="Apache-2.0",
     packages=[NAME],

@@ -9,7 +9,7 @@ from pathlib import Path
 # A sitecustomize.py by which the worker of a server dies as soon as it is started, as if by a fault of native code.
 BREAKS_WORKERS = """
 import os, sys
-if sys.orig_argv[1:3] == ["-m", "rholoc.jobs"]:
+if sys.orig_argv[1:3] == ["-m", "rholoc.worker"]:
     sys.stderr.write("its library is broken\\n")
     sys.stderr.flush()
     os.abort()

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rholoc_client.client import AsyncClient, Client
+from rholoc_client._async.client import AsyncClient
+from rholoc_client._sync.client import Client
 from rholoc_client.errors import (
     Busy,
     Cancelled,

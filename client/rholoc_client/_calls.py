@@ -544,3 +544,32 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
 
 def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
+
+
+def headers(api_key: str | None) -> dict[str, str]:
+    """The headers of every request."""
+    return {} if api_key is None else {"Authorization": f"Bearer {api_key}"}
+
+
+def request(http: httpx.Client | httpx.AsyncClient, call: Call[T]) -> httpx.Request:
+    """A call as a request of ``http``, with time for the service to work on it."""
+    own = http.timeout
+    read_s = None if own.read is None else own.read + call.work_s
+    return http.build_request(
+        call.method,
+        call.path,
+        params=call.params,
+        headers=call.headers,
+        content=call.content,
+        files=call.files,
+        timeout=httpx.Timeout(connect=own.connect, read=read_s, write=own.write, pool=own.pool),
+    )
+
+
+def camera_text(camera: Camera | str | None) -> str | None:
+    """Intrinsics as the fields of a form have them; a stored camera's name is returned unchanged."""
+    if camera is None or isinstance(camera, str):
+        return camera
+    values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    text = ",".join(repr(float(value)) for value in values)
+    return text if camera.lens == "pinhole" else f"{camera.lens}:{text}"

@@ -16,6 +16,7 @@ from rholoc_client._calls import (
     PRECONDITION_FAILED,
     Call,
     begin_upload,
+    camera_text,
     continue_upload,
     get_job,
     get_map,
@@ -32,7 +33,7 @@ from rholoc_client.errors import (
     InvalidRecording,
     ServiceError,
 )
-from rholoc_client.models import Job, MapSummary
+from rholoc_client.models import Camera, Job, MapSummary
 
 UploadProgress = Callable[[int, int], None]  # bytes that the service has, total bytes
 
@@ -157,3 +158,29 @@ def _pack(contents: Mapping[str, Path], file: BinaryIO) -> None:
         for name, path in contents.items():
             packed = path.suffix.lower() in _PACKED
             archive.write(path, name, zipfile.ZIP_STORED if packed else zipfile.ZIP_DEFLATED)
+
+
+def content_of(source: Path | str | bytes) -> bytes:
+    """Content of a file, given by its path or as it is."""
+    return source if isinstance(source, bytes) else Path(source).read_bytes()
+
+
+def recording_fields(
+    map_name: str,
+    kind: str | None,
+    features: str | None,
+    density: str | None,
+    poses: str | None,
+    camera: Camera | str | None,
+    priority: str | None,
+) -> dict[str, str | None]:
+    """Metadata of a recording's upload."""
+    return {
+        "map": map_name,
+        "kind": kind,
+        "features": features,
+        "density": density,
+        "poses": poses,
+        "camera": camera_text(camera),
+        "priority": priority,
+    }

@@ -20,7 +20,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from std_srvs.srv import Trigger
 from tf2_ros import Buffer, TransformBroadcaster, TransformException, TransformListener
 
-from rholoc_client.client import Client
+from rholoc_client import Client
 from rholoc_client.models import Camera
 from rholoc_client.tracking import Tracker
 from rholoc_client.tracking.rigid import FloatArray

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rholoc_client.client import Client
+from rholoc_client import Client
 from rholoc_client.errors import RholocClientError
 from rholoc_client.models import Camera, Prior
 from rholoc_client.tracking import Tracked, Tracker, TrackStatus

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rholoc.recordings import read_image as read_image
     from rholoc.recordings import read_recording as read_recording
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _HOMES = {
     "Camera": "rholoc.geometry",

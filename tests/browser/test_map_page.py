@@ -14,7 +14,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from kept_queries import a_query
-from rholoc.jobs import QueryStore
+from rholoc.library import QueryStore
 from rholoc.maps import map_to_bytes
 from rholoc.storage import ObjectStorage
 

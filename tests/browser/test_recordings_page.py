@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from rholoc.jobs import RecordingStore
-from rholoc.jobs.recording_notes import notes_of
+from rholoc.library import RecordingStore
+from rholoc.library.recording_notes import notes_of
 from rholoc.recordings import MemoryFrames, Recording, Waypoint
 
 PLACES = [(0.0, 0.0, 1.5), (2.0, 0.0, 1.5), (2.0, 3.5, 1.5)]

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from rholoc.jobs import Stores
-from rholoc.maps import MapLibrary
+from rholoc.library import MapLibrary, Stores
 from rholoc.service.access.keys import KeyStore, Scope
 
 Run = Callable[..., tuple[int, str, str]]

@@ -12,7 +12,7 @@ import pytest
 
 from rholoc.cli import main
 from rholoc.geometry import Camera
-from rholoc.maps import CameraLibrary
+from rholoc.library import CameraLibrary
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from rholoc.maps import MapLibrary, Site, SiteLibrary, SiteMap
+from rholoc.library import MapLibrary, SiteLibrary
+from rholoc.maps import Site, SiteMap
 from rholoc.service import Settings
 from rholoc.service.operate import doctor as module
 from rholoc.service.operate.doctor import Finding, Level, examine

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from kept_queries import keep_queries
-from rholoc.maps import MapLibrary, load_map, save_map
+from rholoc.library import MapLibrary
+from rholoc.maps import load_map, save_map
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from rholoc.cli import main
-from rholoc.jobs import Job, JobPriority, JobState, RecordingStore
+from rholoc.jobs import Job, JobPriority, JobState
 from rholoc.jobs.queue import JobQueue
+from rholoc.library import RecordingStore
 from rholoc.maps import Map, MapInfo, save_map
 from rholoc.progress import Stage
 from rholoc.reports import ExpectedError, MapReport, TrajectoryReport
@@ -84,7 +85,8 @@ def test_jobs_are_listed_with_their_trust(
 def test_a_job_that_waits_gets_another_priority(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recordings, queue = RecordingStore(tmp_path), JobQueue(tmp_path)
+    recordings = RecordingStore(tmp_path)
+    queue = JobQueue(recordings)
     job = queue.submit(recordings.create([("walk.mp4", [b"x"])]).id, "hall")
     run(monkeypatch, "job", "prioritize", job.id, "high", "--data", tmp_path)
     assert queue.get(job.id).priority is JobPriority.HIGH

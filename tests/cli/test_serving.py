@@ -122,7 +122,7 @@ def test_after_its_first_line_a_server_writes_json(tmp_path: Path) -> None:
         _, rest = process.communicate(timeout=200)
     finally:
         process.kill()
-    assert (begun["logger"], begun["level"]) == ("rholoc.jobs", "info")
+    assert (begun["logger"], begun["level"]) == ("rholoc.worker", "info")
     assert all("event" in json.loads(line) for line in rest.splitlines())
 
 

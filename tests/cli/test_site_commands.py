@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rholoc.maps import SiteLibrary, save_map
+from rholoc.library import SiteLibrary
+from rholoc.maps import save_map
 
 Run = Callable[..., tuple[int, str, str]]
 

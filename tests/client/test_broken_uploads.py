@@ -10,7 +10,7 @@ import threading
 import httpx
 import numpy as np
 
-from rholoc.jobs import RecordingStore
+from rholoc.library import RecordingStore
 from rholoc_client import Client
 
 LENGTH = 60_000_000

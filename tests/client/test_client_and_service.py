@@ -13,7 +13,7 @@ import pytest
 
 import rholoc_client
 from rholoc.features import get_extractor
-from rholoc.jobs import RecordingStore
+from rholoc.library import RecordingStore
 from rholoc.reports import MapReport, report_from_json
 from rholoc_client import AsyncClient, Camera, Client, ConnectionFailed, Features, Frame, JobFailed, Prior, WaitTimedOut
 

@@ -55,8 +55,8 @@ def slept(monkeypatch):
     async def sleep(wait_s):
         seconds.append(wait_s)
 
-    monkeypatch.setattr("rholoc_client.client.time.sleep", seconds.append)
-    monkeypatch.setattr("rholoc_client.client.asyncio.sleep", sleep)
+    monkeypatch.setattr("rholoc_client._sync.client.time.sleep", seconds.append)
+    monkeypatch.setattr("rholoc_client._async.client.asyncio.sleep", sleep)
     return seconds
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
+import runpy
 import subprocess
 import sys
+from pathlib import Path
 
 import rholoc_client
 from rholoc.service.errors import error_classes, status_of
@@ -76,15 +78,10 @@ def test_every_code_of_the_service_is_an_exception():
         assert status_of(kind) >= 400
 
 
-def test_both_clients_have_the_same_methods():
-    def methods(kind):
-        return {
-            name: list(inspect.signature(method).parameters)
-            for name, method in inspect.getmembers(kind, inspect.isfunction)
-            if not name.startswith("_")
-        }
-
-    assert methods(rholoc_client.Client) == methods(rholoc_client.AsyncClient)
+def test_the_blocking_client_is_written_from_the_other():
+    """After a change: python client/write_sync.py."""
+    script = runpy.run_path(str(Path(__file__).parents[2] / "client" / "write_sync.py"))
+    assert script["SYNC_FILE"].read_text(encoding="utf-8") == script["sync_source"]()
 
 
 def test_the_client_needs_neither_the_service_nor_numpy():

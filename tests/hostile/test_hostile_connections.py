@@ -18,7 +18,8 @@ import sqlalchemy as sa
 import uvicorn
 
 from rholoc.errors import Busy, Conflict, UnknownJob
-from rholoc.jobs import JobQueue, RecordingStore
+from rholoc.jobs import JobQueue
+from rholoc.library import RecordingStore
 from rholoc.service import Settings, create_app
 from rholoc.service.http.bodies import HeldBodies
 from rholoc.service.http.connections import PatientProtocol, protocol_of

@@ -17,7 +17,8 @@ from starlette.requests import ClientDisconnect
 
 from rholoc.errors import InvalidMap
 from rholoc.exports import ExportFormat
-from rholoc.maps import MapLibrary, load_map, map_to_bytes
+from rholoc.library import MapLibrary
+from rholoc.maps import load_map, map_to_bytes
 from rholoc.maps.formats.rho_file import _checksum
 from rholoc.service import libraries
 from rholoc.service.maps.exports import ExportRequest, Exports, is_long
@@ -148,7 +149,7 @@ def test_a_large_map_that_is_read_keeps_nobody_from_another(tmp_path, picture_wo
             assert go_on.wait(20)
         return load_map(path, *args)
 
-    monkeypatch.setattr("rholoc.maps.library.load_map", read)
+    monkeypatch.setattr("rholoc.library.maps.load_map", read)
     slow = threading.Thread(target=library.get, args=("slow",))
     slow.start()
     assert reading.wait(20)
@@ -158,7 +159,7 @@ def test_a_large_map_that_is_read_keeps_nobody_from_another(tmp_path, picture_wo
 
 
 def test_a_file_is_put_piece_by_piece(tmp_path, picture_world, monkeypatch):
-    monkeypatch.setattr("rholoc.maps.library._PIECE_BYTES", 1000)
+    monkeypatch.setattr("rholoc.library.maps._PIECE_BYTES", 1000)
     monkeypatch.setattr("pathlib.Path.read_bytes", lambda path: pytest.fail("read whole"))
     (tmp_path / "arrived").write_bytes(picture_world.rho(version=5))
     assert MapLibrary(tmp_path / "maps").put_file("room", tmp_path / "arrived").info.version == 5

@@ -16,12 +16,10 @@ import numpy as np
 import pytest
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, TooLarge
-from rholoc.jobs import JobOptions, MappingTask, RecordingStore, Stores
-from rholoc.jobs.build_process import build_in_process, run_build
-from rholoc.jobs.pipeline import MappingPipeline
-from rholoc.jobs.table import JobWork, Lease, shortened
-from rholoc.jobs.workplace import Workplace
-from rholoc.maps import MapLibrary
+from rholoc.jobs import JobOptions
+from rholoc.jobs.leases import Lease, shortened
+from rholoc.jobs.table import JobWork
+from rholoc.library import MapLibrary, RecordingStore, Stores
 from rholoc.processes import Limits, machine_memory_bytes
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import check_archive, frame_pixels_limited, read_recording
@@ -29,6 +27,10 @@ from rholoc.recordings.archive import unpack
 from rholoc.recordings.tables.csv_table import read_numbers
 from rholoc.recordings.tables.logged_table import read_logged_table
 from rholoc.service import Settings
+from rholoc.worker import MappingTask
+from rholoc.worker.build_process import build_in_process, run_build
+from rholoc.worker.pipeline import MappingPipeline
+from rholoc.worker.workplace import Workplace
 
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz\n"
 
@@ -133,7 +135,7 @@ def test_the_pixels_of_a_video_are_a_setting_of_the_service(tmp_path):
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, (640, 480))
     writer.write(np.zeros((480, 640, 3), np.uint8))
     writer.release()
-    limits = Settings(max_video_pixels=1000).job_limits
+    limits = Settings(max_video_pixels=1000).worker_setup.limits
     stores = Stores(tmp_path / "maps", tmp_path / "data")
     workplace = Workplace(stores, limits.frame_pixels)
     stored = stores.recordings.create([(path.name, [path.read_bytes()])]).id
@@ -284,7 +286,7 @@ def test_a_build_that_asks_for_too_much_memory_fails_for_that_reason(tmp_path):
 
 
 def test_jobs_are_limited_by_default():
-    limits = Settings().job_limits
+    limits = Settings().worker_setup.limits
     assert 3600 <= limits.time_s <= 24 * 3600
     assert limits.memory_bytes == pytest.approx(0.75 * machine_memory_bytes())
     machine_kib = int(Path("/proc/meminfo").read_text().split()[1])

@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, UnknownRecording
 from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
 from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for_walk
-from rholoc.jobs.table import JobTable, overall, turn_of
-from rholoc.jobs.worker_table import WorkerTable
+from rholoc.jobs.leases import Leases, overall
+from rholoc.jobs.table import turn_of
+from rholoc.jobs.workers import WorkerTable
+from rholoc.library import RecordingStore
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.storage.database import open_database, reporting_full_database
@@ -38,7 +40,7 @@ def test_a_submitted_job_waits(site: Site) -> None:
 
 def test_another_process_sees_the_same_queue(site: Site) -> None:
     job = site.submit()
-    other = JobQueue(site.data_dir)
+    other = JobQueue(RecordingStore(site.data_dir))
     assert other.list() == [job]
     other.close()
 
@@ -80,53 +82,53 @@ def test_only_the_latest_worker_holds_a_job(site: Site) -> None:
     entry = site.recordings.create([("walk.mp4", [b"x"])])
     job = site.queue.submit(entry.id, "room", options)
     engine = open_database(site.data_dir)
-    table = JobTable(engine)
-    claim = table.take("one")
-    assert (claim.work.options, table.get(job.id).worker) == (options, "one")
-    assert table.take("other") is None
-    assert table.take_back(["one", "other"]) == 0
-    assert table.take_back(["other"]) == 1
-    first, second = claim.lease, table.take("other").lease
-    assert (table.holds(first), table.holds(second)) == (False, True)
+    leases = Leases(engine)
+    claim = leases.take("one")
+    assert (claim.work.options, site.queue.get(job.id).worker) == (options, "one")
+    assert leases.take("other") is None
+    assert leases.take_back(["one", "other"]) == 0
+    assert leases.take_back(["other"]) == 1
+    first, second = claim.lease, leases.take("other").lease
+    assert (leases.holds(first), leases.holds(second)) == (False, True)
     assert second.run == first.run, "the second goes on where the first stopped"
-    assert not table.begin_publishing(first)
-    assert not table.publish(first, [])
-    table.note(first, Stage.POSES, 0.5, "of the first")
-    assert (table.get(job.id).state, table.get(job.id).message) == (
+    assert not leases.begin_publishing(first)
+    assert not leases.publish(first, [])
+    leases.note(first, Stage.POSES, 0.5, "of the first")
+    assert (site.queue.get(job.id).state, site.queue.get(job.id).message) == (
         JobState.RUNNING,
         "waiting for another worker: its worker died",
     )
     site.queue.cancel(job.id)
-    assert not table.holds(second)
-    assert table.take("one") is None
+    assert not leases.holds(second)
+    assert leases.take("one") is None
     site.queue.retry(job.id)
-    assert table.take("one").lease.run != second.run, "what was done before the retry is done again"
+    assert leases.take("one").lease.run != second.run, "what was done before the retry is done again"
     engine.dispose()
 
 
-def taken(table: JobTable, **offered: Any) -> list[str]:
+def taken(leases: Leases, **offered: Any) -> list[str]:
     """The maps of the jobs that a worker takes, in order, until there are no more for it."""
     names = []
-    while claim := table.take("worker", **offered):
+    while claim := leases.take("worker", **offered):
         names.append(claim.work.map_name)
     return names
 
 
 @pytest.fixture
-def table(site: Site) -> Iterator[JobTable]:
+def leases(site: Site) -> Iterator[Leases]:
     engine = open_database(site.data_dir)
-    yield JobTable(engine)
+    yield Leases(engine)
     engine.dispose()
 
 
-def test_short_walks_and_high_priorities_come_first(site: Site, table: JobTable) -> None:
+def test_short_walks_and_high_priorities_come_first(site: Site, leases: Leases) -> None:
     site.submit(bytes(3_000_000), "long")
     site.submit(map_name="low", priority=JobPriority.LOW)
     site.submit(map_name="short")
     site.submit(map_name="high", priority=JobPriority.HIGH)
     raised = site.submit(bytes(3_000_000), "raised")
     assert site.queue.prioritize(raised.id, JobPriority.HIGH).priority is JobPriority.HIGH
-    assert taken(table) == ["high", "raised", "short", "long", "low"]
+    assert taken(leases) == ["high", "raised", "short", "long", "low"]
     with pytest.raises(Conflict, match="no longer waits"):
         site.queue.prioritize(raised.id, JobPriority.LOW)
     with pytest.raises(UnknownJob):
@@ -143,23 +145,25 @@ def test_every_jobs_turn_comes(first: JobPriority, later: JobPriority, lengths_s
     assert turn_of(0.0, first, lengths_s[0]) < turn_of(4 * 86400.0, later, lengths_s[1])
 
 
-def test_a_worker_leaves_what_it_has_no_memory_for(site: Site, table: JobTable) -> None:
+def test_a_worker_leaves_what_it_has_no_memory_for(site: Site, leases: Leases) -> None:
     big, small = site.submit(map_name="big"), site.submit(map_name="small")
-    assert table.hand_on(table.take("one").lease, 4 * 2**30)
-    assert table.get(big.id).memory_bytes == 4 * 2**30
-    assert table.take("one", memory_bytes=8 * 2**30, free_bytes=2**30) is None, "the long one is not overtaken for ever"
-    assert taken(table, memory_bytes=2 * 2**30) == ["small"]
-    assert taken(table, memory_bytes=8 * 2**30) == ["big"]
+    assert leases.hand_on(leases.take("one").lease, 4 * 2**30)
+    assert site.queue.get(big.id).memory_bytes == 4 * 2**30
+    assert leases.take("one", memory_bytes=8 * 2**30, free_bytes=2**30) is None, (
+        "the long one is not overtaken for ever"
+    )
+    assert taken(leases, memory_bytes=2 * 2**30) == ["small"]
+    assert taken(leases, memory_bytes=8 * 2**30) == ["big"]
     assert {site.queue.get(job.id).worker for job in (big, small)} == {"worker"}
 
 
-def test_a_job_that_no_worker_can_take_says_why(site: Site, table: JobTable) -> None:
-    workers = WorkerTable(table._engine)
+def test_a_job_that_no_worker_can_take_says_why(site: Site, leases: Leases) -> None:
+    workers = WorkerTable(site.queue.engine)
     job = site.submit()
     assert (job.obstacle, job.message) == (Obstacle.NO_WORKER, "waiting for a worker: none is running")
     workers.beat("small", memory_bytes=2 * 2**30)
     assert [(one.obstacle, one.message) for one in site.queue.list()] == [(None, "waiting for a worker")]
-    table.hand_on(table.take("small").lease, 4 * 2**30)
+    leases.hand_on(leases.take("small").lease, 4 * 2**30)
     waiting = site.queue.get(job.id)
     assert waiting.obstacle is Obstacle.MEMORY
     assert waiting.message == "waiting for a worker with 4.0 GiB of memory for it: none has more than 2.0 GiB"
@@ -169,33 +173,33 @@ def test_a_job_that_no_worker_can_take_says_why(site: Site, table: JobTable) -> 
     assert site.queue.waiting()[None] == 1
 
 
-def test_a_worker_that_dies_again_and_again_stands_in_the_way(site: Site, table: JobTable) -> None:
+def test_a_worker_that_dies_again_and_again_stands_in_the_way(site: Site, leases: Leases) -> None:
     job = site.submit()
     site.queue.report_worker("the worker died 2 times in a row: signal 6")
     waiting = site.queue.get(job.id)
     assert waiting.obstacle is Obstacle.WORKER_FAILS
     assert waiting.message == "waiting for a worker: the worker died 2 times in a row: signal 6"
-    WorkerTable(table._engine).beat("another")
+    WorkerTable(site.queue.engine).beat("another")
     assert site.queue.get(job.id).obstacle is None, "it can take the job"
-    WorkerTable(table._engine).remove("another")
+    WorkerTable(site.queue.engine).remove("another")
     site.queue.report_worker(None)
     assert site.queue.get(job.id).obstacle is Obstacle.NO_WORKER
 
 
-def test_only_deaths_are_counted(site: Site, table: JobTable) -> None:
+def test_only_deaths_are_counted(site: Site, leases: Leases) -> None:
     job = site.submit()
     for _ in range(6):
-        claim = table.take("worker")
+        claim = leases.take("worker")
         assert claim.deaths == 0
-        table.give_back(claim.lease)
+        leases.give_back(claim.lease)
     for deaths in range(3):
-        assert table.take("worker").deaths == deaths
-        assert table.take_back(["another"]) == 1
+        assert leases.take("worker").deaths == deaths
+        assert leases.take_back(["another"]) == 1
     waiting = site.queue.get(job.id)
     assert waiting.log[-1].endswith("waiting for another worker: its worker died")
     site.queue.cancel(job.id)
     site.queue.retry(job.id)
-    assert table.take("worker").deaths == 0
+    assert leases.take("worker").deaths == 0
 
 
 @pytest.mark.parametrize(

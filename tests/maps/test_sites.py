@@ -15,7 +15,8 @@ import pytest
 
 from rholoc.errors import Conflict, InvalidInput, InvalidName, UnknownSite
 from rholoc.geometry.earth import EarthPlace
-from rholoc.maps import FramePose, Site, SiteLibrary, SiteLink, SiteMap, SiteOnEarth, check_site
+from rholoc.library import SiteLibrary
+from rholoc.maps import FramePose, Site, SiteLink, SiteMap, SiteOnEarth, check_site
 
 HALF_TURN = (0.0, 0.0, 1.0, 0.0)
 EARTH = SiteOnEarth(52.52, 13.405, 74.0, heading_deg=90.0)

@@ -13,9 +13,9 @@ import pytest
 
 from rholoc.errors import Conflict, InvalidInput, StorageUnavailable
 from rholoc.geometry import Camera
-from rholoc.jobs import WAYPOINTS_FILE, Stores
-from rholoc.jobs.stores import CAMERAS, KEYS, SITES
-from rholoc.maps import CameraLibrary, CameraProfile, Map, Site, SiteLibrary, SiteMap
+from rholoc.library import WAYPOINTS_FILE, CameraLibrary, CameraProfile, SiteLibrary, Stores
+from rholoc.library.stores import CAMERAS, KEYS, SITES
+from rholoc.maps import Map, Site, SiteMap
 from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
 from rholoc.service.operate import backup as module
 from rholoc.service.operate.backup import back_up, restore
@@ -53,10 +53,10 @@ def stores(request, open_stores, picture_world) -> Stores:
     stores.library.put("room", picture_world.map_)
     stores.library.put("gone", picture_world.map_)
     stores.library.delete("gone")
-    SiteLibrary(stores.maps_dir, stores.documents(SITES)).put("campus", Site(maps=(SiteMap("hall"),)))
+    SiteLibrary(stores.documents(SITES)).put("campus", Site(maps=(SiteMap("hall"),)))
     profile = CameraProfile(Camera(640, 480, 500.0, 500.0, 320.0, 240.0))
-    CameraLibrary(stores.maps_dir, stores.documents(CAMERAS)).put("phone", profile)
-    KeyStore(stores.data_dir, stores.documents(KEYS)).create("robot", Scope.MAP, limits=KeyLimits(maps=3))
+    CameraLibrary(stores.documents(CAMERAS)).put("phone", profile)
+    KeyStore(stores.documents(KEYS)).create("robot", Scope.MAP, limits=KeyLimits(maps=3))
     entry = stores.recordings.create([("walk.mp4", [b"a film"]), ("a/b.csv", [b"6"])])
     stores.recordings.note(entry.id, {WAYPOINTS_FILE: b"name,x,y,z"})
     (stores.data_dir / "index").mkdir()
@@ -111,7 +111,7 @@ def test_no_key_is_in_it(tmp_path: Path, open_stores) -> None:
     assert secret.encode() not in (tmp_path / "all.backup").read_bytes()
     there = open_stores("there", True)
     restore(tmp_path / "all.backup", there)
-    found = KeyStore(there.data_dir, there.documents(KEYS)).find(secret)
+    found = KeyStore(there.documents(KEYS)).find(secret)
     assert found is not None
     assert found.scope is Scope.ADMIN
 
@@ -224,7 +224,7 @@ def test_maps_of_a_storage_are_those_of_one_moment(tmp_path: Path, open_stores, 
     here, there = open_stores("here", True), open_stores("there", False)
     for number in (1, 2, 3):
         here.library.put("hall", version(picture_world, number))
-    monkeypatch.setattr("rholoc.storage.maps._ORPHANED_AFTER_S", -10)
+    monkeypatch.setattr("rholoc.library.shared_maps._ORPHANED_AFTER_S", -10)
 
     def replace_all() -> None:
         for number in range(4, 11):

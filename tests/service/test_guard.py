@@ -8,8 +8,8 @@ import httpx
 import pytest
 
 from rholoc.errors import Conflict, InvalidName, NotFound
-from rholoc.maps import FolderDocuments
-from rholoc.service.access.guard import _address, check_query, check_same_site
+from rholoc.library import FolderDocuments
+from rholoc.service.access.guard import check_query, check_same_site
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.access.scopes import Access, RouteAccess
 from rholoc.service.errors import CrossSite, InvalidRequest
@@ -212,8 +212,3 @@ def test_keys_are_found_in_memory(tmp_path, monkeypatch):
         assert store.find(secret).name == name
     assert store.find("another") is None
     assert not read
-
-
-def test_the_address_of_a_client_where_it_has_one():
-    assert _address({"client": ("10.0.0.7", 4711)}) == "10.0.0.7"
-    assert _address({"client": None}) == _address({}) == ""

@@ -12,7 +12,8 @@ from kept_queries import LATELY_S, keep_queries
 from rholoc.features import get_extractor
 from rholoc.jobs import JobKind
 from rholoc.jobs.table import JobTable
-from rholoc.maps import MapLibrary, load_map, save_map
+from rholoc.library import MapLibrary
+from rholoc.maps import load_map, save_map
 from rholoc.service.access.keys import HANDED_PREFIX, KeyStore, Scope
 from rholoc.service.frames import learning
 from rholoc.service.housekeeping import learn_tonight
@@ -194,9 +195,9 @@ def test_maps_learn_once_a_night(asked_often):
 
 def test_the_next_version_is_published_and_the_one_before_is_kept(asked_often):
     """What the worker does with the job."""
-    from rholoc.jobs import MappingPipeline, MappingTask
     from rholoc.jobs.job import JobOptions
     from rholoc.progress import silent
+    from rholoc.worker import MappingPipeline, MappingTask
 
     settings = asked_often.settings
     (settings.data_dir / "work").mkdir(exist_ok=True)
@@ -222,6 +223,6 @@ def test_the_next_version_is_published_and_the_one_before_is_kept(asked_often):
 
 def test_jobs_without_recordings_leave_recordings_alone(asked_often):
     state = asked_often.app.state.rholoc
-    assert "" not in JobTable(state.jobs.sync._engine).mapped_before(9e9)
+    assert "" not in JobTable(state.jobs.sync.engine).mapped_before(9e9)
     state.jobs.sync.delete_mapped_recordings(0)
     assert state.recordings.sync.list() == []

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rholoc.jobs import JobKind
-from rholoc.jobs.table import JobTable
+from rholoc.jobs.leases import Leases
 from rholoc.maps import load_map, save_map
 
 
@@ -79,8 +79,8 @@ def test_an_update_is_a_job(learner):
     job = again.json()
     assert again.headers["Location"] == f"/v1/jobs/{job['id']}"
     assert (job["map"], job["recording"], job["state"]) == ("west", first["recording"], "queued")
-    table = JobTable(learner.app.state.rholoc.jobs.sync._engine)
-    works = [table.take("somebody").work for _ in (first["job"], job)]
+    leases = Leases(learner.app.state.rholoc.jobs.sync.engine)
+    works = [leases.take("somebody").work for _ in (first["job"], job)]
     assert [work.options.kind for work in works] == [JobKind.UPDATE, JobKind.UPDATE]
     assert [work.options.poses for work in works] == [None, "visual"]
 

@@ -6,12 +6,13 @@ import time
 from pathlib import Path
 from typing import cast
 
-from rholoc.maps import MapLibrary, save_map
-from rholoc.maps.map_cache import memory_bytes
+from rholoc.library import MapLibrary
+from rholoc.library.map_cache import memory_bytes
+from rholoc.maps import save_map
 from rholoc.service.frames.best_map import each_map
 from rholoc.service.frames.localizers import Localizers
 from rholoc.service.frames.map_choice import Candidates
-from rholoc.service.frames.stopwatch import Stopwatch
+from rholoc.service.http.stopwatch import Stopwatch
 
 
 def test_a_map_that_leaves_memory_takes_its_localizer_along(tmp_path: Path, picture_world) -> None:

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from rholoc.errors import InvalidInput, UnknownRecording
-from rholoc.jobs import RecordingStore
-from rholoc.maps import FloorPlan, MapLibrary
+from rholoc.library import MapLibrary, RecordingStore
+from rholoc.maps import FloorPlan
 from rholoc.maps.floor_plan import check_plan
 from rholoc.service.settings import KeyPolicy
 from rholoc.storage.replica import Replica

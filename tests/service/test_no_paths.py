@@ -12,8 +12,9 @@ import pytest
 import rholoc
 from rholoc.disk import replace_file
 from rholoc.errors import InvalidInput, InvalidMap, RholocError, UnknownMap
-from rholoc.maps import MapLibrary, load_map
-from rholoc.maps.documents import FolderDocuments
+from rholoc.library import MapLibrary
+from rholoc.library.documents import FolderDocuments
+from rholoc.maps import load_map
 from rholoc.recordings import read_recording
 
 _PATHS = re.compile(r"/(tmp|home|root|work|var|usr|data|proc)/")

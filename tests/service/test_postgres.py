@@ -10,7 +10,8 @@ import pytest
 
 from rholoc.errors import InvalidInput
 from rholoc.jobs import JobQueue
-from rholoc.storage.database import open_database
+from rholoc.library import RecordingStore
+from rholoc.storage.database import database_engine, open_database
 from rholoc_client import Client, JobFailed
 
 
@@ -24,7 +25,7 @@ def test_jobs_are_kept_in_postgres_and_worked_on(postgres_url, serve, tmp_path):
             client.wait_for_job(job.id, timeout_s=120, poll_s=0.1)
         assert caught.value.code == "invalid_recording"
     assert not (running.settings.data_dir / "jobs.sqlite").exists()
-    queue = JobQueue(tmp_path, postgres_url)
+    queue = JobQueue(RecordingStore(tmp_path, engine=database_engine(tmp_path, postgres_url)))
     assert [one.id for one in queue.list()] == [job.id]
     assert queue.has_worker()
     queue.close()
@@ -41,7 +42,7 @@ def test_a_database_that_is_not_there_is_reported_in_one_line(tmp_path):
 @pytest.mark.parametrize("url", ["jobs:secret", "mysql://jobs:secret@localhost/jobs", "://"])
 def test_what_is_no_address_of_a_database_is_refused(tmp_path, url):
     with pytest.raises(InvalidInput, match="not the URL of a Postgres database") as caught:
-        JobQueue(tmp_path, url)
+        database_engine(tmp_path, url)
     assert "secret" not in str(caught.value)
 
 

@@ -9,8 +9,8 @@ import httpx
 import numpy as np
 import pytest
 
-from rholoc.jobs import RecordingStore
-from rholoc.jobs.recording_notes import notes_of
+from rholoc.library import RecordingStore
+from rholoc.library.recording_notes import notes_of
 from rholoc.recordings import MemoryFrames, Recording
 from rholoc_client import Client, ServiceError
 

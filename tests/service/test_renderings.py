@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rholoc.errors import InvalidMap, UnknownMap
-from rholoc.maps import MapLibrary
+from rholoc.library import MapLibrary
 from rholoc.pictures.rendering import Rendering
 from rholoc.service.maps.renderings import Renderings
 from rholoc.service.threads.storage import StorageLanes

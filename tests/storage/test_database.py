@@ -1,4 +1,4 @@
-"""The tables: made and brought up to date by migrations, once."""
+"""The tables: created or updated, once."""
 
 from __future__ import annotations
 
@@ -11,50 +11,55 @@ from typing import TYPE_CHECKING
 
 import pytest
 import sqlalchemy as sa
-from alembic.autogenerate import compare_metadata
-from alembic.runtime.migration import MigrationContext
-from alembic.script import ScriptDirectory
 
 from rholoc.errors import Conflict, InvalidInput, StorageUnavailable
-from rholoc.storage import database
+from rholoc.storage import schema
 from rholoc.storage.database import check_database, database_engine, is_silence, open_database
-from rholoc.storage.tables import VERSION_TABLE, jobs_table, metadata
+from rholoc.storage.tables import jobs_table, metadata
 
 if TYPE_CHECKING:
     from postgres_server import PostgresServer
 
 
-def differences(engine: sa.Engine) -> list[object]:
-    """What migrations made that the tables in the code are not, and the other way round."""
-
-    def is_ours(name: str | None, kind: str, _: object) -> bool:
-        return kind != "table" or (name or "").startswith("rholoc_")
-
-    options = {"include_name": is_ours, "version_table": VERSION_TABLE}
-    with engine.connect() as connection:
-        return compare_metadata(MigrationContext.configure(connection, opts=options), metadata)
+def tables_of(engine: sa.Engine) -> dict[str, set[str]]:
+    """Table → names of its columns."""
+    found = sa.inspect(engine)
+    return {name: {column["name"] for column in found.get_columns(name)} for name in found.get_table_names()}
 
 
-def test_migrations_make_the_tables_that_the_code_uses(tmp_path: Path) -> None:
-    engine = open_database(tmp_path)
-    assert differences(engine) == []
-    engine.dispose()
+WANTED = {table.name: {column.name for column in table.columns} for table in metadata.tables.values()}
 
 
-def test_the_last_migration_is_the_one_that_a_start_looks_for() -> None:
-    scripts = ScriptDirectory(str(database._MIGRATIONS))
-    assert scripts.get_heads() == [database.HEAD]
-    numbers = [script.revision for script in scripts.walk_revisions()]
-    assert numbers == sorted(numbers, reverse=True)
+def test_a_database_of_an_earlier_version_is_updated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_database(tmp_path).dispose()
 
+    def add_a_column(connection: sa.Connection) -> None:
+        connection.exec_driver_sql("ALTER TABLE rholoc_jobs ADD COLUMN colour TEXT")
 
-def test_a_database_of_a_later_version_is_refused(tmp_path: Path) -> None:
-    engine = open_database(tmp_path)
-    with engine.begin() as connection:
-        connection.exec_driver_sql(f"UPDATE {VERSION_TABLE} SET version_num = '9999'")
-    engine.dispose()
+    monkeypatch.setattr(schema, "UPDATES", (add_a_column,))
+    for _ in range(2):
+        engine = open_database(tmp_path)
+        assert tables_of(engine)["rholoc_jobs"] - WANTED["rholoc_jobs"] == {"colour"}
+        engine.dispose()
+    monkeypatch.setattr(schema, "UPDATES", ())
     with pytest.raises(Conflict, match="later version"):
         open_database(tmp_path)
+
+
+def test_an_update_that_fails_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_database(tmp_path).dispose()
+
+    def fail(connection: sa.Connection) -> None:
+        connection.exec_driver_sql("DROP TABLE rholoc_jobs")
+        raise ValueError("in the middle")
+
+    monkeypatch.setattr(schema, "UPDATES", (fail,))
+    with pytest.raises(ValueError, match="in the middle"):
+        open_database(tmp_path)
+    monkeypatch.setattr(schema, "UPDATES", ())
+    engine = open_database(tmp_path)
+    assert tables_of(engine) == WANTED
+    engine.dispose()
 
 
 def test_the_first_use_of_an_engine_creates_the_tables(tmp_path: Path) -> None:
@@ -144,16 +149,16 @@ def open_at_once(url: str | None, folder: Path, times: int) -> list[sa.Engine]:
     return engines
 
 
-def test_several_that_start_at_once_migrate_once(tmp_path: Path) -> None:
+def test_several_that_start_at_once_create_the_tables_once(tmp_path: Path) -> None:
     engines = open_at_once(None, tmp_path, 8)
-    assert differences(engines[0]) == []
+    assert tables_of(engines[0]) == WANTED
     for engine in engines:
         engine.dispose()
 
 
 @pytest.mark.slow
-def test_several_that_start_at_once_migrate_once_in_postgres(tmp_path: Path, postgres_url: str) -> None:
+def test_several_that_start_at_once_create_the_tables_once_in_postgres(tmp_path: Path, postgres_url: str) -> None:
     engines = open_at_once(postgres_url, tmp_path, 4)
-    assert differences(engines[0]) == []
+    assert tables_of(engines[0]) == WANTED
     for engine in engines:
         engine.dispose()

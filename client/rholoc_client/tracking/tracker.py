@@ -10,8 +10,9 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from rholoc_client._async.client import AsyncClient
 from rholoc_client._images import ImageLike
-from rholoc_client.client import AsyncClient, Client
+from rholoc_client._sync.client import Client
 from rholoc_client.errors import (
     Busy,
     ConnectionFailed,

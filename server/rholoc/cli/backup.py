@@ -14,7 +14,7 @@ from rholoc.cli.options import Json
 from rholoc.cli.serve import Data, Maps, service_settings
 
 if TYPE_CHECKING:
-    from rholoc.jobs import Stores
+    from rholoc.library import Stores
     from rholoc.service import Settings
     from rholoc.service.operate.backup import Manifest
 

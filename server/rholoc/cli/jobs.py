@@ -60,7 +60,7 @@ def open_queue(settings: Settings) -> Iterator[JobQueue]:
     """The queue of a server, connected. Raises as :meth:`JobQueue.check`."""
     from rholoc.jobs import JobQueue
 
-    queue = JobQueue(settings.data_dir, settings.jobs_database)
+    queue = JobQueue(settings.stores().recordings)
     try:
         queue.check()
         yield queue

@@ -106,7 +106,8 @@ def list_maps(
     as_json: options.Json = False,
 ) -> None:
     """Show the maps of a folder, whether they are to be trusted, and how far they expect to be off."""
-    from rholoc.maps import MapLibrary, expected_error_m, trust_of
+    from rholoc.library import MapLibrary
+    from rholoc.maps import expected_error_m, trust_of
 
     folder = maps or Path(os.environ.get(options.MAPS_VARIABLE, options.DEFAULT_MAPS))
     library = MapLibrary(folder)
@@ -215,9 +216,9 @@ def learn(
 
     The map before is kept, as a server keeps it, and can be restored.
     """
-    from rholoc.jobs import QueryStore
+    from rholoc.library import MapLibrary, QueryStore
     from rholoc.mapping import learn_from_queries
-    from rholoc.maps import MapLibrary, load_map
+    from rholoc.maps import load_map
     from rholoc.storage import ObjectStorage
 
     map_ = load_map(map_file)
@@ -236,7 +237,7 @@ def queries(
     as_json: options.Json = False,
 ) -> None:
     """Show how many queries a server has kept for a map to learn from; or delete them."""
-    from rholoc.jobs import QueryStore
+    from rholoc.library import QueryStore
     from rholoc.maps import load_map
     from rholoc.storage import ObjectStorage
 

@@ -139,21 +139,14 @@ def _https(settings: Settings, port: int) -> tuple[Path, str]:
 
 def worker(maps: Maps = None, data: Data = None) -> None:
     """Work on mapping jobs, apart from the server. Any number of workers share the queue."""
-    from rholoc.jobs import run_worker
     from rholoc.logs import configure_process_logs
+    from rholoc.worker import run_worker
 
     configure_process_logs()
     settings = service_settings(maps_dir=maps, data_dir=data)
     target = settings.maps_dir if settings.shared_storage is None else "the shared storage"
     print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {target}.")
-    run_worker(
-        settings.data_dir,
-        settings.maps_dir,
-        settings.jobs_database,
-        limits=settings.job_limits,
-        storage_url=settings.shared_storage,
-        capacity=settings.worker_capacity,
-    )
+    run_worker(settings.worker_setup)
 
 
 def _keys(settings: Settings) -> KeyStore | None:
@@ -183,13 +176,13 @@ def opened_keys(settings: Settings) -> KeyStore:
     Raises:
         InvalidInput, Conflict, StorageFull, StorageUnavailable: the database cannot be opened.
     """
-    from rholoc.jobs.stores import KEYS
+    from rholoc.library.stores import KEYS
     from rholoc.service.access.keys import KeyStore
 
     stores = settings.stores()
     stores.open()
     stores.engine.dispose()
-    return KeyStore(stores.data_dir, stores.documents(KEYS))
+    return KeyStore(stores.documents(KEYS))
 
 
 def service_settings(**options: object) -> Settings:

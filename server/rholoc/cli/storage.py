@@ -22,7 +22,7 @@ def _group() -> None:
 @app.command("import")
 def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
     """Copy maps, cameras, sites, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
-    from rholoc.jobs import import_data
+    from rholoc.library import import_data
 
     settings = service_settings(maps_dir=maps, data_dir=data)
     stores = settings.stores()

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
@@ -17,39 +16,26 @@ from rholoc import telemetry
 from rholoc.errors import Conflict, RholocError, UnknownRecording
 from rholoc.jobs.capacity import SECONDS_PER_PICTURE, memory_for_walk
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
-from rholoc.jobs.recording_notes import read_notes
-from rholoc.jobs.recording_store import RecordingStore
-from rholoc.jobs.table import JobTable, JobWork, shortened
-from rholoc.jobs.worker_table import WorkerOffer, WorkerTable, process_name
+from rholoc.jobs.leases import Leases, shortened
+from rholoc.jobs.table import JobTable, JobWork
+from rholoc.jobs.workers import WorkerOffer, WorkerTable, process_name
+from rholoc.library.recording_notes import read_notes
+from rholoc.library.recordings import RecordingStore
 from rholoc.maps import check_map_name
-from rholoc.storage.database import check_database, database_engine, reporting_full_database
+from rholoc.storage.database import check_database, reporting_full_database
 
 _BYTES_PER_SECOND = 1e6  # of a recording that no job has read yet
 
 
 class JobQueue:
-    """The queue of mapping jobs."""
+    """The queue of mapping jobs. It connects to the database on first use.
 
-    def __init__(
-        self,
-        data_dir: Path,
-        database_url: str | None = None,
-        recordings: RecordingStore | None = None,
-        engine: sa.Engine | None = None,
-    ) -> None:
-        """A queue that connects to its database on first use.
+    Args:
+        recordings: the jobs' recordings; their database is used.
+    """
 
-        Args:
-            data_dir: folder of the SQLite file and of the recordings.
-            database_url: ``postgresql://…``, or None for the SQLite file.
-            recordings: the jobs' recordings, if they are not in ``data_dir``.
-            engine: the caller's database engine, used instead of ``database_url``.
-
-        Raises:
-            InvalidInput: not a PostgreSQL URL, or Python's SQLite is too old.
-        """
-        self._engine = engine or database_engine(data_dir, database_url)
-        self._recordings = recordings or RecordingStore(data_dir, engine=self._engine)
+    def __init__(self, recordings: RecordingStore) -> None:
+        self._recordings, self._engine = recordings, recordings.engine
         self._jobs, self._workers = JobTable(self._engine), WorkerTable(self._engine)
         self._starter = process_name()
         self._trouble: str | None = None
@@ -228,8 +214,9 @@ class JobQueue:
         """
         name = process_name(pid)
         self._workers.remove_all(name)
-        for lease in self._jobs.held_at(name):
-            self._jobs.lose(lease, f"its worker died ({error})")
+        leases = Leases(self._engine)
+        for lease in leases.held_at(name):
+            leases.lose(lease, f"its worker died ({error})")
 
     def report_worker(self, trouble: str | None) -> None:
         """Record why workers started by this process die; None if they do not."""

@@ -1,17 +1,15 @@
-"""The map, its file formats, and the library of maps."""
+"""The map and its file formats; sites of maps."""
 
 from rholoc.density import DensityKind
-from rholoc.maps.cameras import CameraLibrary, CameraProfile, check_camera_name
-from rholoc.maps.catalogue import check_map_name
 from rholoc.maps.cloud import Cloud
 from rholoc.maps.corrections import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
-from rholoc.maps.documents import Documents, FolderDocuments
 from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
 from rholoc.maps.formats.coefficient_reading import is_coefficient_table, read_coefficient_table
 from rholoc.maps.formats.coefficient_table import coefficient_table, write_coefficient_table
 from rholoc.maps.formats.gltf import map_to_gltf
 from rholoc.maps.formats.observation_table import ObservationTable, observations_csv
+from rholoc.maps.formats.patch_bytes import moved_patches, packed_patches, storable_patches, unpacked_patches
 from rholoc.maps.formats.ply_and_vtp import landmark_sigmas, map_to_ply, map_to_vtp
 from rholoc.maps.formats.rho_file import MapOutline, load_map, map_to_bytes, save_map
 from rholoc.maps.formats.scene import cloud_to_bytes, map_to_scene
@@ -33,7 +31,6 @@ from rholoc.maps.kept_observations import (
     unpacked_pixels,
     without_memory,
 )
-from rholoc.maps.library import MapLibrary
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.names import (
@@ -48,35 +45,21 @@ from rholoc.maps.names import (
     points_near,
     within_outline,
 )
+from rholoc.maps.naming import check_map_name
 from rholoc.maps.part import MapPart, part_of
-from rholoc.maps.patch_bytes import moved_patches, packed_patches, storable_patches, unpacked_patches
-from rholoc.maps.sites import (
-    MAX_MAPS,
-    FramePose,
-    LinkOrigin,
-    Site,
-    SiteLibrary,
-    SiteLink,
-    SiteMap,
-    SiteOnEarth,
-    check_site,
-)
+from rholoc.maps.sites import MAX_MAPS, FramePose, LinkOrigin, Site, SiteLink, SiteMap, SiteOnEarth, check_site
 from rholoc.maps.trust import Trust, consistency_m, expected_error_m, trust_of
 from rholoc.maps.validation import check_usable, validate_map
 
 __all__ = [
     "MAX_MAPS",
     "MAX_PLAN_BYTES",
-    "CameraLibrary",
-    "CameraProfile",
     "Cloud",
     "Correction",
     "CorrectionKind",
     "Coverage",
     "DensityKind",
-    "Documents",
     "FloorPlan",
-    "FolderDocuments",
     "FramePose",
     "LinkOrigin",
     "Map",
@@ -84,7 +67,6 @@ __all__ = [
     "MapInfo",
     "MapLabels",
     "MapLandmarks",
-    "MapLibrary",
     "MapNames",
     "MapObservations",
     "MapOutline",
@@ -96,7 +78,6 @@ __all__ = [
     "NamedPoint",
     "ObservationTable",
     "Site",
-    "SiteLibrary",
     "SiteLink",
     "SiteMap",
     "SiteOnEarth",
@@ -104,7 +85,6 @@ __all__ = [
     "TrajectoryTable",
     "Trust",
     "areas_at",
-    "check_camera_name",
     "check_labels",
     "check_map_name",
     "check_memory",

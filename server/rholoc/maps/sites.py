@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 
 import numpy as np
 
-from rholoc.errors import Conflict, InvalidInput, UnknownSite
+from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Pose
 from rholoc.geometry.earth import EarthPlace, enu_of, place_at
-from rholoc.lazy import lazy
-from rholoc.maps.catalogue import check_map_name, check_name, some_of
-from rholoc.maps.documents import Documents, FolderDocuments, stored_names
-from rholoc.reports import report_from_json, report_to_json
+from rholoc.maps.naming import check_map_name
 
-SITES_FOLDER = "sites"
 MAX_MAPS = 2000
 """Of a site."""
 
-_FORMAT, _FORMAT_VERSION = "rholoc-site", 1
-_SUFFIX = ".json"
 _MAX_LINKS = 10_000
 _MAX_FLOOR = 100
 _UNIT_TOLERANCE = 1e-2
@@ -240,168 +230,3 @@ def _check_earth(earth: SiteOnEarth) -> None:
             "The site's place on Earth is not possible.",
             "Give a latitude of -90 to 90°, a longitude of -180 to 180°, a heading of -360 to 360°.",
         )
-
-
-@dataclass(frozen=True)
-class _AllSites:
-    """Cached sites, valid while the files have this stamp."""
-
-    stamp: object
-    sites: Mapping[str, Site]
-
-    @lazy
-    def site_by_map(self) -> dict[str, str]:
-        """The name of the first site in which each map has a pose."""
-        found: dict[str, str] = {}
-        for name, site in self.sites.items():
-            for one in site.maps:
-                if one.pose is not None:
-                    found.setdefault(one.map, name)
-        return found
-
-
-def _with_renamed(site: Site, name: str, new_name: str) -> Site:
-    """The site with a map under a new name."""
-
-    def now(one: str) -> str:
-        return new_name if one == name else one
-
-    maps = tuple(replace(one, map=now(one.map)) for one in site.maps)
-    links = tuple(replace(link, first=now(link.first), second=now(link.second)) for link in site.links)
-    return replace(site, maps=maps, links=links)
-
-
-class SiteLibrary:
-    """Sites by name; safe to share between threads and processes.
-
-    Args:
-        maps_dir: the folder of maps, with sites as ``sites/NAME.json``.
-        files: used instead of ``maps_dir``.
-    """
-
-    def __init__(self, maps_dir: Path, files: Documents | None = None) -> None:
-        self._files = files or FolderDocuments(maps_dir / SITES_FOLDER)
-        self._read: dict[str, tuple[bytes, Site]] = {}
-        self._all = _AllSites(None, {})
-
-    def names(self) -> list[str]:
-        """The names of all sites, sorted."""
-        return stored_names(self._files, _SUFFIX)
-
-    def get(self, name: str) -> Site:
-        """The site of that name.
-
-        Raises:
-            InvalidName: it is not a valid name.
-            UnknownSite: there is no such site.
-            InvalidInput: its file is damaged.
-        """
-        try:
-            content = self._files.read(_file_name(name))
-        except FileNotFoundError as error:
-            raise self._unknown(name) from error
-        except OSError as error:
-            raise InvalidInput(f"The site {name} cannot be read.", "Put it again.") from error
-        known = self._read.get(name)
-        if known is None or known[0] != content:
-            known = self._read[name] = (content, _from_json(name, content))
-        return known[1]
-
-    def put(self, name: str, site: Site, replaces: int | None = None) -> Site:
-        """Store a site with the next version number; returns it.
-
-        Args:
-            name: of the site.
-            site: a valid site; its own version is ignored.
-            replaces: the version that it must replace; None for any.
-
-        Raises:
-            InvalidName, InvalidInput, StorageFull: nothing was replaced.
-            Conflict: the site has changed since that version.
-        """
-        file_name = _file_name(name)
-        check_site(site)
-        while True:
-            before, version = self._stored(name)
-            if replaces is not None and replaces != version:
-                raise Conflict(f"The site {name} was changed in the meantime.", f"Begin from version {version}.")
-            site = replace(site, version=version + 1)
-            document = {"format": _FORMAT, "format_version": _FORMAT_VERSION, **report_to_json(site)}
-            content = f"{json.dumps(document, indent=1, allow_nan=False)}\n".encode()
-            if self._files.exchange(file_name, before, content, called=file_name):
-                return site
-
-    def _stored(self, name: str) -> tuple[bytes | None, int]:
-        """Content of a site's file (None if missing), and its version (0 if it holds no site)."""
-        try:
-            content = self._files.read(_file_name(name))
-        except FileNotFoundError:
-            return None, 0
-        except OSError as error:
-            raise InvalidInput(f"The file of the site {name} cannot be read.", "Check its permissions.") from error
-        try:
-            return content, _from_json(name, content).version
-        except InvalidInput:
-            return content, 0
-
-    def delete(self, name: str) -> None:
-        """Delete a site; its maps stay.
-
-        Raises:
-            InvalidName: it is not a valid name.
-            UnknownSite: there is no such site.
-        """
-        try:
-            self._files.delete(_file_name(name))
-        except FileNotFoundError as error:
-            raise self._unknown(name) from error
-
-    def all(self) -> dict[str, Site]:
-        """All readable sites by name, cached until a file changes."""
-        return dict(self._present().sites)
-
-    def site_of(self, map_name: str) -> str | None:
-        """Name of the first site in which a map has a pose, or None."""
-        return self._present().site_by_map.get(map_name)
-
-    def rename_map(self, name: str, new_name: str) -> None:
-        """Rename a map in its sites; skips sites that list the new name already.
-
-        Raises:
-            InvalidName, StorageFull: not all sites were changed.
-        """
-        for site_name, site in self.all().items():
-            if site.member(name) is not None and site.member(new_name) is None:
-                self.put(site_name, _with_renamed(site, name, new_name))
-
-    def _present(self) -> _AllSites:
-        stamp = self._files.stamp()  # before the files are read
-        if stamp is None or stamp != self._all.stamp:
-            sites = {}
-            for name in self.names():
-                with suppress(UnknownSite, InvalidInput):
-                    sites[name] = self.get(name)
-            self._all = _AllSites(stamp, sites)
-        return self._all
-
-    def _unknown(self, name: str) -> UnknownSite:
-        names = self.names()
-        return UnknownSite(
-            f"There is no site {name}.", f"There are: {some_of(names)}." if names else "There are none yet."
-        )
-
-
-def _file_name(name: str) -> str:
-    return check_name(name, "site") + _SUFFIX
-
-
-def _from_json(name: str, content: bytes) -> Site:
-    try:
-        document = json.loads(content)
-        if document.pop("format") != _FORMAT or document.pop("format_version") > _FORMAT_VERSION:
-            raise ValueError("it is of a later version, or no site")
-        return check_site(report_from_json(Site, document))
-    except (ArithmeticError, ValueError, TypeError, KeyError, AttributeError, RecursionError, InvalidInput) as error:
-        raise InvalidInput(
-            f"The file of the site {name} is broken: {str(error)[:200]}.", "Put the site again."
-        ) from error

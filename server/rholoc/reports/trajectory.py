@@ -41,12 +41,9 @@ class ImuReport:
         R_camera_imu_contradicts_recording: whether the recording stated another mounting.
         mounting_sigma_deg: the mounting's standard deviation.
         rotation_residual_deg: the median angle between camera's and gyroscope's rotation from keyframe to keyframe.
-        frames_contradicted: frames that were dropped because the gyroscope contradicts their rotation.
         scale_sigma: the relative standard deviation of the scale.
-        up_sigma_deg: the standard deviation of the upward direction.
         accelerometer_bias_m_s2: (3,).
         lever_m: (3,) the IMU's position in the camera's axes.
-        acceleration_residual_m_s2: the accelerations' median residual.
         accelerometer_scale: what the accelerometer reads for one m/s², by gravity's length.
     """
 
@@ -59,12 +56,9 @@ class ImuReport:
     R_camera_imu_contradicts_recording: bool | None = None
     mounting_sigma_deg: float | None = None
     rotation_residual_deg: float | None = None
-    frames_contradicted: int | None = None
     scale_sigma: float | None = None
-    up_sigma_deg: float | None = None
     accelerometer_bias_m_s2: tuple[float, ...] | None = None
     lever_m: tuple[float, ...] | None = None
-    acceleration_residual_m_s2: float | None = None
     accelerometer_scale: float | None = None
 
 
@@ -119,7 +113,6 @@ class TrajectoryReport:
         landmarks: points of the reconstruction.
         reprojection_error_px: their mean.
         loop_pairs: pairs of keyframes, far apart in time, that show the same place.
-        pairs_contradicted_by_gyroscope: pairs that were dropped.
         disagreement_of_depth: between two reconstructions, as a share of the median distance of the landmarks.
         disagreement_deg: of the rotations of the same two.
         camera: the intrinsics, where they were estimated.
@@ -145,7 +138,6 @@ class TrajectoryReport:
     landmarks: int | None = None
     reprojection_error_px: float | None = None
     loop_pairs: int | None = None
-    pairs_contradicted_by_gyroscope: int | None = None
     disagreement_of_depth: float | None = None
     disagreement_deg: float | None = None
     camera: CalibrationReport | None = None

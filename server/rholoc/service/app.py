@@ -13,21 +13,15 @@ from fastapi.responses import JSONResponse
 from pydantic import ValidationError
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
 
 from rholoc import __version__, telemetry
 from rholoc.errors import RholocError
-from rholoc.jobs import (
-    EmbeddedWorker,
-    JobQueue,
-    KeptLimits,
-    QueryStore,
-    Stores,
-    UploadStore,
-)
-from rholoc.jobs.stores import ASKERS, CAMERAS, KEYS, SITES
+from rholoc.jobs import JobQueue, UploadStore
+from rholoc.library import CameraLibrary, KeptLimits, QueryStore, SiteLibrary, Stores
+from rholoc.library.stores import ASKERS, CAMERAS, KEYS, SITES
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
-from rholoc.maps import CameraLibrary, SiteLibrary
 from rholoc.service.access.audit import Audited, AuditLog
 from rholoc.service.access.guard import Guard, SecurityHeaders
 from rholoc.service.access.keys import KeyStore
@@ -81,6 +75,7 @@ from rholoc.service.state import Operation, State
 from rholoc.service.threads.compute import ComputePool
 from rholoc.service.threads.storage import StorageLanes
 from rholoc.storage.holdings import Holdings
+from rholoc.worker import EmbeddedWorker
 
 _log = structlog.get_logger("rholoc.service")
 _MIN_UNDER_WAY = 8  # concurrent requests of a client, regardless of the limit of connections
@@ -97,35 +92,20 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
     settings, metrics = settings or Settings(), Metrics()
     stores = settings.stores()
-    keys, audit, lanes = KeyStore(stores.data_dir, stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()
+    keys, audit, lanes = KeyStore(stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_logs()
         telemetry.begin("rholoc-server")
         app.state.rholoc = state = await asyncio.to_thread(_start, settings, metrics, keys, audit, stores, lanes)
-        parts = state.operation
-        parts.watch.start()
-        state.frames.learner.start()
-        if parts.worker is not None:
-            parts.worker.start()
-        cleanup = asyncio.create_task(clean_up_regularly(state))
-        following = asyncio.create_task(follow_keys(state))
+        tasks = _begin(state)
         try:
             yield
         finally:
-            cleanup.cancel()
-            following.cancel()
-            if parts.worker is not None:
-                parts.worker.stop()
-            parts.watch.stop()
-            state.frames.compute.close()
-            state.frames.learner.close()
-            await state.renderings.close()
-            parts.readiness.close()
-            parts.lanes.close()
-            state.jobs.sync.close()
-            stores.close()
+            for task in tasks:
+                task.cancel()
+            await _end(state)
             telemetry.end()
 
     app = FastAPI(
@@ -143,30 +123,62 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     web.install(app)
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError, SQLAlchemyError):
         app.add_exception_handler(kind, _answer_error)
-    app.add_middleware(JsonBodies, max_bytes=settings.max_json_bytes)
-    app.add_middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.frames.compute.busy)
-    app.add_middleware(SlowBodies, silence_s=settings.slow_client_timeout_s)
-    app.add_middleware(RateLimited, keys=keys)
-    app.add_middleware(ConcurrencyLimited, max_of_client=max(_MIN_UNDER_WAY, settings.max_connections // 4))
-    app.add_middleware(ProbesOnly)
-    open_paths = ("/metrics",) if settings.open_metrics else ()
-    app.add_middleware(
-        Guard,
-        routes=app.routes,
-        keys=keys,
-        lanes=lanes,
-        policy=settings.keys,
-        host=settings.host,
-        open_paths=open_paths,
-    )
-    app.add_middleware(Tus)
-    app.add_middleware(Audited, log=audit, lanes=lanes)
-    app.add_middleware(RequestBoundary)
-    app.add_middleware(Traced)
-    app.add_middleware(SecurityHeaders)
-    app.add_middleware(Metered, metrics=metrics)
+    app.user_middleware.extend(_middlewares(app, settings, metrics, keys, audit, lanes))
     install(app, READ_BY_HAND)
     return app
+
+
+def _middlewares(
+    app: FastAPI, settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, lanes: StorageLanes
+) -> list[Middleware]:
+    """What a request passes on its way to its route, from the outermost to the innermost."""
+    return [
+        Middleware(Metered, metrics=metrics),
+        Middleware(SecurityHeaders),
+        Middleware(Traced),
+        Middleware(RequestBoundary),
+        Middleware(Audited, log=audit, lanes=lanes),
+        Middleware(Tus),
+        Middleware(
+            Guard,
+            routes=app.routes,
+            keys=keys,
+            lanes=lanes,
+            policy=settings.keys,
+            host=settings.host,
+            open_paths=("/metrics",) if settings.open_metrics else (),
+        ),
+        Middleware(ProbesOnly),
+        Middleware(ConcurrencyLimited, max_of_client=max(_MIN_UNDER_WAY, settings.max_connections // 4)),
+        Middleware(RateLimited, keys=keys),
+        Middleware(SlowBodies, silence_s=settings.slow_client_timeout_s),
+        Middleware(FramesFirst, busy=lambda scope: scope["app"].state.rholoc.frames.compute.busy),
+        Middleware(JsonBodies, max_bytes=settings.max_json_bytes),
+    ]
+
+
+def _begin(state: State) -> list[asyncio.Task[None]]:
+    """Start what works in the background; returns the tasks to cancel at the end."""
+    state.operation.watch.start()
+    state.frames.learner.start()
+    if state.operation.worker is not None:
+        state.operation.worker.start()
+    return [asyncio.create_task(clean_up_regularly(state)), asyncio.create_task(follow_keys(state))]
+
+
+async def _end(state: State) -> None:
+    """Stop what works in the background, and close the stores."""
+    parts = state.operation
+    if parts.worker is not None:
+        parts.worker.stop()
+    parts.watch.stop()
+    state.frames.compute.close()
+    state.frames.learner.close()
+    await state.renderings.close()
+    parts.readiness.close()
+    parts.lanes.close()
+    state.jobs.sync.close()
+    parts.stores.close()
 
 
 def _start(
@@ -175,13 +187,13 @@ def _start(
     _open(settings, stores)
     keys.refresh()
     library, recordings = stores.library, stores.recordings
-    jobs = JobQueue(settings.data_dir, settings.jobs_database, recordings, engine=stores.engine)
+    jobs = JobQueue(recordings)
     uploads = UploadStore(
         recordings, jobs, settings.upload_expires_s, settings.max_upload_files, settings.max_unfinished_uploads
     )
     queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
     learner = Learner(queries, settings, stores.documents(ASKERS))
-    sites = SiteLibrary(settings.maps_dir, stores.documents(SITES))
+    sites = SiteLibrary(stores.documents(SITES))
     finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
     compute = ComputePool(settings.concurrency, settings.queue_length)
     frames = Answerer(
@@ -201,11 +213,11 @@ def _start(
     streams = OpenStreams(keys, *stream_limits(settings.max_streams, settings.max_connections))
     readiness = Readings(settings, jobs, stores)
     _measure(metrics, readiness, frames, streams)
-    worker = _worker(settings, jobs) if settings.worker else None
+    worker = EmbeddedWorker(settings.worker_setup, jobs) if settings.worker else None
     return State(
         settings=settings,
         maps=AsyncMaps(library, queries, settings, lanes),
-        cameras=AsyncCameras(CameraLibrary(settings.maps_dir, stores.documents(CAMERAS)), lanes),
+        cameras=AsyncCameras(CameraLibrary(stores.documents(CAMERAS)), lanes),
         sites=AsyncSites(sites, lanes),
         recordings=AsyncRecordings(recordings, uploads, jobs, lanes),
         jobs=AsyncJobs(jobs, async_quotas, lanes),
@@ -247,18 +259,6 @@ def _measure(metrics: Metrics, known: Readings, frames: Answerer, streams: OpenS
     metrics.gauge("rholoc_maps", present, "state", frames.finder.counts)
     counted = lambda: {str(kind): streams.count(kind) for kind in StreamKind}  # noqa: E731
     metrics.gauge("rholoc_streams", "Streams that are open", "kind", counted)
-
-
-def _worker(settings: Settings, jobs: JobQueue) -> EmbeddedWorker:
-    return EmbeddedWorker(
-        settings.data_dir,
-        settings.maps_dir,
-        settings.jobs_database,
-        settings.job_limits,
-        settings.shared_storage,
-        settings.worker_capacity,
-        jobs,
-    )
 
 
 async def _answer_error(request: Request, error: Exception) -> JSONResponse:

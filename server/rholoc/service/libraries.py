@@ -14,24 +14,23 @@ from pathlib import Path
 
 from rholoc.errors import Conflict, InvalidMap, UnknownMap, UnknownRecording
 from rholoc.exports import ExportFormat
-from rholoc.jobs import (
+from rholoc.jobs import Job, JobKind, JobOptions, JobQueue, UploadStore
+from rholoc.library import (
     WAYPOINTS_FILE,
-    Job,
-    JobKind,
-    JobOptions,
-    JobQueue,
+    CameraLibrary,
     KeptQueries,
+    MapLibrary,
     PendingRecording,
     QueryStore,
     RecordedWaypoint,
     RecordingEntry,
     RecordingStore,
-    UploadStore,
+    SiteLibrary,
     read_notes,
     waypoints_file,
 )
 from rholoc.mapping import MIN_QUERIES, set_floor_plan, too_few_queries
-from rholoc.maps import CameraLibrary, FloorPlan, Map, MapInfo, MapLibrary, SiteLibrary, check_memory
+from rholoc.maps import FloorPlan, Map, MapInfo, check_memory
 from rholoc.service.access.audit import AuditLog
 from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.access.quotas import Quotas, Usage

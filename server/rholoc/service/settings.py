@@ -11,10 +11,12 @@ from pathlib import Path
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from rholoc.jobs import BuildLimits, Capacity, Stores
+from rholoc.jobs import Capacity
+from rholoc.library import Stores
 from rholoc.localization import MIN_RECOGNIZED
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
+from rholoc.worker import BuildLimits, WorkerSetup
 
 
 class KeyPolicy(StrEnum):
@@ -194,14 +196,16 @@ class Settings(BaseSettings):
     )
 
     @property
-    def job_limits(self) -> BuildLimits:
-        """What one mapping job may take."""
-        return BuildLimits(self.job_time_limit_s, self.job_memory_gib * 2**30, self.max_video_pixels)
-
-    @property
-    def worker_capacity(self) -> Capacity:
-        """How much a worker takes on."""
-        return Capacity(self.worker_jobs, self.worker_memory_gib * 2**30)
+    def worker_setup(self) -> WorkerSetup:
+        """Where this service's workers work, and how much they take on."""
+        return WorkerSetup(
+            self.data_dir,
+            self.maps_dir,
+            self.jobs_database,
+            self.shared_storage,
+            Capacity(self.worker_jobs, self.worker_memory_gib * 2**30),
+            BuildLimits(self.job_time_limit_s, self.job_memory_gib * 2**30, self.max_video_pixels),
+        )
 
     def stores(self) -> Stores:
         """The service's stores, not opened.

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from rholoc.jobs import EmbeddedWorker, Stores
+from rholoc.library import Stores
 from rholoc.service.access.open_streams import OpenStreams
 from rholoc.service.frames.answerer import Answerer
 from rholoc.service.http.bodies import HeldBodies
@@ -29,6 +29,7 @@ from rholoc.service.maps.renderings import Renderings
 from rholoc.service.operate.health_readings import Readings
 from rholoc.service.settings import Settings
 from rholoc.service.threads.storage import StorageLanes
+from rholoc.worker import EmbeddedWorker
 
 
 @dataclass(frozen=True)

@@ -22,16 +22,12 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from rholoc import telemetry
 from rholoc.disk import reporting_full_disk, storage_full
 from rholoc.errors import Conflict, InvalidInput, RholocError, StorageUnavailable
-from rholoc.storage.tables import VERSION_TABLE
+from rholoc.storage.schema import prepare_tables
 
-HEAD = "0001"  # the last migration; their numbers are in order as text
 MIN_SQLITE = (3, 38)  # the first version that always has JSON functions
 _BUSY_TIMEOUT_MS = 10_000
 _RETRY_S = 0.02
 _MAX_STATEMENT = 1000  # characters, without values
-_MIGRATIONS = Path(__file__).with_name("migrations")
-_MIGRATION_TIMEOUT_S = 60.0
-_LOCK_NUMBER = 0x72686F6C6F63  # of PostgreSQL's advisory locks: "rholoc"
 _POOL_TIMEOUT_S = 5.0
 _POSTGRES_OPTIONS = {
     "connect_timeout": 3,
@@ -74,7 +70,7 @@ def database_engine(data_dir: Path, database_url: str | None = None) -> sa.Engin
         url = sa.URL.create("sqlite", database=str(Path(data_dir).resolve() / "jobs.sqlite"))
     else:
         url = _postgres_url(database_url)
-    engine = _engine(url, _Migration(url).ensure)
+    engine = _engine(url, _Preparation(url).ensure)
     if telemetry.is_on() or telemetry.wanted():
         _trace_statements(engine)
     return engine
@@ -139,7 +135,7 @@ def _connect_to_postgres(arguments: list[Any], options: dict[str, Any]) -> Any:
     return connection
 
 
-class _Migration:
+class _Preparation:
     """Creates or updates the tables before the first connection of an engine, or before a later one if that failed."""
 
     def __init__(self, url: sa.URL) -> None:
@@ -150,7 +146,7 @@ class _Migration:
         self._failed_s = 0.0
 
     def ensure(self) -> None:
-        """Migrate once. Threads that wait for another one's attempt share its failure."""
+        """Prepare the tables once. Threads that wait for another one's attempt share its failure."""
         if self._done:
             return
         asked_s = time.monotonic()
@@ -160,62 +156,24 @@ class _Migration:
             if self._failure is not None and self._failed_s > asked_s:
                 raise self._failure
             try:
-                _migrate(self._url)
+                _prepare_tables(self._url)
             except Exception as error:
                 self._failure, self._failed_s = error, time.monotonic()
                 raise
             self._done = True
 
 
-def _migrate(url: sa.URL) -> None:
-    """Create or update the tables. If several processes start at once, one migrates and the others wait."""
+def _prepare_tables(url: sa.URL) -> None:
+    """Create or update the tables of a database."""
     if url.get_backend_name() == "sqlite":
         with reporting_full_disk():
             Path(str(url.database)).parent.mkdir(parents=True, exist_ok=True)
     engine = _engine(url, before_connecting=lambda: None)
     try:
-        present = _revision(engine)
-        if present is not None and present > HEAD:
-            raise Conflict(
-                "The database is of a later version of rholoc.", "Update this one, or restore a backup from before."
-            )
-        if present != HEAD:
-            _upgrade(engine)
+        with engine.connect() as connection:
+            prepare_tables(connection)
     finally:
         engine.dispose()
-
-
-def _upgrade(engine: sa.Engine) -> None:
-    from alembic import command  # slow to import, so only when needed
-    from alembic.config import Config
-
-    config = Config()
-    config.set_main_option("script_location", str(_MIGRATIONS))
-    with engine.connect() as connection:
-        _lock(connection)
-        config.attributes["connection"] = connection
-        command.upgrade(config, "head")
-        connection.commit()
-
-
-def _revision(engine: sa.Engine) -> str | None:
-    """Number of the database's last migration; None if it has none."""
-    with engine.connect() as connection:
-        if not sa.inspect(connection).has_table(VERSION_TABLE):
-            return None
-        return connection.execute(sa.select(sa.column("version_num")).select_from(sa.table(VERSION_TABLE))).scalar()
-
-
-def _lock(connection: sa.Connection) -> None:
-    """Keep other processes from migrating until the transaction ends."""
-    if connection.dialect.name == "sqlite":
-        connection.exec_driver_sql("BEGIN IMMEDIATE")
-        return
-    last_s = time.monotonic() + _MIGRATION_TIMEOUT_S
-    while not connection.execute(sa.select(sa.func.pg_try_advisory_xact_lock(_LOCK_NUMBER))).scalar():
-        if time.monotonic() > last_s:
-            raise StorageUnavailable("Another process is still creating the tables.", "Try again later.")
-        time.sleep(_RETRY_S)
 
 
 @contextmanager

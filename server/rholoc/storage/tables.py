@@ -1,15 +1,16 @@
 """The tables of the database: jobs, workers, and the catalogue of stored objects.
 
-Every change of a table is a migration in ``migrations/versions``; a test compares them with this module.
+A change of a table needs an update of older databases (:mod:`rholoc.storage.schema`), which a test opens.
 """
 
 from __future__ import annotations
 
 import sqlalchemy as sa
 
-VERSION_TABLE = "rholoc_schema"  # number of the database's last migration
-
 metadata = sa.MetaData()
+
+# One row: the number of the schema.
+schema_table = sa.Table("rholoc_schema", metadata, sa.Column("version_num", sa.String(32), nullable=False))
 
 jobs_table = sa.Table(
     "rholoc_jobs",

@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice, zip_longest
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from rholoc.features.picture_vectors import PictureVectors
 from rholoc.geometry import ByteArray, FloatArray
 from rholoc.localization.index.view_index import LikelyMap, ViewIndex, view_descriptors
 from rholoc.localization.index.view_store import Model, StoredViews, ViewStore
-from rholoc.maps import Map, MapLibrary, load_map
+from rholoc.maps import Map, load_map
 
 VECTORS_FILE = Path("index") / "views.sqlite"
 """Where a server keeps the vectors, in its folder of data."""
@@ -38,6 +39,31 @@ _TICK_NS = 2 * 10**9
 _SEED = 1
 
 
+class _FileState(Protocol):
+    @property
+    def signature(self) -> tuple[int, int, int]: ...
+
+
+class MapFiles(Protocol):
+    """Maps by name, as far as they are read here. :class:`rholoc.library.MapLibrary` is one."""
+
+    def names(self) -> list[str]:
+        """The names of all maps, sorted."""
+        ...
+
+    def stat(self, name: str) -> _FileState:
+        """State of a map's file; its signature changes whenever the file is replaced. Raises UnknownMap."""
+        ...
+
+    def path(self, name: str) -> Path:
+        """A map's file on this machine. Raises UnknownMap, StorageUnavailable, StorageFull."""
+        ...
+
+    def stamp(self) -> int | None:
+        """Value that changes whenever a map is published, renamed or deleted; None if unknown."""
+        ...
+
+
 class MapFinder:
     """Find the maps of a library that may show a picture. Thread-safe, except that one thread alone calls
     :meth:`refresh`.
@@ -47,7 +73,7 @@ class MapFinder:
         file: where to keep view vectors; None keeps them in memory.
     """
 
-    def __init__(self, library: MapLibrary, file: Path | None = None) -> None:
+    def __init__(self, library: MapFiles, file: Path | None = None) -> None:
         self._library = library
         self._store = ViewStore(file)
         self._indexes: dict[str, ViewIndex] = {}

@@ -23,19 +23,18 @@ from safetensors.numpy import save
 from rholoc.density import FORMS, Densities, DensityKind
 from rholoc.disk import replace_file
 from rholoc.errors import InvalidMap, UnknownMap
-from rholoc.geometry import FloatArray, IntArray, Lens, poses_from_rows, rows_from_poses
+from rholoc.geometry import FloatArray, IntArray, poses_from_rows, rows_from_poses
 from rholoc.maps.cloud import Cloud
+from rholoc.maps.formats.patch_bytes import packed_patches, unpacked_patches
 from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.kept_observations import packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapTable, MapViews
-from rholoc.maps.patch_bytes import packed_patches, unpacked_patches
 from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
 FORMAT = "rholoc-map"
 FORMAT_VERSION = 2
-_LENS_VERSION = 3  # of maps with cameras other than pinholes, to stop earlier programs
 
 _CHECKSUM_BYTES = 16
 _HINT = "Take another copy, or build the map again."
@@ -171,7 +170,7 @@ def map_to_bytes(map_: Map) -> bytes:
     info = info_to_json(map_.info)
     metadata = {
         "format": FORMAT,
-        "format_version": str(_format_version(map_.info)),
+        "format_version": str(FORMAT_VERSION),
         "info": info,
         "checksum": _checksum(info, arrays),
     }
@@ -287,17 +286,11 @@ def _check_format(called: str, metadata: Mapping[str, str]) -> None:
     if metadata.get("format") != FORMAT:
         raise InvalidMap(f"{called} is not a rholoc map.", "Give a .rho file.")
     version = metadata.get("format_version", "")
-    if version not in (str(FORMAT_VERSION), str(_LENS_VERSION)):
+    if version != str(FORMAT_VERSION):
         raise InvalidMap(
-            f"{called} has format version {version}; this rholoc reads {FORMAT_VERSION} and {_LENS_VERSION}.",
+            f"{called} has format version {version}; this rholoc reads {FORMAT_VERSION}.",
             "Update rholoc, or build the map again.",
         )
-
-
-def _format_version(info: MapInfo) -> int:
-    """Lowest format version that supports the map."""
-    cameras = (info.camera, *source_cameras(info))
-    return FORMAT_VERSION if all(camera.lens is Lens.PINHOLE for camera in cameras) else _LENS_VERSION
 
 
 def _packed(map_: Map) -> Arrays:

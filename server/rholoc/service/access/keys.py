@@ -14,7 +14,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from rholoc.errors import Busy, Conflict, InvalidName, NotFound
-from rholoc.maps import Documents, FolderDocuments
+from rholoc.library import Documents, FolderDocuments
 from rholoc.service.errors import QuotaExceeded
 
 HANDED_PREFIX = "handed-"  # of the names of handed-on keys
@@ -108,12 +108,11 @@ class KeyStore:
     :meth:`refresh` updates; all other methods read the files.
 
     Args:
-        data_dir: folder of the keys.
-        files: used instead of ``data_dir``.
+        files: of the keys; or the folder of data, in which they are ``keys/SHA256``.
     """
 
-    def __init__(self, data_dir: Path, files: Documents | None = None) -> None:
-        self._files = files or FolderDocuments(Path(data_dir) / FOLDER, mode=0o700)
+    def __init__(self, files: Path | Documents) -> None:
+        self._files = FolderDocuments(files / FOLDER, mode=0o700) if isinstance(files, Path) else files
         self._known: dict[str, ApiKey] | None = None
         self._stamp: object = None
         self._reading = threading.Lock()

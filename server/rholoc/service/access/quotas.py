@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager, nullcontext, suppress
 from dataclasses import dataclass
 
 from rholoc.errors import UnknownMap, UnknownRecording
-from rholoc.jobs import JobQueue, RecordingStore, UploadStore
-from rholoc.maps import MapLibrary
+from rholoc.jobs import JobQueue, UploadStore
+from rholoc.library import MapLibrary, RecordingStore
 from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.errors import QuotaExceeded
 from rholoc.storage.holdings import Holding, Holdings, Kind

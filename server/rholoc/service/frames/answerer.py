@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from rholoc.errors import DeadlineExceeded, RholocError, StorageUnavailable
+from rholoc.library import MapLibrary, SiteLibrary
 from rholoc.localization import AnyLocalizer, MapFinder
-from rholoc.maps import MapLibrary, SiteLibrary
 from rholoc.service.caller import ASKER
 from rholoc.service.frames.answers import LocalizationOut, PlacesOut, late_answer
 from rholoc.service.frames.landscape import LandscapeOut, landscape_of
@@ -21,8 +21,8 @@ from rholoc.service.frames.queries import Frame
 from rholoc.service.frames.several_frames import Frames, localize_frames
 from rholoc.service.frames.single_frame import likeliest_places, localize_frame
 from rholoc.service.frames.site_answers import in_site
-from rholoc.service.frames.stopwatch import Stopwatch, frame_deadline_s
 from rholoc.service.http.metrics import Metrics
+from rholoc.service.http.stopwatch import Stopwatch, frame_deadline_s
 from rholoc.service.settings import Settings
 from rholoc.service.threads.compute import ComputePool, Effort
 from rholoc.service.threads.storage import StorageLanes

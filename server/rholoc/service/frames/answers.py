@@ -10,8 +10,8 @@ from pydantic import Field
 from rholoc.geometry import FloatArray, Pose
 from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Cause, Localization, Reason
 from rholoc.maps import areas_at, points_near, trust_of
-from rholoc.service.frames.stopwatch import Stopwatch
 from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.trajectory import Scale
 
 

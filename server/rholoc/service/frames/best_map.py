@@ -13,7 +13,7 @@ from rholoc.features import Extractor, FeatureSet
 from rholoc.localization import AnyLocalizer
 from rholoc.service.frames.localizers import LocalizerSource, MapNotHereError
 from rholoc.service.frames.map_choice import Candidates, MapChoice
-from rholoc.service.frames.stopwatch import Stopwatch
+from rholoc.service.http.stopwatch import Stopwatch
 
 T = TypeVar("T")
 _log = structlog.get_logger("rholoc.service")

@@ -15,7 +15,7 @@ from rholoc.geometry import ByteArray
 from rholoc.lazy import lazy
 from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image, image_size
 from rholoc.service.frames.queries import Frame, feature_set
-from rholoc.service.frames.stopwatch import Stopwatch
+from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.service.settings import Settings
 
 

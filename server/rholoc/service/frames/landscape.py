@@ -13,8 +13,8 @@ from rholoc.service.frames.answers import PoseOut, pose_out
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.queries import Frame, camera_for, gravity_of, prior_of
-from rholoc.service.frames.stopwatch import Stopwatch, frame_deadline_s
 from rholoc.service.http.models import AnswerModel
+from rholoc.service.http.stopwatch import Stopwatch, frame_deadline_s
 from rholoc.service.settings import Settings
 from rholoc.trajectory import Scale
 

@@ -16,10 +16,9 @@ import structlog
 from rholoc.errors import RholocError
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import Camera
-from rholoc.jobs import QueryStore
+from rholoc.library import Documents, QueryStore
 from rholoc.localization import Localization
 from rholoc.mapping import AnsweredQuery
-from rholoc.maps import Documents
 from rholoc.service.access.keys import HANDED_PREFIX
 from rholoc.service.settings import Settings
 from rholoc.service.threads.compute import lower_priority

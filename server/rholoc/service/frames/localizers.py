@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 from typing import Protocol
 
+from rholoc.library import MapLibrary
 from rholoc.localization import AnyLocalizer, localizer_of
-from rholoc.maps import Map, MapLibrary, check_usable
+from rholoc.maps import Map, check_usable
 
 
 class MapNotHereError(Exception):

@@ -27,7 +27,7 @@ from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame, camera_for, direction, finite, gravity_of, max_sigmas
 from rholoc.service.frames.requests import FrameIn, FramesQuery, LocalizeOptions
-from rholoc.service.frames.stopwatch import Stopwatch
+from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.service.settings import Settings
 
 

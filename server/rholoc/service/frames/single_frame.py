@@ -21,7 +21,7 @@ from rholoc.service.frames.learning import Lesson, Listener
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.map_choice import CONCLUSIVE, Candidates, MapChoice
 from rholoc.service.frames.queries import Frame, camera_for, gravity_of, max_sigmas, prior_of
-from rholoc.service.frames.stopwatch import Stopwatch, frame_deadline_s
+from rholoc.service.http.stopwatch import Stopwatch, frame_deadline_s
 from rholoc.service.settings import Settings
 
 _Answered = tuple[str, AnyLocalizer, Localization]  # map, its localizer, its answer

@@ -6,8 +6,9 @@ import numpy as np
 
 from rholoc.errors import InvalidInput, NotFound
 from rholoc.geometry import Pose
+from rholoc.library import SiteLibrary
 from rholoc.mapping import pose_in_site
-from rholoc.maps import Site, SiteLibrary, SiteMap
+from rholoc.maps import Site, SiteMap
 from rholoc.service.frames.answers import EarthOut, LocalizationOut, SitePoseOut
 
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])

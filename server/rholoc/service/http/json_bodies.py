@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rholoc.errors import TooLarge
-from rholoc.maps.json_values import MAX_VALUES, check_json_value
+from rholoc.reports.json_values import MAX_VALUES, check_json_value
 from rholoc.service.access.scopes import found_route
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.http.bodies import PieceListener, read_body
@@ -87,7 +87,7 @@ def check_json(body: bytes, limits: JsonLimits) -> None:
 
     Raises:
         TooLarge: see :meth:`JsonLimits.check`.
-        InvalidRequest: it is not JSON, or what :func:`rholoc.maps.json_values.check_json_value` refuses.
+        InvalidRequest: it is not JSON, or what :func:`rholoc.reports.json_values.check_json_value` refuses.
     """
     limits.check(body)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from rholoc.errors import RholocError, UnknownMap
+from rholoc.library import MapLibrary
 from rholoc.mapping import levelled
 from rholoc.maps import (
     Correction,
@@ -13,7 +14,6 @@ from rholoc.maps import (
     Map,
     MapInfo,
     MapLabels,
-    MapLibrary,
     MapNames,
     MapOutline,
     MapWaypoint,

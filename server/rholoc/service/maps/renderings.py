@@ -15,8 +15,8 @@ from pathlib import Path
 
 from rholoc import __version__
 from rholoc.errors import Busy, InvalidMap, RholocError, StorageFull
-from rholoc.maps import MapLibrary
-from rholoc.maps.catalogue import MapFile
+from rholoc.library import MapLibrary
+from rholoc.library.map_catalogue import MapFile
 from rholoc.pictures.rendering import Rendering
 from rholoc.processes import AsyncProgram
 from rholoc.service.threads.storage import StorageLanes
@@ -64,7 +64,7 @@ class Renderings:
         """The tag of a rendering, whether or not it has been made yet.
 
         Raises:
-            InvalidName, UnknownMap: as :meth:`rholoc.maps.MapLibrary.stat`.
+            InvalidName, UnknownMap: as :meth:`rholoc.library.MapLibrary.stat`.
         """
         return etag_of(self._library.stat(name), kind)
 

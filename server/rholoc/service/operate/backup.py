@@ -23,11 +23,10 @@ from uuid import uuid4
 from rholoc import __version__
 from rholoc.disk import reporting_full_disk, sync_folder, temporary_folder
 from rholoc.errors import Conflict, InvalidInput, MissingObject, UnknownRecording
-from rholoc.jobs import ImportedData, RecordingStore, Stores, import_data
-from rholoc.jobs.recording_store import ENTRY_FILE
-from rholoc.jobs.stores import CAMERAS, KEYS, SITES, documents_folder
-from rholoc.maps import FolderDocuments, MapLibrary
-from rholoc.maps.map_folder import place_of
+from rholoc.library import FolderDocuments, ImportedData, MapLibrary, RecordingStore, Stores, import_data
+from rholoc.library.map_folder import place_of
+from rholoc.library.recordings import ENTRY_FILE
+from rholoc.library.stores import CAMERAS, KEYS, SITES, documents_folder
 
 _FORMAT, _FORMAT_VERSION = "rholoc-backup", 1
 _MANIFEST = "manifest.json"

@@ -15,9 +15,9 @@ from uuid import uuid4
 from packaging.requirements import InvalidRequirement, Requirement
 
 from rholoc.errors import InvalidMap, InvalidRecording, RholocError
-from rholoc.jobs import JobQueue, Stores
-from rholoc.jobs.stores import SITES
-from rholoc.maps import SiteLibrary
+from rholoc.jobs import JobQueue
+from rholoc.library import SiteLibrary, Stores
+from rholoc.library.stores import SITES
 from rholoc.pictures.style import missing_fonts
 from rholoc.processes import machine_memory_bytes
 from rholoc.recordings.frames.video import read_video
@@ -130,7 +130,7 @@ def _maps_in(stores: Stores) -> _Found:
             yield Level.ERROR, f"The map {name} cannot be read: {error.message}", hint
     if not broken:
         yield Level.OK, f"{len(names)} maps" + (" in shared storage, which answers." if stores.are_shared else ".")
-    sites = SiteLibrary(stores.maps_dir, stores.documents(SITES))
+    sites = SiteLibrary(stores.documents(SITES))
     for name in sites.names():
         try:
             gone = [one.map for one in sites.get(name).maps if one.map not in set(names)]
@@ -147,7 +147,7 @@ def _jobs(settings: Settings) -> _Found:
     if not settings.data_dir.is_dir():
         yield Level.OK, "There is no database of jobs yet; the first start creates it."
         return
-    queue = JobQueue(settings.data_dir, settings.jobs_database)
+    queue = JobQueue(settings.stores().recordings)
     try:
         queue.check()
         begun = time.perf_counter()

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from rholoc.errors import StorageUnavailable
-from rholoc.jobs import JobQueue, Stores
+from rholoc.jobs import JobQueue
+from rholoc.library import Stores
 from rholoc.service.settings import Settings
 from rholoc.storage import ObjectStorage
 

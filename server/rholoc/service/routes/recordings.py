@@ -20,14 +20,8 @@ from rholoc.errors import (
     UnknownPicture,
     UnknownRecording,
 )
-from rholoc.jobs import (
-    JobOptions,
-    PendingRecording,
-    RecordedWaypoint,
-    corrected_waypoints,
-    read_notes,
-    read_thumbnail,
-)
+from rholoc.jobs import JobOptions
+from rholoc.library import PendingRecording, RecordedWaypoint, corrected_waypoints, read_notes, read_thumbnail
 from rholoc.recordings import (
     START_BYTES,
     ZIP_SUFFIX,

@@ -26,9 +26,9 @@ from rholoc.service.frames.answers import LocalizationOut, PlacesOut
 from rholoc.service.frames.landscape import LandscapeOut
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
-from rholoc.service.frames.stopwatch import Stopwatch
 from rholoc.service.http.models import EXAMPLES
 from rholoc.service.http.openapi import BINARY, declared, reference, request_body
+from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.service.routes.frames.reading import Options, read_frame, read_frames
 from rholoc.service.routes.frames.which_maps import MapNames, Requested, named_maps
 from rholoc.service.state import Service

@@ -25,8 +25,8 @@ from rholoc.service.frames.answers import LocalizationOut, PoseOut
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame, camera_for, effort_of
 from rholoc.service.frames.requests import LocalizeOptions, PriorIn
-from rholoc.service.frames.stopwatch import Stopwatch
 from rholoc.service.http.json_bodies import JsonLimits, check_json
+from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.service.routes.frames.track_messages import Begin, Begun, FrameMessage, TrackedOut
 from rholoc.service.state import State
 from rholoc.trajectory import Scale

@@ -1,0 +1,431 @@
+"""The client: each method's request is sent, again if need be, and its answer read."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Generator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+import httpx
+
+from rholoc_client import _calls
+from rholoc_client._calls import Call, Maps, Outcome, camera_text, headers, localize_options, request, result_of
+from rholoc_client._images import ImageLike
+from rholoc_client._retry import Attempts, Backoff
+from rholoc_client._uploads import (
+    UploadProgress,
+    content_of,
+    map_upload_steps,
+    opened_recording,
+    recording_fields,
+    upload_steps,
+)
+from rholoc_client._waiting import JobProgress, deadline_of, next_look_s, published
+from rholoc_client.errors import RholocClientError
+from rholoc_client.models import (
+    Camera,
+    CameraProfile,
+    Features,
+    Frame,
+    Job,
+    Localization,
+    MapSummary,
+    Place,
+    Prior,
+    Site,
+    Vector3,
+)
+
+T = TypeVar("T")
+
+
+class AsyncClient:
+    """The service. Use it in a ``with`` statement.
+
+    :class:`Client` blocks until the service answers and is safe to share between threads. :class:`AsyncClient` is for
+    asyncio, with ``async with`` and ``await``.
+
+    Args:
+        base_url: where the service is, ``http://host:port``.
+        api_key: sent as a bearer token, where the service requires one.
+        timeout_s: how long to wait for a connection, and for each piece of an answer; for an answer that the service
+            works on, so much longer than a request's ``deadline_ms``, or than the minutes that the work may take.
+        retries: how often to ask again when the service is busy, or when the connection failed and asking twice
+            does no harm; with exponential back-off, jitter, and the service's ``Retry-After``.
+        transport: an httpx transport to use instead of the network.
+
+    Every method raises :class:`ConnectionFailed`, :class:`InvalidAnswer`, or the :class:`ServiceError` that the
+    service answered with.
+    """
+
+    def __init__(
+        self,
+        base_url: str,
+        api_key: str | None = None,
+        timeout_s: float | None = 10.0,
+        retries: int = 4,
+        transport: httpx.AsyncBaseTransport | None = None,
+    ) -> None:
+        self._http = httpx.AsyncClient(
+            base_url=base_url, headers=headers(api_key), timeout=timeout_s, transport=transport
+        )
+        self._backoff = Backoff(retries)
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._http.aclose()
+
+    async def localize(
+        self,
+        maps: Maps,
+        image: ImageLike,
+        *,
+        camera: Camera | str | None = None,
+        prior: Prior | None = None,
+        dof: int | str | None = None,
+        gravity: Vector3 | None = None,
+        deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
+        intrinsics: str | None = None,
+        with_matches: bool = False,
+    ) -> Localization:
+        """Where a picture was taken. "No pose" is an answer: look at ``localized``.
+
+        Args:
+            maps: a map's name; or several names, :class:`OfSite`, :class:`NearPlace`, or None for all: the most
+                confident answer is returned.
+            image: a JPEG or PNG as bytes or by its path, or an array (H, W, 3) BGR or (H, W) grey of uint8.
+            camera: the picture's intrinsics, or a stored camera's name; None: the map's own, where they fit.
+            prior: where the pose is expected.
+            dof: "auto" (the service's default: 6, roll being improbable where the map's own views were upright), 5 (the
+                camera does not roll) or 6.
+            gravity: the direction of gravity (down) in the camera frame.
+            deadline_ms: how long the service may take.
+            max_sigma_m: the position's greatest standard deviation along any axis that is of use to you; a pose that is
+                less exact is withheld.
+            max_sigma_deg: the rotation's, likewise.
+            intrinsics: "unknown" if the camera is not known; the answer's ``camera`` is then the estimated one.
+            with_matches: whether the answer's ``agreeing`` lists the matches that agree with the pose.
+        """
+        options = localize_options(
+            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
+        )
+        return await self._send(_calls.localize_image(maps, image, options))
+
+    async def localize_together(
+        self,
+        maps: Maps,
+        frames: Sequence[Frame],
+        *,
+        camera: Camera | str | None = None,
+        dof: int | str | None = None,
+        sigma_m: float | None = None,
+        sigma_deg: float | None = None,
+        deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
+    ) -> Localization:
+        """Where several frames were taken, whose poses relative to each other are known: one answer for all.
+
+        Args:
+            maps: a map's name; or several names, :class:`OfSite`, :class:`NearPlace`, or None for all: the most
+                confident answer is returned.
+            frames: 2 to 10 of them: of a rig, or of one camera with its own odometry.
+            camera: the intrinsics of the frames that have none of their own, or a stored camera's name.
+            dof: as for one frame.
+            sigma_m: one sigma of a frame's position as its predecessor sees it; None: 5 mm, a rig's.
+            sigma_deg: one sigma of its rotation in degrees; None: 0.2.
+            deadline_ms: how long the service may take.
+            max_sigma_m: the position's greatest standard deviation along any axis that is of use to you; a pose that is
+                less exact is withheld.
+            max_sigma_deg: the rotation's, likewise.
+        """
+        return await self._send(
+            _calls.localize_frames(
+                maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms, max_sigma_m, max_sigma_deg
+            )
+        )
+
+    async def places(self, maps: str | Sequence[str] | None, image: ImageLike, *, limit: int = 10) -> list[Place]:
+        """Which views a picture resembles most, the best match first; without a pose, and faster than with one.
+
+        Args:
+            maps: a map's name; or several names, or None for all.
+            image: as for :meth:`localize`.
+            limit: how many views at most.
+        """
+        return await self._send(_calls.find_places(maps, image, limit))
+
+    async def localize_descriptors(
+        self,
+        maps: Maps,
+        features: Features,
+        *,
+        camera: Camera | str | None = None,
+        prior: Prior | None = None,
+        dof: int | str | None = None,
+        gravity: Vector3 | None = None,
+        deadline_ms: float | None = None,
+        max_sigma_m: float | None = None,
+        max_sigma_deg: float | None = None,
+        intrinsics: str | None = None,
+        with_matches: bool = False,
+    ) -> Localization:
+        """Where a picture was taken, from its features alone. Arguments as of :meth:`localize`."""
+        options = localize_options(
+            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
+        )
+        return await self._send(_calls.localize_features(maps, features, options))
+
+    async def maps(self) -> list[MapSummary]:
+        """All maps."""
+        return await self._send(_calls.list_maps())
+
+    async def map(self, name: str) -> MapSummary:
+        """One map."""
+        return await self._send(_calls.get_map(name))
+
+    async def map_report(self, name: str) -> dict[str, Any]:
+        """What the map found out about itself while it was built."""
+        return await self._send(_calls.map_report(name))
+
+    async def map_report_picture(self, name: str) -> bytes:
+        """The map's report as PNG: where it works and where not, how consistent it is, how exact its landmarks are."""
+        return await self._send(_calls.map_report_picture(name))
+
+    async def map_preview(self, name: str) -> bytes:
+        """The map from above, as PNG."""
+        return await self._send(_calls.map_preview(name))
+
+    async def upload_map(self, name: str, source: Path | str | bytes) -> MapSummary:
+        """Publish a map under a name, replacing any map of that name.
+
+        If the answer is lost, the client looks whether a ``.rho`` file arrived, and sends it again if it did not. A
+        CSV is sent once.
+
+        Args:
+            name: the map's.
+            source: a ``.rho`` file or a map as CSV: its path, or its content as bytes.
+        """
+        return await self._run(map_upload_steps(name, content_of(source), self._backoff.retries))
+
+    async def download_map(
+        self, name: str, format: str = "rho", *, degree: int | None = None, features: Sequence[int] | None = None
+    ) -> bytes:
+        """The map's file, or the map for other programs.
+
+        Args:
+            name: the map.
+            format: ``rho``; ``csv``, which can be uploaded again; ``observations``, ``trajectory``: tables; ``ply``,
+                ``vtp``, ``gltf``: landmarks and views; ``surfaces``: where densities peak; ``png``: a picture.
+            degree: of ``csv``: tensor densities fitted with it; None: the map's own densities.
+            features: of ``surfaces``: whose; None: those seen most often.
+        """
+        return await self._send(_calls.download_map(name, format, degree, features))
+
+    async def rename_map(self, name: str, new_name: str) -> MapSummary:
+        """Give a map another name, which must be free."""
+        return await self._send(_calls.rename_map(name, new_name))
+
+    async def update_map(
+        self, name: str, recording: str, *, poses: str | None = None, camera: Camera | str | None = None
+    ) -> Job:
+        """Have a map learn a stored recording, by its id; the job that does so.
+
+        Args:
+            name: the map.
+            recording: the recording's id: :attr:`Job.recording` of the job that its upload started.
+            poses: where frame poses come from; None: the recording's own, else each frame is localized.
+            camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
+        """
+        fields = {"recording": recording, "poses": poses, "camera": camera_text(camera)}
+        return await self._send(_calls.update_map(name, fields))
+
+    async def learn_from_users(self, name: str) -> Job:
+        """Let a map learn from the queries that the service has kept for it; the job that does so."""
+        return await self._send(_calls.learn_from_users(name))
+
+    async def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
+        """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
+        return await self._send(_calls.merge_maps(name, other, into))
+
+    async def forget_recording(self, name: str, source: str) -> MapSummary:
+        """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
+        return await self._send(_calls.forget_recording(name, source))
+
+    async def correct_map(self, name: str, correction: Mapping[str, Any]) -> MapSummary:
+        """Correct a map's frame, scale, extent or names, such as ``{"kind": "origin", "at": [1.2, 0.4, 0]}``.
+
+        The service's ``/docs`` has all kinds. The answer is the map's next version.
+        """
+        return await self._send(_calls.correct_map(name, correction))
+
+    async def restore_map(self, name: str, number: int = 1) -> MapSummary:
+        """Put a map that was replaced back in its place; 1 is the one that was replaced last."""
+        return await self._send(_calls.restore_map(name, number))
+
+    async def cameras(self) -> list[CameraProfile]:
+        """All cameras that are stored under a name."""
+        return await self._send(_calls.list_cameras())
+
+    async def camera(self, name: str) -> CameraProfile:
+        """One stored camera."""
+        return await self._send(_calls.get_camera(name))
+
+    async def put_camera(
+        self, name: str, camera: Camera, calibration: Mapping[str, Any] | None = None
+    ) -> CameraProfile:
+        """Store a camera, including its ``width`` and ``height``, under a name that requests may then use."""
+        return await self._send(_calls.put_camera(name, camera, calibration))
+
+    async def delete_camera(self, name: str) -> None:
+        """Delete a stored camera; maps that were made with it keep it."""
+        await self._send(_calls.delete_camera(name))
+
+    async def sites(self) -> list[Site]:
+        """All sites."""
+        return await self._send(_calls.list_sites())
+
+    async def site(self, name: str) -> Site:
+        """One site: its maps, where they lie, and the links that this follows from."""
+        return await self._send(_calls.get_site(name))
+
+    async def put_site(self, name: str, document: Mapping[str, Any]) -> Site:
+        """Store a site: ``maps``, ``links``, ``earth`` and ``version`` as the service's documentation says.
+
+        Poses of maps that are not given are found from the links.
+        """
+        return await self._send(_calls.put_site(name, document))
+
+    async def find_site_link(self, name: str, first: str, second: str) -> Site:
+        """Find the pose between two maps of a site, by points that both have or by overlap; places the site anew."""
+        return await self._send(_calls.find_site_link(name, first, second))
+
+    async def place_site(self, name: str) -> Job:
+        """Let a job look for links between the maps of a site until all are placed; wait for it as for a map's."""
+        return await self._send(_calls.place_site(name))
+
+    async def delete_site(self, name: str) -> None:
+        """Delete a site; its maps stay."""
+        await self._send(_calls.delete_site(name))
+
+    async def delete_map(self, name: str) -> None:
+        """Delete a map for good."""
+        await self._send(_calls.delete_map(name))
+
+    async def upload_recording(
+        self,
+        path: Path | str,
+        map_name: str,
+        *,
+        kind: str | None = None,
+        features: str | None = None,
+        density: str | None = None,
+        poses: str | None = None,
+        camera: Camera | str | None = None,
+        waypoints: Path | str | None = None,
+        priority: str | None = None,
+        progress: UploadProgress | None = None,
+    ) -> Job:
+        """Upload a recording and have it mapped. If the connection breaks, the upload resumes where it stopped.
+
+        Args:
+            path: a video, a ZIP file, or a recording's folder, which is packed first.
+            map_name: the name of the map to publish.
+            kind: "build" a new map, or "update" the one of that name; None: build.
+            features, density, poses: how to build it; the service's defaults where None.
+            camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
+            waypoints: a CSV file of measured waypoints; in a ZIP file it is ``waypoints.csv``.
+            priority: "high", "normal" or "low": how soon its turn comes; None: normal.
+            progress: called with how many bytes the service has, and how many there are.
+        """
+        fields = recording_fields(map_name, kind, features, density, poses, camera, priority)
+        with opened_recording(path, waypoints) as (name, file):
+            return await self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
+
+    async def jobs(self, before: str | None = None) -> list[Job]:
+        """The newest 500 jobs, the newest first; ``before``: only those older than the job with this id."""
+        return await self._send(_calls.list_jobs(before))
+
+    async def job(self, job_id: str) -> Job:
+        """One job."""
+        return await self._send(_calls.get_job(job_id))
+
+    async def cancel_job(self, job_id: str) -> Job:
+        """End a job; its recording is kept."""
+        return await self._send(_calls.cancel_job(job_id))
+
+    async def retry_job(self, job_id: str) -> Job:
+        """Queue a failed or cancelled job again."""
+        return await self._send(_calls.retry_job(job_id))
+
+    async def prioritize_job(self, job_id: str, priority: str) -> Job:
+        """Change how soon a queued job's turn comes: "high", "normal" or "low"."""
+        return await self._send(_calls.prioritize_job(job_id, priority))
+
+    async def wait_for_job(
+        self,
+        job_id: str,
+        *,
+        timeout_s: float | None = None,
+        poll_s: float = 1.0,
+        progress: JobProgress | None = None,
+    ) -> Job:
+        """Wait until a job has published its map; ``progress`` is called with the job at every poll.
+
+        Raises:
+            JobFailed: it failed or was cancelled.
+            WaitTimedOut: it did not end in ``timeout_s``.
+        """
+        deadline = deadline_of(timeout_s)
+        while True:
+            job = await self.job(job_id)
+            if progress is not None:
+                progress(job)
+            if job.has_ended:
+                return published(job)
+            await asyncio.sleep(next_look_s(job, deadline, poll_s))
+
+    async def readiness(self) -> dict[str, str]:
+        """The service's checks of itself by name: "ok", or what is wrong."""
+        return await self._send(_calls.readiness())
+
+    async def _run(self, steps: Generator[Call[Any], Any, T]) -> T:
+        try:
+            call = next(steps)
+            while True:
+                try:
+                    answer = await self._send(call)
+                except RholocClientError as error:
+                    call = steps.throw(error)
+                else:
+                    call = steps.send(answer)
+        except StopIteration as ended:
+            result: T = ended.value
+            return result
+
+    async def _send(self, call: Call[T]) -> T:
+        attempts = Attempts(self._backoff, call)
+        while True:
+            outcome = await self._attempt(call)
+            wait_s = attempts.wait_s(outcome)
+            if wait_s is None:
+                return result_of(call, outcome)
+            await asyncio.sleep(wait_s)
+
+    async def _attempt(self, call: Call[T]) -> Outcome:
+        try:
+            return await self._http.send(request(self._http, call))
+        except httpx.TransportError as error:
+            return error

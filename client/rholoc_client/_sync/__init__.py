@@ -1,0 +1,1 @@
+"""The blocking client: written by ``client/write_sync.py``."""

@@ -1,0 +1,282 @@
+"""Leases of workers on jobs: a job's row names the worker that has it, and only that worker changes the row."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Collection, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+
+import sqlalchemy as sa
+
+from rholoc.jobs.job import JobOptions, JobState
+from rholoc.jobs.table import JobWork
+from rholoc.progress import Stage
+from rholoc.storage.tables import jobs_table
+
+LOG_LINES = 50
+MAX_LINE_LENGTH = 500  # characters of a job's messages
+MAX_WARNINGS = 20
+_GIVEN_BACK: dict[str, object] = {"state": JobState.QUEUED, "worker": None, "message": "waiting for another worker"}
+
+
+# Approximate share of a job's time in each stage. A job with links has no other stage.
+_SHARES = {
+    Stage.RECEIVED: 0.0,
+    Stage.READ: 0.05,
+    Stage.KEYFRAMES: 0.05,
+    Stage.FEATURES: 0.15,
+    Stage.POSES: 0.40,
+    Stage.OBSERVATIONS: 0.10,
+    Stage.DENSITIES: 0.05,
+    Stage.REPORT: 0.20,
+    Stage.PUBLISHED: 0.0,
+}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a job failed, for its user."""
+
+    code: str
+    message: str
+    hint: str
+
+
+@dataclass(frozen=True)
+class Lease:
+    """A worker's hold on a job. It is lost when the job is cancelled, retried, or taken up by another worker.
+
+    Attributes:
+        job: the job's id.
+        run: id of the job's last submission or retry, also the name of its work folder.
+        attempt: number of workers that have taken the run, including this one.
+    """
+
+    job: str
+    run: str
+    attempt: int
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A job that a worker has taken.
+
+    Attributes:
+        lease: the worker's lease on the job.
+        work: the job's input.
+        memory_bytes: estimated memory; 0 if not known yet.
+        deaths: number of workers that died while they had the job.
+    """
+
+    lease: Lease
+    work: JobWork
+    memory_bytes: int
+    deaths: int = 0
+
+
+class Leases:
+    """The leases on the jobs of a database.
+
+    Args:
+        engine: of the database.
+    """
+
+    def __init__(self, engine: sa.Engine) -> None:
+        self._engine = engine
+
+    def take(self, worker: str, memory_bytes: float = math.inf, free_bytes: float = math.inf) -> Claim | None:
+        """Take the job whose turn it is, of those that fit a worker. Any earlier lease on the job is lost.
+
+        If that job has to wait for free memory, so do all jobs after it; otherwise long walks might wait for ever.
+
+        Args:
+            worker: the worker's id.
+            memory_bytes: the worker's memory for jobs.
+            free_bytes: the free part of it.
+
+        Returns:
+            The job; None if there is none, or another worker was quicker.
+        """
+        fits = [jobs_table.c.state == JobState.QUEUED]
+        if math.isfinite(memory_bytes):
+            fits.append(sa.func.coalesce(jobs_table.c.memory_bytes, 0) <= int(memory_bytes))
+        wanted = sa.select(jobs_table).where(*fits).order_by(jobs_table.c.turn, jobs_table.c.id).limit(1)
+        with self._engine.connect() as connection:
+            row = connection.execute(wanted).mappings().first()
+        if row is None or (row["memory_bytes"] or 0) > free_bytes:
+            return None
+        lease = Lease(row["id"], row["run"], row["attempts"] + 1)
+        taken = {
+            "state": JobState.RUNNING,
+            "worker": worker,
+            "attempts": lease.attempt,
+            "started": row["started"] or time.time(),
+        }
+        as_seen = [jobs_table.c[name] == row[name] for name in ("id", "state", "run", "attempts")]
+        with self._engine.begin() as connection:
+            changed = connection.execute(jobs_table.update().where(*as_seen).values(**taken))
+        if not changed.rowcount:
+            return None
+        work = JobWork(row["recording"], row["map_name"], JobOptions.from_json(row["options"]), row["asked_in"])
+        return Claim(lease, work, row["memory_bytes"] or 0, row["deaths"])
+
+    def held_by(self, worker: str) -> set[Lease]:
+        """The jobs that a worker has."""
+        return self._running(jobs_table.c.worker == worker)
+
+    def held_at(self, process: str) -> set[Lease]:
+        """The jobs of a process's workers. :func:`rholoc.jobs.workers.process_name` names processes."""
+        return self._running(jobs_table.c.worker.startswith(f"{process}-", autoescape=True))
+
+    def take_back(self, living: Collection[str]) -> int:
+        """Requeue jobs whose worker is not in ``living``. Returns their number."""
+        dead = jobs_table.c.worker.not_in(list(living))
+        return sum(self.lose(lease, "its worker died") for lease in self._running(dead))
+
+    def lose(self, lease: Lease, why: str) -> bool:
+        """Requeue a job after its worker's death. Returns False if the lease was lost before."""
+        message = shortened(f"waiting for another worker: {why}")
+        with self._engine.begin() as connection:
+            row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
+            if row is None:
+                return False
+            values = {"deaths": row["deaths"] + 1, "message": message, "log": _appended(row["log"], message)}
+            update = jobs_table.update().where(*_held(lease))
+            return connection.execute(update.values(**{**_GIVEN_BACK, **values})).rowcount > 0
+
+    def _running(self, of: sa.ColumnElement[bool]) -> set[Lease]:
+        found = sa.select(jobs_table).where(jobs_table.c.state == JobState.RUNNING, of)
+        with self._engine.connect() as connection:
+            rows = connection.execute(found).mappings().all()
+        return {Lease(row["id"], row["run"], row["attempts"]) for row in rows}
+
+    def holds(self, lease: Lease) -> bool:
+        """Whether the lease is still valid."""
+        with self._engine.connect() as connection:
+            return connection.execute(sa.select(jobs_table.c.id).where(*_held(lease))).first() is not None
+
+    def note(self, lease: Lease, stage: Stage, fraction: float, message: str) -> None:
+        """Record progress; a new stage or message is added to the log."""
+        message = shortened(message)
+        with self._engine.begin() as connection:
+            row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
+            if row is None:
+                return
+            news = (stage, message) != (row["stage"], row["message"])
+            connection.execute(
+                jobs_table.update()
+                .where(*_held(lease))
+                .values(
+                    stage=stage,
+                    message=message,
+                    progress=max(row["progress"], overall(stage, fraction)),
+                    log=_appended(row["log"], f"{stage}: {message}" if message else stage) if news else row["log"],
+                )
+            )
+
+    def unfinished_runs(self) -> set[str]:
+        """The runs of all jobs that are queued or running."""
+        unfinished = jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
+        with self._engine.connect() as connection:
+            return set(connection.execute(sa.select(jobs_table.c.run).where(unfinished)).scalars())
+
+    def give_back(self, lease: Lease) -> None:
+        """Requeue the job of a worker that stops."""
+        self._update(lease, **_GIVEN_BACK)
+
+    def hand_on(self, lease: Lease, memory_bytes: int) -> bool:
+        """Requeue the job for a worker with ``memory_bytes``. Returns False if the lease was lost before."""
+        return self._update(lease, **_GIVEN_BACK, memory_bytes=memory_bytes)
+
+    def begin_publishing(self, lease: Lease) -> bool:
+        """Make the job uncancellable. Returns False if the lease was lost before."""
+        return self._update(lease, stage=Stage.PUBLISHED, message="publishing")
+
+    def publish(self, lease: Lease, warnings: Sequence[str], connection: sa.Connection | None = None) -> bool:
+        """Record that the job's map is published, and any reasons why it is not to be trusted.
+
+        Args:
+            lease: on the job.
+            warnings: reasons not to trust the map.
+            connection: its transaction is used; None for a new one.
+
+        Returns:
+            Whether the lease was still valid, or this was recorded under it before; otherwise nothing is recorded.
+        """
+        kept = [shortened(warning) for warning in warnings[:MAX_WARNINGS]]
+        lines = [*(f"warning: {warning}" for warning in kept), "published"]
+        values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": kept}
+        ended = self._end(lease, JobState.PUBLISHED, "published", lines, connection, **values)
+        return ended or self._has_published(lease)
+
+    def _has_published(self, lease: Lease) -> bool:
+        found = sa.select(jobs_table.c.id).where(*_held(lease, JobState.PUBLISHED))
+        with self._engine.connect() as connection:
+            return connection.execute(found).first() is not None
+
+    def fail(self, lease: Lease, failure: Failure) -> bool:
+        """Record why the job failed. Returns as :meth:`publish` does."""
+        message = shortened(failure.message)
+        return self._end(
+            lease,
+            JobState.FAILED,
+            message,
+            [f"failed: {message}"],
+            error_code=failure.code,
+            error_message=message,
+            error_hint=shortened(failure.hint),
+        )
+
+    def _end(
+        self,
+        lease: Lease,
+        state: JobState,
+        message: str,
+        lines: Sequence[str],
+        connection: sa.Connection | None = None,
+        **values: object,
+    ) -> bool:
+        with nullcontext(connection) if connection is not None else self._engine.begin() as within:
+            log = within.execute(sa.select(jobs_table.c.log).where(*_held(lease))).scalar()
+            if log is None:
+                return False
+            values |= {"state": state, "message": message, "log": _appended(log, *lines), "ended": time.time()}
+            values["worker"] = None
+            within.execute(jobs_table.update().where(*_held(lease)).values(**values))
+            return True
+
+    def _update(self, lease: Lease, **values: object) -> bool:
+        with self._engine.begin() as connection:
+            return connection.execute(jobs_table.update().where(*_held(lease)).values(**values)).rowcount > 0
+
+
+def shortened(text: str) -> str:
+    """A job's message, cut to the length that is kept and made well-formed UTF-8."""
+    line = text if len(text) <= MAX_LINE_LENGTH else f"{text[: MAX_LINE_LENGTH - 1]}…"
+    return line.encode("utf-8", "replace").decode()
+
+
+def overall(stage: Stage, fraction: float) -> float:
+    """The progress 0..1 over all stages, of ``fraction`` within ``stage``."""
+    within = min(1.0, max(0.0, fraction))
+    if stage is Stage.LINKS:
+        return within
+    stages = list(_SHARES)
+    before = sum(_SHARES[earlier] for earlier in stages[: stages.index(stage)])
+    return min(1.0, before + _SHARES[stage] * within)
+
+
+def _held(lease: Lease, state: JobState = JobState.RUNNING) -> tuple[sa.ColumnElement[bool], ...]:
+    return (
+        jobs_table.c.id == lease.job,
+        jobs_table.c.run == lease.run,
+        jobs_table.c.attempts == lease.attempt,
+        jobs_table.c.state == state,
+    )
+
+
+def _appended(log: list[str], *lines: str) -> list[str]:
+    now = time.strftime("%H:%M:%S", time.gmtime())
+    return [*log, *(f"{now} {line}" for line in lines)][-LOG_LINES:]

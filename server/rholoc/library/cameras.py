@@ -1,0 +1,80 @@
+"""Named cameras: intrinsics that requests and commands refer to by name, kept beside the maps."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+from rholoc.errors import InvalidCamera, InvalidInput, UnknownCamera
+from rholoc.geometry import Camera, Lens
+from rholoc.library.documents import NamedDocuments
+from rholoc.maps.naming import check_name
+from rholoc.reports.json_values import check_json_value
+
+
+@dataclass(frozen=True)
+class CameraProfile:
+    """A camera's intrinsics and their accuracy.
+
+    ``calibration`` is JSON: ``rms_px``, ``views``, ``sigmas_px`` and more if a board calibrated it; else empty.
+    """
+
+    camera: Camera
+    calibration: dict[str, Any] = field(default_factory=dict)
+
+
+class CameraLibrary(NamedDocuments[CameraProfile]):
+    """Camera profiles by name. Errors: UnknownCamera, InvalidCamera.
+
+    The files have the members of a recording's ``camera.json``, and can be used as one.
+    """
+
+    _folder, _kind, _unknown = "cameras", "camera", UnknownCamera
+    _none_yet = "There are none yet: rholoc camera add, or rholoc camera calibrate."
+
+    def put(self, name: str, profile: CameraProfile) -> None:
+        """Store a camera under a name, replacing any of that name.
+
+        Raises:
+            InvalidName, StorageFull, InvalidInput: nothing was replaced.
+        """
+        file_name = self._file_name(name)
+        try:
+            check_json_value(profile.calibration)
+            values = {**profile.camera.to_dict(), "calibration": profile.calibration}
+            text = json.dumps(values, indent=2, allow_nan=False)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise InvalidInput(f"The camera's calibration cannot be stored: {error}.", "Send plain JSON.") from error
+        self._files.write(file_name, f"{text}\n".encode(), called=file_name)
+
+    def named_in(self, text: str | None) -> Camera | str | None:
+        """The stored camera called ``text``; text for :meth:`Camera.parse` is returned unchanged.
+
+        Raises:
+            InvalidName, UnknownCamera, InvalidCamera: as :meth:`get` does.
+        """
+        if text is None or "," in text or text == Lens.EQUIRECTANGULAR:
+            return text
+        return self.get(text).camera
+
+    def _parsed(self, name: str, content: bytes) -> CameraProfile:
+        try:
+            values = json.loads(content.decode())
+            calibration = dict(values.pop("calibration", {}))
+            check_json_value(calibration)
+            return CameraProfile(Camera.from_dict(values), calibration)
+        except (ArithmeticError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise InvalidCamera(f"The file of the camera {name} is broken.", "Calibrate or add it again.") from error
+
+    def _unreadable(self, name: str) -> InvalidInput:
+        return InvalidCamera(f"The camera {name} cannot be read.", "Calibrate or add it again.")
+
+
+def check_camera_name(name: str) -> str:
+    """Return the name of a camera, checked.
+
+    Raises:
+        InvalidName: it is not valid.
+    """
+    return check_name(name, "camera")

@@ -1,0 +1,124 @@
+"""Copy a single server's folders into other stores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from rholoc.errors import InvalidMap
+from rholoc.library.documents import Documents, FolderDocuments
+from rholoc.library.maps import MapLibrary
+from rholoc.library.recordings import ENTRY_FILE, RecordingStore
+from rholoc.library.stores import CAMERAS, KEYS, SITES, Stores, folder_documents
+
+
+@dataclass(frozen=True)
+class ImportedData:
+    """Result of a copy.
+
+    Attributes:
+        maps, cameras, sites, keys, recordings: numbers copied.
+        left: names not copied, because the stores have something of that name.
+        unreadable: maps not copied, because their files are damaged.
+    """
+
+    maps: int
+    cameras: int
+    sites: int
+    keys: int
+    recordings: int
+    left: tuple[str, ...]
+    unreadable: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Thing:
+    """Something to copy.
+
+    Attributes:
+        kind: its kind, in the plural.
+        name: of the thing.
+        present: whether the stores have one of that name.
+        bring: copies the one of that name.
+    """
+
+    kind: str
+    name: str
+    present: bool
+    bring: Callable[[str], None]
+
+
+def import_data(
+    maps_dir: Path, data_dir: Path, stores: Stores, advance: Callable[[float], None] = lambda fraction: None
+) -> ImportedData:
+    """Copy maps with their previous versions, cameras, sites, keys and recordings; the folders stay unchanged.
+
+    Names that the stores have already are skipped, so that an interrupted copy can be repeated.
+
+    Args:
+        maps_dir, data_dir: the folders.
+        stores: open stores to copy to.
+        advance: called with the fraction done, 0..1.
+
+    Raises:
+        StorageUnavailable, StorageFull: the copy is incomplete.
+    """
+    things = [
+        *_maps(MapLibrary(maps_dir), stores.library),
+        *(
+            thing
+            for kind in (CAMERAS, SITES, KEYS)
+            for thing in _documents(kind, folder_documents(kind, maps_dir, data_dir), stores.documents(kind))
+        ),
+        *_recordings(data_dir, stores),
+    ]
+    counts = {"maps": 0, "cameras": 0, "sites": 0, "keys": 0, "recordings": 0}
+    unreadable = []
+    for number, thing in enumerate(things, start=1):
+        if not thing.present:
+            try:
+                thing.bring(thing.name)
+                counts[thing.kind] += 1
+            except InvalidMap:
+                unreadable.append(thing.name)
+        advance(number / len(things))
+    left = tuple(f"{thing.kind}: {thing.name}" for thing in things if thing.present)
+    return ImportedData(**counts, left=left, unreadable=tuple(unreadable))
+
+
+def _maps(folder: MapLibrary, library: MapLibrary) -> Sequence[_Thing]:
+    present = set(library.names())
+
+    def bring(name: str) -> None:
+        for number in sorted(folder.versions(name), reverse=True):
+            with suppress(InvalidMap):
+                library.put_file(name, folder.version_path(name, number))
+        library.put_file(name, folder.path(name))
+
+    return [_Thing("maps", name, name in present, bring) for name in folder.names()]
+
+
+def _documents(kind: str, folder: FolderDocuments, files: Documents) -> Sequence[_Thing]:
+    present = set(files.names())
+
+    def bring(name: str) -> None:
+        files.write(name, folder.read(name))
+
+    return [_Thing(kind, name, name in present, bring) for name in sorted(folder.names())]
+
+
+def _recordings(data_dir: Path, stores: Stores) -> Sequence[_Thing]:
+    if not (data_dir / "recordings").is_dir():
+        return []
+    source, store = RecordingStore(data_dir), stores.recordings
+    source.recover()
+    keys = [one.key.split("/") for one in store.objects.list("recordings")]  # the database may be the source's own
+    present = {recording_id for _, recording_id, *name in keys if name == [ENTRY_FILE]}
+
+    def bring(recording_id: str) -> None:
+        store.take_in(source.root / recording_id, source.get(recording_id))
+        store.note(recording_id, source.notes(recording_id))
+
+    return [_Thing("recordings", one.id, one.id in present, bring) for one in source.list()]

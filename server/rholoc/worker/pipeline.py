@@ -1,0 +1,172 @@
+"""Steps of a job: build a map file from a recording, and publish it."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from rholoc.errors import InvalidMap, UnknownMap
+from rholoc.jobs.capacity import MoreMemoryNeeded, memory_for
+from rholoc.jobs.job import JobKind, JobOptions
+from rholoc.library import CameraLibrary, MapLibrary
+from rholoc.library.queries import QueryStore
+from rholoc.library.recording_notes import WAYPOINTS_FILE, notes_of, write_notes
+from rholoc.mapping import BuildOptions, UpdateOptions, build_map, learn_from_queries, update_map
+from rholoc.maps import Map, load_map, save_map, trust_of
+from rholoc.progress import ProgressListener, Stage
+from rholoc.recordings import MAX_FRAME_PIXELS, Recording, frame_pixels_limited, read_recording
+from rholoc.storage import ObjectStorage
+from rholoc.worker.site_placing import write_links
+
+
+@dataclass(frozen=True)
+class MappingTask:
+    """One job's work.
+
+    Attributes:
+        recording: the uploaded file or folder; None if the job needs none.
+        built_file: output of the build, a map or the links of a site. It exists only once it is complete.
+        maps_dir: folder with maps and cameras for the build.
+        map_name: name to publish the map under; empty if there is none.
+        options: of the job.
+        max_frame_pixels: maximum pixels of a video frame.
+        folder: notes on the recording, and waypoints that replace its own.
+        data_dir: folder of the kept queries to learn from.
+        memory_bytes: memory granted to the job.
+    """
+
+    recording: Path | None
+    built_file: Path
+    maps_dir: Path
+    map_name: str
+    options: JobOptions
+    max_frame_pixels: int = MAX_FRAME_PIXELS
+    folder: Path | None = None
+    data_dir: Path | None = None
+    memory_bytes: float = math.inf
+
+
+class Pipeline(Protocol):
+    """The two steps of a job. Both must be idempotent, because they may be repeated after a crash.
+
+    ``build`` runs in a child process that may be killed at any time, so a pipeline must be picklable.
+    """
+
+    def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
+        """Write ``task.built_file``, atomically; do nothing if it exists.
+
+        Returns:
+            None; or the required memory if that exceeds ``task.memory_bytes``, and nothing was written.
+        """
+        ...
+
+    def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
+        """Put ``task.built_file`` into the library, atomically; do nothing if it is there already.
+
+        Returns:
+            Why the map is not to be trusted, one line each.
+        """
+        ...
+
+
+class MappingPipeline:
+    """The service's pipeline: recording → map → library; kept queries → the map's next version → library; or a site's
+    maps → links, stored by :func:`rholoc.worker.site_placing.store_links`."""
+
+    def build(self, task: MappingTask, progress: ProgressListener) -> MoreMemoryNeeded | None:
+        """Read the recording, build its map or learn it into the existing one, and save the result.
+
+        Reading the recording shows the required memory; if that is too much, the build ends.
+
+        Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map`, ``update_map``,
+            ``learn_from_queries`` or :func:`rholoc.worker.site_placing.write_links` do.
+        """
+        if task.built_file.exists():
+            return None
+        if task.options.kind is JobKind.PLACE:
+            assert task.options.site is not None
+            write_links(task.maps_dir, task.options.site, task.built_file, progress)
+            return None
+        built = _learned(task, progress) if task.options.kind is JobKind.LEARN else _mapped(task, progress)
+        if isinstance(built, MoreMemoryNeeded):
+            return built
+        partial = task.built_file.with_name(f"{os.getpid()}-{task.built_file.name}")
+        save_map(built, partial)
+        partial.replace(task.built_file)
+        return None
+
+    def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
+        """Put the map into the library, unless it is already there.
+
+        Raises:
+            Conflict: the map that was updated is no longer the one in the library.
+            InvalidName, InvalidMap, StorageFull, InvalidInput: as :meth:`rholoc.library.MapLibrary.put_file` does.
+        """
+        map_ = load_map(task.built_file)
+        if _updates(task):
+            library.replace(task.map_name, map_)
+        elif _published_id(library, task.map_name) != map_.info.id:
+            library.put_file(task.map_name, task.built_file)
+        return doubts(map_)
+
+
+def _mapped(task: MappingTask, progress: ProgressListener) -> Map | MoreMemoryNeeded:
+    assert task.recording is not None
+    progress(Stage.READ, 0.0, "reading the recording")
+    camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
+    with frame_pixels_limited(task.max_frame_pixels):
+        recording = read_recording(
+            task.recording, camera, task.options.frames, _corrected(task), workdir=task.built_file.parent
+        )
+        if task.folder is not None and task.options.frames is None and _corrected(task) is None:
+            write_notes(task.folder, notes_of(recording))
+    needed_bytes = memory_for(recording)
+    if needed_bytes > task.memory_bytes:
+        return MoreMemoryNeeded(needed_bytes)
+    return _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
+
+
+def _learned(task: MappingTask, progress: ProgressListener) -> Map:
+    assert task.data_dir is not None
+    progress(Stage.READ, 0.0, "reading the queries")
+    map_ = MapLibrary(task.maps_dir).get(task.map_name)
+    return learn_from_queries(map_, QueryStore(ObjectStorage(task.data_dir)).load(map_.info.id), progress)
+
+
+def _corrected(task: MappingTask) -> Path | None:
+    """File of the waypoints that replace the recording's own; None if they were not corrected."""
+    path = None if task.folder is None else task.folder / WAYPOINTS_FILE
+    return path if path is not None and path.is_file() else None
+
+
+def _updates(task: MappingTask) -> bool:
+    return task.options.kind is not JobKind.BUILD
+
+
+def _built(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
+    poses = task.options.poses or BuildOptions.poses
+    options = BuildOptions(
+        density=task.options.density, features=task.options.features, poses=poses, pictures=task.options.pictures
+    )
+    return build_map([recording], options, progress)
+
+
+def _updated(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
+    map_ = MapLibrary(task.maps_dir).get(task.map_name)
+    return update_map(map_, recording, UpdateOptions(task.options.poses, pictures=task.options.pictures), progress)
+
+
+def doubts(map_: Map) -> tuple[str, ...]:
+    """Reasons not to trust a map's frame poses; empty if they are trusted."""
+    trust = trust_of(map_.info)
+    return tuple(f"The frame poses are not trusted: {why}" for why in trust.reasons if trust.trusted is False)
+
+
+def _published_id(library: MapLibrary, name: str) -> str | None:
+    try:
+        return library.get(name).info.id
+    except (UnknownMap, InvalidMap):
+        return None

@@ -1,0 +1,164 @@
+"""A worker: takes jobs from the queue and runs them, and requeues the jobs of dead workers.
+
+A job's row is its lease (:mod:`rholoc.jobs.leases`). A worker takes the next job that fits its memory by changing that
+row. Each step of a job writes a file, so that a repeated step does nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from types import FrameType
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from rholoc import telemetry
+from rholoc.errors import RholocError, StorageFull, StorageUnavailable
+from rholoc.jobs.leases import Claim, Leases
+from rholoc.jobs.workers import WorkerTable, process_name
+from rholoc.library.stores import Stores
+from rholoc.worker.claims import Claims
+from rholoc.worker.heartbeat import Heartbeat
+from rholoc.worker.job_runner import JobRunner
+from rholoc.worker.pipeline import MappingPipeline, Pipeline
+from rholoc.worker.setup import WorkerSetup
+from rholoc.worker.timing import Timing
+from rholoc.worker.workplace import Workplace
+
+_log = logging.getLogger("rholoc.worker")
+
+_END_TAKES_S = 5.0  # of a job's thread, after its build was killed
+
+
+class Worker:
+    """A worker. Database and storage are first accessed in :meth:`start`.
+
+    Args:
+        setup: where it works.
+        pipeline: how maps are built and published.
+        timing: intervals and timeouts.
+    """
+
+    def __init__(self, setup: WorkerSetup, pipeline: Pipeline | None = None, timing: Timing | None = None) -> None:
+        self.id = f"{process_name()}-{uuid.uuid4().hex[:8]}"
+        self._timing = timing or Timing()
+        self._stopping = threading.Event()
+        self._stores = Stores(setup.maps_dir.resolve(), setup.data_dir.resolve(), setup.database_url, setup.storage_url)
+        self._leases, workers = Leases(self._stores.engine), WorkerTable(self._stores.engine)
+        self._workplace = Workplace(self._stores, setup.limits.frame_pixels)
+        self._claims = Claims(setup.capacity, setup.limits.memory_bytes)
+        self._heartbeat = Heartbeat(self.id, self._leases, workers, self._claims, self._timing)
+        self._runner = JobRunner(
+            self._leases,
+            workers,
+            self._workplace,
+            pipeline or MappingPipeline(),
+            self._claims,
+            setup.limits,
+            self._timing,
+            self._stopping,
+        )
+        self._threads = [
+            self._repeating(self._heartbeat.beat, self._timing.heartbeat_s, "the heartbeat"),
+            self._repeating(self._take_jobs, self._timing.poll_s, "taking jobs"),
+        ]
+
+    def start(self) -> None:
+        """Begin to take jobs, in threads and processes of the worker's own.
+
+        A full disk or a database that does not answer is waited for.
+
+        Raises:
+            InvalidInput, Conflict: the database cannot be used as it is.
+        """
+        try:
+            self._stores.open()
+            self._heartbeat.beat()
+            self._workplace.clear(self._leases.unfinished_runs)
+        except (StorageFull, StorageUnavailable, SQLAlchemyError) as error:
+            _log.warning("the worker waits for its database: %s", error)
+        for thread in self._threads:
+            thread.start()
+        _log.info("worker %s started", self.id)
+
+    def stop(self) -> None:
+        """Stop within a few seconds and requeue running jobs."""
+        self._stopping.set()
+        for thread in self._threads:
+            thread.join()
+        with suppress(SQLAlchemyError, RholocError):  # without a database the heartbeat's silence says it too
+            for lease in self._claims.leases:
+                self._leases.give_back(lease)
+            self._claims.wait_until_empty(self._timing.cancel_grace_s + _END_TAKES_S)
+            self._heartbeat.end()
+        self._stores.close()
+        _log.info("worker %s stopped", self.id)
+
+    def _repeating(self, act: Callable[[], None], every_s: float, name: str) -> threading.Thread:
+        """A thread for :meth:`_repeat`."""
+        return threading.Thread(target=self._repeat, args=(act, every_s, name), name=f"rholoc {name}", daemon=True)
+
+    def _repeat(self, act: Callable[[], None], every_s: float, name: str) -> None:
+        """Call ``act`` again and again until the worker stops; log only the first of several failures in a row."""
+        is_failing = False
+        while not self._stopping.wait(every_s):
+            try:
+                act()
+                is_failing = False
+            except Exception:
+                if not is_failing:
+                    _log.exception("%s failed; it is tried again", name)
+                is_failing = True
+
+    def _take_jobs(self) -> None:
+        while self._take():
+            pass
+
+    def _take(self) -> bool:
+        """Take a job and start it in a thread of its own. Returns whether there was one, and room for it."""
+        if self._claims.is_full or self._stopping.is_set():
+            return False
+        claim = self._leases.take(self.id, self._claims.offered_bytes, self._claims.unused_bytes)
+        if claim is None:
+            return False
+        self._claims.add(claim)
+        threading.Thread(target=self._run, args=(claim,), name=f"rholoc-job-{claim.lease.job[:8]}", daemon=True).start()
+        return True
+
+    def _run(self, claim: Claim) -> None:
+        try:
+            self._runner.run(claim)
+        except Exception:  # the next heartbeats requeue the job
+            _log.exception("the end of job %s could not be recorded", claim.lease.job)
+        finally:
+            self._claims.drop(claim.lease)
+
+
+def run_worker(
+    setup: WorkerSetup,
+    pipeline: Pipeline | None = None,
+    timing: Timing | None = None,
+    stop: threading.Event | None = None,
+) -> None:
+    """Work until SIGINT, SIGTERM or ``stop``. Call it in the main thread of a process that does nothing else.
+
+    Raises: as :class:`Worker` and its ``start`` do.
+    """
+    stop = stop or threading.Event()
+
+    def ask_to_stop(_signal: int, _frame: FrameType | None) -> None:
+        # Not in the handler itself: the main thread may hold the event's lock on its way into the wait below.
+        threading.Thread(target=stop.set).start()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, ask_to_stop)
+    worker = Worker(setup, pipeline, timing)
+    telemetry.begin("rholoc-worker")
+    worker.start()
+    stop.wait()
+    worker.stop()
+    telemetry.end()

@@ -1,0 +1,134 @@
+"""A folder as a catalogue of maps: a change is made whole or not at all, wherever a process is killed in it."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import pytest
+
+from rholoc.library import MapLibrary
+from rholoc.library.map_folder import MapFolder
+from rholoc.maps import Map
+
+CHANGES: dict[str, Callable[[MapLibrary, Map], None]] = {
+    "put": lambda library, map_: library.put("room", numbered(map_, 9)),
+    "restore the last": lambda library, _: library.restore("room"),
+    "restore an old one": lambda library, _: library.restore("room", 5),
+    "rename": lambda library, _: library.rename("room", "hall"),
+    "delete": lambda library, _: library.delete("room"),
+}
+STEPS = ("mkdir", "touch", "link", "rename", "replace", "unlink", "rmdir", "fsync")
+
+
+class Killed(BaseException):
+    """The process ends here."""
+
+
+def numbered(map_: Map, number: int) -> Map:
+    return replace(map_, info=replace(map_.info, id=f"{number:032x}"))
+
+
+def contents(folder: Path) -> dict[str, list[str]]:
+    """What a process that starts now finds: of each map, the ids of its versions, the present one first."""
+    library = MapLibrary(folder)
+    library.sweep()
+    return {
+        name: [library.get(name).info.id, *(info.id for info in library.versions(name).values())]
+        for name in library.names()
+    }
+
+
+def killed_at(step: int, patch: pytest.MonkeyPatch) -> None:
+    """Raise :class:`Killed` whenever something is asked of the disk, from the ``step``-th time on."""
+    count = itertools.count()
+
+    def counted(really: Any) -> Any:
+        def act(*args: Any, **kwargs: Any) -> Any:
+            if next(count) >= step:
+                raise Killed
+            return really(*args, **kwargs)
+
+        return act
+
+    for name in STEPS:
+        if hasattr(os, name):
+            patch.setattr(os, name, counted(getattr(os, name)))
+    patch.setattr(shutil, "rmtree", counted(shutil.rmtree))
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_change_is_made_whole_or_not_at_all(change: str, tmp_path: Path, room_map: Map) -> None:
+    library = MapLibrary(tmp_path / "before")
+    for number in range(7):
+        library.put("room", numbered(room_map, number))
+    library.put("other", room_map)
+    before = contents(tmp_path / "before")
+    shutil.copytree(tmp_path / "before", tmp_path / "after")
+    CHANGES[change](MapLibrary(tmp_path / "after"), room_map)
+    after = contents(tmp_path / "after")
+    assert before != after
+    found = []
+    for step in itertools.count():
+        folder = tmp_path / f"killed-{step}"
+        shutil.copytree(tmp_path / "before", folder)
+        with pytest.MonkeyPatch.context() as patch:
+            killed_at(step, patch)
+            try:
+                CHANGES[change](MapLibrary(folder), room_map)
+                ended = True
+            except Killed:
+                ended = False
+        found.append(contents(folder))
+        if ended:
+            break
+        MapLibrary(folder).put("room", numbered(room_map, 10))  # and it goes on
+        assert contents(folder)["room"][0] == f"{10:032x}"
+    assert found[0] == before
+    assert found[-1] == after
+    assert all(one in (before, after) for one in found)
+    assert len(found) > 10
+
+
+def test_a_change_that_cannot_be_made_is_not_made_later(tmp_path: Path, room_map: Map) -> None:
+    library = MapLibrary(tmp_path)
+    for number in range(3):
+        library.put("room", numbered(room_map, number))
+    before = contents(tmp_path)
+    for call in ("unlink", "replace"):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Path, call, Mock(side_effect=OSError(30, "Read-only file system")))
+            with pytest.raises(OSError, match="Read-only"):
+                library.delete("room") if call == "unlink" else library.restore("room", 2)
+        assert contents(tmp_path) == before
+    library.put("hall", room_map)
+    assert contents(tmp_path)["room"] == before["room"]
+
+
+def test_versions_that_somebody_removed_leave_no_gap(tmp_path: Path, room_map: Map) -> None:
+    library = MapLibrary(tmp_path)
+    for number in range(4):
+        library.put("room", numbered(room_map, number))
+    (tmp_path / ".previous" / "room.rho").unlink()
+    assert [info.id for info in library.versions("room").values()] == [f"{1:032x}", f"{0:032x}"]
+    library.restore("room", 2)
+    assert contents(tmp_path)["room"] == [f"{number:032x}" for number in (0, 3, 1)]
+
+
+def test_nobody_changes_the_folder_while_another_does(tmp_path: Path, room_map: Map) -> None:
+    MapLibrary(tmp_path).put("room", room_map)
+    other = threading.Thread(target=MapLibrary(tmp_path).delete, args=("room",))
+    with MapFolder(tmp_path).changing():
+        other.start()
+        other.join(0.2)
+        assert other.is_alive()
+        assert MapLibrary(tmp_path).names() == ["room"]
+    other.join()
+    assert MapLibrary(tmp_path).names() == []

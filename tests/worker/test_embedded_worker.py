@@ -1,0 +1,126 @@
+"""The worker beside a server: it starts, and it ends with its server."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rholoc.jobs import JobQueue, JobState, Obstacle
+from rholoc.jobs.leases import Leases
+from rholoc.jobs.workers import WorkerTable, process_name
+from rholoc.library import RecordingStore
+from rholoc.worker import EmbeddedWorker, WorkerSetup
+from rholoc.worker.embedded import reason_of_death
+from waiting import BREAKS_WORKERS, alive, until
+
+_SERVER = """
+import sys, time
+from pathlib import Path
+from rholoc.worker import EmbeddedWorker, WorkerSetup
+worker = EmbeddedWorker(WorkerSetup(Path(sys.argv[1]), Path(sys.argv[2])))
+worker.start()
+sys.stdout.write(f"{worker.pid}\\n")
+sys.stdout.flush()
+time.sleep(60)
+"""
+
+
+@pytest.mark.slow
+def test_it_works_restarts_and_stops(tmp_path: Path) -> None:
+    recordings = RecordingStore(tmp_path)
+    queue, worker = JobQueue(recordings), EmbeddedWorker(WorkerSetup(tmp_path, tmp_path / "maps"))
+    worker.start()
+    try:
+        job = queue.submit(recordings.create([("notes.txt", [b"not a recording"])]).id, "room")
+        until(lambda: queue.get(job.id).state.ended)
+        failed = queue.get(job.id)
+        assert (failed.state, failed.error_code) == (JobState.FAILED, "invalid_recording")
+        first = worker.pid
+        os.kill(first, signal.SIGKILL)
+        until(lambda: worker.running and worker.pid != first)
+    finally:
+        worker.stop()
+        queue.close()
+    assert not worker.running
+
+
+@pytest.mark.slow
+def test_one_that_dies_whenever_it_is_started_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sitecustomize.py").write_text(BREAKS_WORKERS)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    recordings = RecordingStore(tmp_path / "data")
+    queue = JobQueue(recordings)
+    job = queue.submit(recordings.create([("walk.mp4", [b"a walk"])]).id, "room")
+    worker = EmbeddedWorker(WorkerSetup(tmp_path / "data", tmp_path / "maps"), queue)
+    worker.start()
+    try:
+        until(lambda: queue.get(job.id).obstacle is Obstacle.WORKER_FAILS, timeout_s=30.0)
+        assert "signal 6: its library is broken" in queue.get(job.id).message
+        assert worker.trouble is not None
+        other = JobQueue(RecordingStore(tmp_path / "data"))
+        assert other.worker_trouble() == worker.trouble, "other servers say it too"
+        other.close()
+        until(lambda: "4 times" in str(worker.trouble))
+        begun_s = time.monotonic()
+        until(lambda: "5 times" in str(worker.trouble))
+        assert time.monotonic() - begun_s > 6.0, "it is started less and less often"
+    finally:
+        worker.stop()
+        queue.close()
+
+
+@pytest.mark.slow
+def test_the_jobs_of_one_that_is_killed_are_queued_at_once(tmp_path: Path) -> None:
+    recordings = RecordingStore(tmp_path)
+    queue = JobQueue(recordings)
+    leases, workers = Leases(queue.engine), WorkerTable(queue.engine)
+    entry = recordings.create([("walk.mp4", [b"a walk"])])
+    job = queue.submit(entry.id, "room")
+    name = process_name(12345)
+    workers.beat(f"{name}-1")
+    workers.beat(f"{name}6-1")
+    assert leases.take(f"{name}-1") is not None
+    queue.requeue_jobs_of(12345, "signal 9")
+    assert [worker.id for worker in workers.living()] == [f"{name}6-1"], "of another process"
+    assert (queue.get(job.id).state, queue.get(job.id).log[-1].endswith("its worker died (signal 9)")) == (
+        JobState.QUEUED,
+        True,
+    )
+    queue.close()
+
+
+@pytest.mark.parametrize(
+    ("status", "errors", "reason"),
+    [
+        (-9, [], "signal 9"),
+        (1, ["Traceback (most recent call last):", "ValueError: no", ""], "exit status 1: ValueError: no"),
+        (1, ['{"level": "info", "event": "started"}'], "exit status 1"),
+        (
+            1,
+            ['{"level": "error", "event": "it failed", "exception": "Traceback\\nKeyError: 1"}'],
+            "exit status 1: KeyError: 1",
+        ),
+        (1, ["why", '{"level": "info", "event": "stopped"}'], "exit status 1: why"),
+    ],
+)
+def test_why_a_worker_died_is_one_line(status: int, errors: list[str], reason: str) -> None:
+    assert reason_of_death(status, errors) == reason
+
+
+@pytest.mark.slow
+def test_it_ends_with_a_killed_server(tmp_path: Path) -> None:
+    server = subprocess.Popen(
+        [sys.executable, "-c", _SERVER, str(tmp_path), str(tmp_path / "maps")], stdout=subprocess.PIPE
+    )
+    worker_pid = int(server.stdout.readline())
+    assert alive(worker_pid)
+    server.kill()
+    server.wait()
+    server.stdout.close()
+    until(lambda: not alive(worker_pid))
