@@ -36,8 +36,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "jobs"))
 import cv2
 import numpy as np
 import phone_recordings as phone
-from fake_pipeline import tiny_map
 
+from fake_pipeline import tiny_map
 from rholoc.density.tensor import fit_tensors
 from rholoc.errors import RholocError
 from rholoc.evaluation.reading import read_frame_poses
