@@ -35,14 +35,14 @@ import numpy as np
 import demo_sweep
 import rooms
 from measuring import SHARED_DATA
-from rholoc.evaluation.compare import CompareOptions, SplitResult, compare
 from rholoc.evaluation.errors import trajectory_errors
-from rholoc.evaluation.splits import QuerySet
 from rholoc.geometry import Camera, FloatArray, align_poses
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.recordings import read_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc_lab.evaluation.compare import CompareOptions, SplitResult, compare
+from rholoc_lab.evaluation.splits import QuerySet
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"

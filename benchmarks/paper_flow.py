@@ -22,18 +22,18 @@ import numpy as np
 from measuring import SHARED_DATA
 from rholoc.density import DensityKind, TensorDensities
 from rholoc.density.observed import fit_seen
-from rholoc.evaluation.splits import with_poses
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping.build.density_fitting import DEFAULT_DEGREE, fit_densities, ray_form, sightings_of
 from rholoc.maps import Map
 from rholoc.paper.density_localizer import DensityLocalizer
-from rholoc.paper.from_observations import FitOptions, fit_figures, map_from_observations
-from rholoc.paper.observing import observe_recording
 from rholoc.recordings import Recording, read_recording
 from rholoc.simulation import simulate_recording
 from rholoc.trajectory import PoseMethod
+from rholoc_lab.evaluation.splits import with_poses
+from rholoc_lab.paper.from_observations import FitOptions, fit_figures, map_from_observations
+from rholoc_lab.paper.observing import observe_recording
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"
 PRINTED = "as printed"

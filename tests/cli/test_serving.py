@@ -19,7 +19,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rholoc.cli.serve import listening_socket
+from rholoc.cli.operate.serve import listening_socket
 from rholoc.cli.server_process import running_server
 from rholoc.errors import RholocError
 

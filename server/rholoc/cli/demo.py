@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+from rholoc.cli import options
 from rholoc.cli.console import (
     fraction_progress,
     frame_progress,
@@ -22,11 +23,9 @@ from rholoc.cli.console import (
     print_json,
     print_notice,
 )
-from rholoc.cli.evaluate import evaluation_rows
 from rholoc.cli.localize import trajectory_table
-from rholoc.cli.maps import trust_line
+from rholoc.cli.maps.page import trust_line
 from rholoc.cli.server_process import RunningServer, in_background, running_server
-from rholoc.cli.simulate import Seed
 from rholoc.errors import RholocError
 from rholoc.processes import interruptible
 
@@ -89,7 +88,7 @@ def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path("demo-output"),
     seconds: Annotated[float, typer.Option(min=30, max=120, help="The length of each walk: 30, or longer.")] = 30.0,
     every: Annotated[int, typer.Option(min=1, help="Localize every N-th frame of the second walk.")] = 3,
-    seed: Seed = 0,
+    seed: options.Seed = 0,
     leave_open: Annotated[
         bool, typer.Option("--open", help="Leave the server running and open its pages, until Ctrl-C.")
     ] = False,
@@ -112,7 +111,7 @@ def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool,
         simulate_recording(first, walk=1, seconds=seconds, seed=seed, progress=progress)
     _put_truth_apart(first, files)
     with (
-        in_background("simulate", second, "--walk", 2, "--seconds", seconds, "--seed", seed) as second_is_simulated,
+        in_background("rholoc.simulation", second, 2, seconds, seed) as second_is_simulated,
         running_server(files.maps, files.data, files.log) as server,
     ):
         try:
@@ -157,12 +156,12 @@ def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTa
     """Localize every ``every``-th frame over HTTP; returns the trajectory and each request's milliseconds."""
     import cv2
 
-    from rholoc.evaluation.tracking import client_camera
     from rholoc.recordings import read_recording
+    from rholoc_client import Camera
 
     walk = read_recording(recording)
     assert walk.camera is not None
-    camera = client_camera(walk.camera)
+    camera = Camera(**walk.camera.to_dict())
     rows = range(0, len(walk.frames.times), every)
     answers, frame_ms = [], []
     with frame_progress("localizing walk 2", len(rows)) as advance:
@@ -234,7 +233,7 @@ def _print(figures: _Figures, files: _Files, as_json: bool) -> None:
         print_json(figures.as_dict())
         return
     expected_m = figures.map.expected_error_m
-    rows = evaluation_rows(figures.evaluation) | {
+    rows = figures.evaluation.rows() | {
         "the map's expected error": "unknown" if expected_m is None else f"{100 * expected_m:.2f} cm (rms)",
         "trusted": trust_line(figures.map.trusted, figures.map.trust_reason),
         "time a frame": f"{figures.median_ms:.0f} ms (median, over HTTP)",
