@@ -45,7 +45,7 @@ from typing import Any
 
 import httpx
 
-from localize_request import free_port
+from measuring import free_port
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "jobs"))
