@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
-from rholoc.cli import main
 
 MAPS = Path(__file__).parents[2] / "maps"
 MAP, QUERIES = MAPS / "testsite.rho", MAPS / "queries"
@@ -18,16 +15,13 @@ Run = Callable[..., str]
 
 
 @pytest.fixture
-def rholoc(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def rholoc(command: Callable[..., tuple[int, str, str]]) -> Run:
     """Runs the command in this process; arguments → standard output. It must succeed."""
 
     def run(*arguments: object) -> str:
-        monkeypatch.setattr(sys, "argv", ["rholoc", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        printed = capsys.readouterr()
-        assert not caught.value.code, printed.err
-        return printed.out
+        status, printed, errors = command(*arguments)
+        assert status == 0, errors
+        return printed
 
     return run
 

@@ -127,7 +127,7 @@ def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool,
             raise RholocError(str(error), f"The server's log is {files.log}.") from error
         evaluation, median_ms = _evaluation(files, table, every), float(np.median(frame_ms))
         total_s = time.perf_counter() - start_s
-        figures = _Figures(evaluation, published, job.warnings, median_ms, build_s, total_s)
+        figures = DemoFigures(evaluation, published, job.warnings, median_ms, build_s, total_s)
         _print(figures, files, as_json)
         if leave_open:
             _stay(server)
@@ -175,7 +175,7 @@ def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTa
 
 
 @dataclass(frozen=True)
-class _Figures:
+class DemoFigures:
     """What the demo measured.
 
     Attributes:
@@ -208,6 +208,18 @@ class _Figures:
             "total_s": round(self.total_s, 1),
         }
 
+    def rows(self) -> dict[str, str]:
+        """The figures for people: texts with units, by name."""
+        expected_m = self.map.expected_error_m
+        return self.evaluation.rows() | {
+            "the map's expected error": "unknown" if expected_m is None else f"{100 * expected_m:.2f} cm (rms)",
+            "trusted": trust_line(self.map.trusted, self.map.trust_reason),
+            "time a frame": f"{self.median_ms:.0f} ms (median, over HTTP)",
+            "map": f"{self.map.size_bytes / 1000:.0f} kB, {self.map.landmarks} landmarks, "
+            f"built in {self.build_s:.0f} s",
+            "whole demo": f"{self.total_s:.0f} s",
+        }
+
 
 def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation:
     """Compare with the truth, and write the trajectory and the top view."""
@@ -226,22 +238,13 @@ def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation
     return evaluate(trajectory_errors(pairs.estimated, pairs.truth))
 
 
-def _print(figures: _Figures, files: _Files, as_json: bool) -> None:
+def _print(figures: DemoFigures, files: _Files, as_json: bool) -> None:
     for warning in figures.warnings:
         print_notice(f"warning: {warning}")
     if as_json:
         print_json(figures.as_dict())
         return
-    expected_m = figures.map.expected_error_m
-    rows = figures.evaluation.rows() | {
-        "the map's expected error": "unknown" if expected_m is None else f"{100 * expected_m:.2f} cm (rms)",
-        "trusted": trust_line(figures.map.trusted, figures.map.trust_reason),
-        "time a frame": f"{figures.median_ms:.0f} ms (median, over HTTP)",
-        "map": f"{figures.map.size_bytes / 1000:.0f} kB, {figures.map.landmarks} landmarks, "
-        f"built in {figures.build_s:.0f} s",
-        "whole demo": f"{figures.total_s:.0f} s",
-    }
-    print_figures(_TITLE, rows)
+    print_figures(_TITLE, figures.rows())
     print_notice(f"The trajectory is in {files.trajectory}, the picture in {files.top_view}.")
 
 

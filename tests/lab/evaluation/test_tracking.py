@@ -7,9 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from rholoc.cli.app import app
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import pose_distances
 from rholoc.localization import Localizer
@@ -88,26 +86,25 @@ def test_an_imu_whose_axes_are_unknown_is_refused(localizer, still):
         (["--motion", "imu"], "no IMU"),
     ],
 )
-def test_what_cannot_be_tracked_is_said(tmp_path, picture_world, options, words):
+def test_what_cannot_be_tracked_is_said(command, tmp_path, picture_world, options, words):
     save_map(picture_world.map_, tmp_path / "room.rho")
     (tmp_path / "frames").mkdir()
     for number in range(2):
         (tmp_path / "frames" / f"{number}.png").write_bytes(picture_world.png())
-    done = CliRunner().invoke(app, ["track", str(tmp_path / "room.rho"), str(tmp_path / "frames"), *options])
-    assert done.exit_code != 0
-    assert words in (done.output + str(done.exception))
+    status, _, errors = command("track", tmp_path / "room.rho", tmp_path / "frames", *options)
+    assert status
+    assert words in errors
 
 
-def test_the_command_prints_every_frame_and_draws(tmp_path, picture_world):
+def test_the_command_prints_every_frame_and_draws(command, tmp_path, picture_world):
     save_map(picture_world.map_, tmp_path / "room.rho")
     (tmp_path / "frames").mkdir()
     for number in range(4):
         (tmp_path / "frames" / f"{number}.png").write_bytes(picture_world.png())
-    asked = ["track", str(tmp_path / "room.rho"), str(tmp_path / "frames"), "--latency", "10"]
-    wanted = ["--plot", str(tmp_path / "track.png"), "-o", str(tmp_path / "track.csv")]
-    done = CliRunner().invoke(app, [*asked, *wanted, "--json"])
-    assert done.exit_code == 0, done.output
-    figures = json.loads(done.stdout)
+    asked = ["track", tmp_path / "room.rho", tmp_path / "frames", "--latency", "10", "--json"]
+    status, printed, errors = command(*asked, "--plot", tmp_path / "track.png", "-o", tmp_path / "track.csv")
+    assert status == 0, errors
+    figures = json.loads(printed)
     assert [row["frame"] for row in figures["each"]] == [0, 1, 2, 3]
     assert figures["motion"] == "pictures"
     assert (tmp_path / "track.png").stat().st_size > 1000
