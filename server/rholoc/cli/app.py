@@ -44,7 +44,7 @@ app.add_typer(keys.app, name="key")
 app.add_typer(jobs.app, name="job")
 app.add_typer(storage.app, name="storage")
 app.command()(localize.localize)
-add_lab(app, recordings.app)
+add_lab(app, maps.app, recordings.app)
 
 
 def _print_version(asked: bool) -> None:

@@ -11,11 +11,11 @@ from typer.core import TyperGroup
 from rholoc.errors import InvalidInput
 
 _ENTRY_POINT = "rholoc.commands"
-_NAMES = frozenset({"compare", "evaluate", "flow", "paper", "simulate", "track"})
+_NAMES = frozenset({"compare", "density", "evaluate", "flow", "paper", "simulate", "track"})
 
 
 def add_lab(*groups: typer.Typer) -> None:
-    """Add the commands of rholoc-lab, if it is installed, to ``rholoc`` and its group ``recording``."""
+    """Add the commands of rholoc-lab, if it is installed, to ``rholoc`` and its groups ``map`` and ``recording``."""
     for point in entry_points(group=_ENTRY_POINT):
         point.load()(*groups)
 

@@ -17,7 +17,9 @@ def test_commands_of_the_lab_are_offered(name: str) -> None:
     assert name in typer.main.get_command(app).commands
 
 
-@pytest.mark.parametrize("words", [("evaluate", "a.csv", "b.csv"), ("paper",), ("recording", "flow", "walk")])
+@pytest.mark.parametrize(
+    "words", [("evaluate", "a.csv", "b.csv"), ("paper",), ("map", "density", "a.rho"), ("recording", "flow", "walk")]
+)
 def test_without_it_they_say_how_to_install_it(
     command: Run, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
@@ -30,4 +32,4 @@ def test_without_it_they_say_how_to_install_it(
 
 def _without_the_lab(group, context, name):
     of_lab = group.commands.get(name)
-    return None if of_lab is None or name in ("evaluate", "paper", "flow") else of_lab
+    return None if of_lab is None or name in ("evaluate", "paper", "density", "flow") else of_lab

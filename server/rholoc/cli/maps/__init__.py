@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import typer
 
-from rholoc.cli.maps import build, correct, density, exchange, show
+from rholoc.cli.lab import CommandsOfTheLab
+from rholoc.cli.maps import build, correct, exchange, show
 
-app = typer.Typer(no_args_is_help=True, help="Build maps, make them learn and forget, inspect and export them.")
-app.command()(density.density)
+app = typer.Typer(
+    no_args_is_help=True, cls=CommandsOfTheLab, help="Build maps, make them learn and forget, inspect and export them."
+)
 app.add_typer(correct.app, name="correct")
 app.command()(build.build)
 app.command("list")(show.list_maps)

@@ -50,7 +50,7 @@ def density(
     """Show a feature's density over the picture, positions and headings; or how a picture is localized by it."""
     from rholoc.disk import replace_file
     from rholoc.maps import load_map
-    from rholoc.pictures.film import FILM_ENDINGS
+    from rholoc_lab.pictures.film import FILM_ENDINGS
 
     if (feature is None) == (picture is None):
         raise typer.BadParameter("Give either --feature N or --picture FRAME.", param_hint="--feature")
@@ -83,8 +83,8 @@ def _feature(
     from rholoc.density.density import TARGET_RADIUS
     from rholoc.maps.formats.vti import image_data
     from rholoc.paper.landscape import over_positions, seen_from
-    from rholoc.pictures.density import feature_frames, feature_grid, feature_png
-    from rholoc.pictures.film import film
+    from rholoc_lab.pictures.density import feature_frames, feature_grid, feature_png
+    from rholoc_lab.pictures.film import film
 
     if not 0 <= feature < len(map_):
         raise InvalidInput(f"The map has no feature {feature}.", f"Its features are 0 to {len(map_) - 1}.")
@@ -135,7 +135,7 @@ def _sharpening(map_: Map, feature: int) -> bytes:
     import numpy as np
 
     from rholoc.mapping.build.remembered import observed_rays
-    from rholoc.pictures.density import sharpening_png
+    from rholoc_lab.pictures.density import sharpening_png
 
     rays = observed_rays(map_)
     rows = np.flatnonzero(rays.features == feature)
@@ -151,8 +151,8 @@ def _picture(map_: Map, picture: Path, camera: str | None, starts: int, ending: 
     from rholoc.maps.formats.vti import image_data
     from rholoc.paper.density_localizer import TOLERANCES_PX
     from rholoc.paper.landscape import Grid, product_over_positions
-    from rholoc.pictures.density import ascent_frames, ascent_png
-    from rholoc.pictures.film import film
+    from rholoc_lab.pictures.density import ascent_frames, ascent_png
+    from rholoc_lab.pictures.film import film
 
     ascents = _ascents(map_, picture, camera, starts)
     if ending == ".png":

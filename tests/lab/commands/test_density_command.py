@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,17 +15,30 @@ import pytest
 
 from rholoc.density import DensityKind
 from rholoc.mapping.build.density_fitting import fit_densities
-from rholoc.maps import Map, load_map
+from rholoc.maps import Map, load_map, save_map
 from rholoc.paper.landscape import Grid, Look, over_headings, over_picture, over_positions, seen_from
 
 Run = Callable[..., tuple[int, str, str]]
-SHIPPED = Path(__file__).parents[2] / "maps"
+SHIPPED = Path(__file__).parents[3] / "maps"
 
 
 @pytest.fixture(scope="module")
 def hall(point_room: Any) -> Map:
     map_: Map = point_room.map_of(point_room.walk(150)[:20], "walk")
     return map_
+
+
+@pytest.fixture
+def rholoc(command: Run) -> Run:
+    """Runs ``rholoc map``: arguments → (exit status, standard output, standard error)."""
+    return partial(command, "map")
+
+
+@pytest.fixture
+def file(hall: Map, tmp_path: Path) -> Path:
+    """The map ``hall`` in a file."""
+    save_map(hall, tmp_path / "hall.rho")
+    return tmp_path / "hall.rho"
 
 
 def _most_seen(map_: Map) -> int:
