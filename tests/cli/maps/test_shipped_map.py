@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-MAPS = Path(__file__).parents[2] / "maps"
+MAPS = Path(__file__).parents[3] / "maps"
 MAP, QUERIES = MAPS / "testsite.rho", MAPS / "queries"
 
 Run = Callable[..., str]

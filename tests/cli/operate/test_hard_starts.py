@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from postgres_server import PostgresServer
 
 pytestmark = pytest.mark.slow
-_MAPS = Path(__file__).parents[2] / "maps"
+_MAPS = Path(__file__).parents[3] / "maps"
 _BLOCK = bytes(4096)
 
 
