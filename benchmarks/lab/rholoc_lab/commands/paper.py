@@ -210,12 +210,12 @@ def _fit(figures: FitFigures) -> dict[str, object]:
 
 
 def _three_digits(share: float) -> float:
-    """Losses span orders of magnitude: three significant digits."""
+    """Round a share to three significant digits, because losses span orders of magnitude."""
     return float(f"{share:.3g}")
 
 
 def _camera(table: Path, camera: str | None, size: str | None) -> GeometryCamera:
-    """The camera that is named, or the one in the file beside the table."""
+    """Camera that ``camera`` names, or else the one in the file beside the table."""
     from rholoc.geometry import Camera
     from rholoc.recordings import read_camera_json
 

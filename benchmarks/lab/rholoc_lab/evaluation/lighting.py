@@ -80,7 +80,7 @@ def compare_lights(
     extractors: Sequence[str] | None = None,
     progress: ProgressListener = silent,
 ) -> list[LightPair]:
-    """Every extractor, map light and query light.
+    """Compare extractors under every pair of a map's light and the queries' light.
 
     Args:
         map_walks: by light, the same posed walk.

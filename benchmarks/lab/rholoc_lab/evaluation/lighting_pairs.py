@@ -87,7 +87,7 @@ def compare_lighting_pairs(
 
 
 def registered_redetection(a: FeatureSet, b: FeatureSet, extractor: Extractor) -> Redetection:
-    """Two pictures by one camera that did not move."""
+    """Redetection between two pictures that a camera at rest took."""
     return redetection(a, b, a.pixels.astype(np.float64), extractor.metric)
 
 

@@ -35,7 +35,7 @@ _MEASURED_DENSITIES = 300  # that the loss is computed of
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How a map is made of Table 4.
+    """Options of a map that is fitted to Table 4.
 
     Attributes:
         density: the form of the densities; ``observed`` is fitted by loss (5) to the observations.
@@ -59,7 +59,7 @@ def map_from_observations(
     options: FitOptions | None = None,
     progress: ProgressListener = silent,
 ) -> Map:
-    """The map of what a table of observations says.
+    """Fit a map to a table of observations.
 
     Rows of one pose (and time) are a view; detections of several views that look alike and whose poses allow it are one
     feature, as while a recording is mapped.
@@ -125,7 +125,7 @@ def features_of(table: ObservationTable) -> str:
 
 @dataclass(frozen=True)
 class FitFigures:
-    """What loss (5) says of a map's densities; shares are medians over the densities.
+    """Loss (5) of a map's densities; shares are medians over the densities.
 
     Attributes:
         densities: how many there are.
@@ -213,7 +213,7 @@ def _check(table: ObservationTable, camera: Camera, extractor: Extractor) -> Non
 
 
 def _views(table: ObservationTable, camera: Camera, hold_out: bool) -> tuple[Views, HeldOut]:
-    """The views that a table's rows make up, and those that are held out."""
+    """Group a table's rows into views; returns those of the map and those held out."""
     rolls = np.zeros(len(table)) if table.rolls is None else table.rolls
     times = np.zeros(len(table)) if table.times is None else table.times
     keys = np.column_stack([times, table.positions, table.headings, rolls])

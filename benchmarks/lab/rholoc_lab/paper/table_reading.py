@@ -1,4 +1,4 @@
-"""Table 4 read: anybody's observations."""
+"""Reader of Table 4: observations as CSV, by rholoc or by another program."""
 
 from __future__ import annotations
 

@@ -90,12 +90,12 @@ class Plan:
 
     @property
     def north_y(self) -> float:
-        """Of the northern rooms' and the stairwell's southern wall, inside."""
+        """y [m] of the southern wall, inside, of the northern rooms and of the stairwell."""
         return self.corridor_y + 0.5 * CORRIDOR_WIDTH_M + WALL_M
 
     @property
     def flight_x(self) -> tuple[float, float]:
-        """Of the middles of the flight up from the ground floor and of the one to the upper."""
+        """x [m] of the middles of both flights: up from the ground floor, and up to the upper one."""
         return self.stairs_x + 0.5 * FLIGHT_WIDTH_M, self.stairs_x + STAIRS_WIDTH_M - 0.5 * FLIGHT_WIDTH_M
 
 

@@ -67,7 +67,7 @@ class _Wall:
         return np.array([-self.along[1], self.along[0]])
 
     def distances(self, points: FloatArray) -> FloatArray:
-        """(N,) of points (N, 2) from the line that it lies on."""
+        """Distances (N,) of points (N, 2) from the wall's line."""
         return np.asarray((points - self.start) @ self.inward)
 
 
