@@ -29,6 +29,7 @@ PAGES = (
     "server/LIGHT.md",
     "maps/README.md",
     "client/README.md",
+    "benchmarks/lab/README.md",
     "ros/README.md",
     "docs/howto.md",
     "docs/library.md",
