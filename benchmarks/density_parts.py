@@ -39,7 +39,6 @@ import numpy as np
 
 from rholoc.density import Evidence, RayDensities
 from rholoc.density.ray import RayOffsets
-from rholoc.evaluation.pnp_baselines import refine_by_density
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
@@ -59,6 +58,7 @@ from rholoc.localization.pose.seeds import minimal_samples, vote_for_places
 from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
 from rholoc.recordings import read_recording
 from rholoc.trajectory import PoseMethod
+from rholoc_lab.evaluation.pnp_baselines import refine_by_density
 
 CAMERA = "525.505,525.505,320,240"
 SAMPLES_OF_RANSAC = (1_000, 10_000, 100_000)

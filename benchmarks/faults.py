@@ -45,13 +45,12 @@ from typing import Any
 
 import httpx
 
-from localize_request import free_port
+from measuring import free_port
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "jobs"))
-from fake_pipeline import KILL_POINTS
-
 from failing_storage import FailingStorage, StorageFault
+from fake_pipeline import KILL_POINTS
 from postgres_server import PostgresServer
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"

@@ -35,12 +35,12 @@ import poselib
 
 from asking import Answered, Case, Kind, answers_of, code_digest
 from measuring import SHARED_DATA, jpeg_of, print_table
-from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
 from rholoc.features import extractor_names, get_extractor
 from rholoc.features.matching import LIMITS, mutual_matches
 from rholoc.localization import MIN_RECOGNIZED, Localizer, Query
 from rholoc.maps import map_to_bytes
 from rholoc.recordings import decode_image, read_image
+from rholoc_lab.evaluation.lighting_pairs import compare_lighting_pairs
 from rooms import ROOMS, WIDE, map_of, nearest_views
 
 NEAR_M, NEAR_RAD = 0.05, np.deg2rad(5.0)

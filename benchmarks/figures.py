@@ -35,14 +35,14 @@ import numpy as np
 import demo_sweep
 import rooms
 from measuring import SHARED_DATA
-from rholoc.evaluation.compare import CompareOptions, SplitResult, compare
 from rholoc.evaluation.errors import trajectory_errors
-from rholoc.evaluation.splits import QuerySet
 from rholoc.geometry import Camera, FloatArray, align_poses
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.recordings import read_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc_lab.evaluation.compare import CompareOptions, SplitResult, compare
+from rholoc_lab.evaluation.splits import QuerySet
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -182,21 +182,27 @@ def strangers(cache: Path) -> Figures:
 
 def pictures(_: Path) -> Figures:
     """Every tenth picture of the kitchen, shuffled, without times, poses or intrinsics."""
-    known = read_recording(KITCHEN, rooms.KITCHEN_CAMERA, "400:1000:10")
-    assert known.poses is not None
-    order = np.random.default_rng(SEED).permutation(len(known.frames.times))
     with tempfile.TemporaryDirectory() as name:
-        for number, row in enumerate(order):
-            source = KITCHEN / "frames" / f"frame-{known.frames.numbers[row]:06d}.jpg"
-            (Path(name) / f"{number:04d}.jpg").symlink_to(source)
+        truth = shuffled_pictures(Path(name))
         found = estimate_trajectory(read_recording(Path(name)), PoseMethod.AUTO)
-    T = known.poses.T_map_camera[order[found.rows]]
+    T = truth[found.rows]
     placed = align_poses(found.T_map_camera, T).poses(found.T_map_camera)
     off_cm = 100 * np.linalg.norm(placed[:, :3, 3] - T[:, :3, 3], axis=1)
     return {
-        "pictures.placed_percent": share(np.isin(np.arange(len(order)), found.rows), 0),
+        "pictures.placed_percent": share(np.isin(np.arange(len(truth)), found.rows), 0),
         "pictures.median_cm": length_cm(float(np.median(off_cm)), 0.2),
     }
+
+
+def shuffled_pictures(folder: Path) -> FloatArray:
+    """Put every tenth picture of the kitchen into a folder as 0000.jpg …, shuffled; returns their poses (N, 4, 4)."""
+    known = read_recording(KITCHEN, rooms.KITCHEN_CAMERA, "400:1000:10")
+    assert known.poses is not None
+    order = np.random.default_rng(SEED).permutation(len(known.frames.times))
+    for number, row in enumerate(order):
+        source = KITCHEN / "frames" / f"frame-{known.frames.numbers[row]:06d}.jpg"
+        (folder / f"{number:04d}.jpg").symlink_to(source)
+    return known.poses.T_map_camera[order]
 
 
 def request(cache: Path) -> Figures:
@@ -233,11 +239,11 @@ def read_results() -> Figures:
     return found
 
 
-def write_results(part: str, figures: Figures) -> None:
-    """The file of a part."""
+def write_results(part: str, figures: Figures, command: str | None = None) -> None:
+    """Write the file of a part; ``command`` is what measured it, by default this script."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
     described = {
-        "command": f"python benchmarks/figures.py {part} --write",
+        "command": command or f"python benchmarks/figures.py {part} --write",
         "commit": commit.stdout.strip(),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
@@ -246,6 +252,12 @@ def write_results(part: str, figures: Figures) -> None:
     }
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / f"{part}.json").write_text(json.dumps(described, indent=1) + "\n")
+
+
+def quote_anew() -> None:
+    """Put the figures that were written into the documents that quote them."""
+    for path in DOCUMENTS:
+        path.write_text(with_figures(path.read_text(encoding="utf-8"), read_results()), encoding="utf-8")
 
 
 def as_quoted(value: float, like: str) -> str:
@@ -296,8 +308,7 @@ def main() -> None:
             if asked.write:
                 write_results(part, figures)
     if asked.write:
-        for path in DOCUMENTS:
-            path.write_text(with_figures(path.read_text(encoding="utf-8"), read_results()), encoding="utf-8")
+        quote_anew()
     elif worse:
         sys.exit("Worse than what the documents say:\n" + "\n".join(worse))
 

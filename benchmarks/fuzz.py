@@ -3,14 +3,14 @@
     python benchmarks/fuzz.py [--cases 100000] [--seconds 3600] [--served 0.1] [--seed 0] [--json FILE]
 
 A quarter of the requests is what schemathesis makes up from the schema; the others are requests that are accepted
-(`fuzz_requests.py`) to which one to three things have befallen. Most are answered by the application within a process
-that may hold 2 GiB; the share `--served` goes to `rholoc serve`, which also gets the streams (WebSockets and
-server-sent events). Both are asked whether they live twenty times a second meanwhile.
+(`fuzz_requests.py`) to which one to three things have befallen. Most are answered by the application within this
+process; the share `--served` goes to `rholoc serve`, which also gets the streams (WebSockets and server-sent events)
+and is asked whether it lives meanwhile.
 
-Prints how they were answered by route, how many came to a second, the slowest /healthz and the most memory. The exit
-status is 1, and the standard error says why, where a request was answered with 500, with a status or a body that the
-schema does not know, or not within a minute; where /healthz took more than a second or a server more than 2 GiB; or
-where it does not localize a frame afterwards.
+Prints how they were answered by route, how many came to a second, the server's slowest /healthz and its most memory.
+The exit status is 1, and the standard error says why, where a request was answered with 500, with a status or a body
+that the schema does not know, or not within a minute; where /healthz took more than a second or the server more than
+2 GiB; or where no frame is localized afterwards.
 """
 
 from __future__ import annotations
@@ -19,18 +19,16 @@ import argparse
 import asyncio
 import json
 import logging
-import math
 import multiprocessing
 import os
 import random
 import re
-import resource
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Coroutine, Iterable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -53,7 +51,6 @@ from fuzz_requests import (
 )
 from hostile import MOST_HEALTH_MS, MOST_MEMORY_MIB, Watched, shipped_service, watch
 from rholoc.maps.naming import is_name
-from rholoc.processes.limits import limit_own_memory
 from rholoc.service.access.keys import KeyStore, Scope
 
 BATCH = 20  # cases of one route in a row
@@ -61,7 +58,6 @@ MADE_UP = 5  # of them by schemathesis
 STREAMS = 100  # in a row: there is one such route
 AT_ONCE = 4
 TIMEOUT_S = 60.0
-HEALTH_EVERY_S = 0.05
 STREAM_QUIET_S = 0.3  # after which no more answers of a stream are waited for
 SHOWN = 20  # problems
 SETTINGS = {
@@ -337,12 +333,6 @@ def as_text(built: httpx.Request) -> str:
     return f"{built.method} {built.url} {headers} {len(content)} bytes: {content[:1000]!r}"
 
 
-def authorization(data_dir: Path) -> dict[str, str]:
-    """The header of a new key that allows everything."""
-    secret = KeyStore(data_dir).create("fuzz", Scope.ADMIN)
-    return {"Authorization": f"Bearer {secret}"}
-
-
 @asynccontextmanager
 async def application(folder: Path) -> AsyncIterator[httpx.AsyncClient]:
     """A client of the application within this process."""
@@ -353,7 +343,7 @@ async def application(folder: Path) -> AsyncIterator[httpx.AsyncClient]:
     app = create_app(Settings(maps_dir=folder / "maps", data_dir=folder / "data"))
     async with app.router.lifespan_context(app):
         transport = httpx.ASGITransport(app, raise_app_exceptions=False, client=("127.0.0.1", 1))
-        key = authorization(folder / "data")
+        key = {"Authorization": f"Bearer {KeyStore(folder / 'data').create('fuzz', Scope.ADMIN)}"}
         async with httpx.AsyncClient(
             transport=transport, base_url="http://127.0.0.1", timeout=TIMEOUT_S, headers=key
         ) as client:
@@ -369,22 +359,9 @@ async def within(seed: int, cases: int, last_s: float) -> Tally:
         async with application(Path(name)) as client:
             operations = Operations(document, seed)
             fuzzer = Fuzzer(client, operations, seed, cases, last_s)
-            polling = asyncio.create_task(poll_health(client, fuzzer.tally))
             await fuzzer.rounds(operations.labels(streams=False))
-            polling.cancel()
             fuzzer.tally.problems += await not_localizing(client)
-    fuzzer.tally.memory_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return fuzzer.tally
-
-
-async def poll_health(client: httpx.AsyncClient, tally: Tally) -> None:
-    """Ask whether the server lives, again and again."""
-    while True:
-        begun = time.monotonic()
-        answer = await client.get("/healthz")
-        took_ms = 1000 * (time.monotonic() - begun) if answer.is_success else math.inf
-        tally.health_ms = max(tally.health_ms, took_ms)
-        await asyncio.sleep(HEALTH_EVERY_S)
 
 
 async def not_localizing(client: httpx.AsyncClient) -> list[str]:
@@ -407,57 +384,21 @@ async def served(url: str, key: dict[str, str], seed: int, cases: int, last_s: f
     return fuzzer.tally
 
 
-def in_process(seed: int, cases: int, last_s: float, answer: Any) -> None:
-    """What a process does that fuzzes the application."""
-    limit_own_memory(MOST_MEMORY_MIB * 2**20)
-    answer.send(asyncio.run(within(seed, cases, last_s)))
-
-
-def fuzz_application(seed: int, cases: int, last_s: float) -> Tally:
-    """Fuzz the application in a process of its own, which has a limit of memory."""
-    ours, theirs = FORK.Pipe(duplex=False)
-    process = FORK.Process(target=in_process, args=(seed, cases, last_s, theirs))
-    process.start()
-    theirs.close()
-    try:
-        tally: Tally = ours.recv()
-    except EOFError:
-        tally = Tally(problems=["the process of the application ended"])
-    process.join()
-    return tally
-
-
 def fuzz_server(seed: int, cases: int, last_s: float) -> Tally:
     """Fuzz a server as users start it, while others ask whether it lives and look how much memory it holds."""
-    with shipped_service() as server:
+    with shipped_service() as keyed:
+        url, key = keyed.server.url, {"Authorization": f"Bearer {keyed.honest}"}
         stop, said = FORK.Event(), FORK.SimpleQueue()
-        watcher = FORK.Process(target=watch, args=(server.url, stop, said))
+        watcher = FORK.Process(target=watch, args=(url, stop, said))
         watcher.start()
         try:
-            key = authorization(server.log.parent / "data")
-            tally = asyncio.run(served(server.url, key, seed, cases, last_s))
+            tally = asyncio.run(served(url, key, seed, cases, last_s))
         finally:
             stop.set()
             watched: Watched = said.get()
             watcher.join(TIMEOUT_S)
     tally.health_ms, tally.memory_mib = 1000 * watched.slowest_s, watched.memory_mib
     return tally
-
-
-def by_route(tally: Tally) -> dict[str, dict[str, int]]:
-    """The answers in order, by operation and status."""
-    return {operation: dict(sorted(statuses.items())) for operation, statuses in sorted(tally.answers.items())}
-
-
-@contextmanager
-def environment(values: dict[str, str]) -> Iterator[None]:
-    """With these variables."""
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name in values:
-            del os.environ[name]
 
 
 def main() -> int:
@@ -471,13 +412,12 @@ def main() -> int:
     options = parser.parse_args()
     begun, to_server = time.monotonic(), round(options.cases * options.served)
     parts: dict[str, Tally] = {}
-    with environment(SETTINGS):
-        if to_server:
-            parts["server"] = fuzz_server(options.seed, to_server, begun + options.seconds * options.served)
-        if options.cases > to_server:
-            parts["application"] = fuzz_application(
-                options.seed + 1, options.cases - to_server, begun + options.seconds
-            )
+    os.environ.update(SETTINGS)
+    if to_server:
+        parts["server"] = fuzz_server(options.seed, to_server, begun + options.seconds * options.served)
+    if options.cases > to_server:
+        more = options.cases - to_server
+        parts["application"] = asyncio.run(within(options.seed + 1, more, begun + options.seconds))
     took_s = time.monotonic() - begun
     cases = sum(one.cases for one in parts.values())
     figures = {
@@ -485,9 +425,9 @@ def main() -> int:
         "problems": sum(one.kinds.total() for one in parts.values()),
         "took_s": round(took_s),
         "cases_per_s": round(cases / took_s, 1),
-        "parts": {name: {**vars(one), "answers": by_route(one)} for name, one in parts.items()},
+        "parts": {name: vars(one) for name, one in parts.items()},
     }
-    text = json.dumps(figures, indent=2)
+    text = json.dumps(figures, indent=2, sort_keys=True)
     print(text)
     if options.json:
         options.json.write_text(text + "\n")

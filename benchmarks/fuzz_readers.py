@@ -57,7 +57,6 @@ from rholoc.maps import (
 from rholoc.maps.floor_plan import MEDIA_TYPES, check_plan
 from rholoc.maps.formats.rho_file import load_map
 from rholoc.maps.formats.trajectory_table import read_trajectory_csv
-from rholoc.paper.table_reading import read_observations
 from rholoc.processes.limits import limit_own_memory
 from rholoc.recordings import (
     check_archive,
@@ -70,6 +69,7 @@ from rholoc.recordings import (
 )
 from rholoc.recordings.tables.odometry_table import read_odometry_csv
 from rholoc.service.operate.backup import back_up, unpack_backup
+from rholoc_lab.paper.table_reading import read_observations
 
 SHIPPED = Path(__file__).resolve().parents[1] / "maps"
 ODOMETRY = "timestamp,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n0.5,0.1,0,0,0,0,0,1\n1,0.2,0,0,0,0,0,1\n"

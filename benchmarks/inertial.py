@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from rholoc.evaluation.errors import trajectory_errors
-from rholoc.evaluation.splits import with_poses
 from rholoc.features import get_extractor
 from rholoc.geometry import pose_distances
 from rholoc.localization import Dof, Localizer, Query
@@ -28,6 +27,7 @@ from rholoc.simulation import simulate_recording
 from rholoc.trajectory import PoseMethod
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
+from rholoc_lab.evaluation.splits import with_poses
 
 METHODS = {"leg by leg": integrate_between_waypoints, "adjusted": adjust_between_waypoints}
 EVERY = 6  # frames

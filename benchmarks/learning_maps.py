@@ -39,9 +39,10 @@ from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Map, MapInfo, Source, map_to_bytes
 from rholoc.progress import silent
 from rholoc.recordings import Recording, read_recording
-from rholoc.simulation import PHONE_CAMERA, make_test_site, make_walk, rearranged, render_view
+from rholoc.simulation import PHONE_CAMERA, make_test_site, make_walk, render_view
 from rholoc.simulation.scene import Scene
 from rholoc.trajectory import PoseMethod
+from rholoc_lab.simulation.rearrangement import rearranged
 
 SECONDS = 30.0
 WALK, USERS = 1, tuple(range(2, 10))

@@ -37,12 +37,12 @@ from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import FrameSource, GivenPoses, MemoryFrames, Recording, read_recording
 from rholoc.recordings.frames.unified_pictures import resampled
 from rholoc.recordings.selection import SelectedFrames
-from rholoc.simulation import Light, Site, make_site_walk
+from rholoc.simulation import Light
 from rholoc.simulation.light import light_scene
 from rholoc.simulation.recording import PHONE_CAMERA
 from rholoc.simulation.render import Renderer
 from rholoc.simulation.sensor import develop, expose, meter
-from rholoc.simulation.sites import make_site
+from rholoc_lab.simulation.sites import Site, make_site, make_site_walk
 
 T265 = (0.0008, 0.031, -0.03, 0.005)  # coefficients of a RealSense's fisheyes
 EUROC = SHARED_DATA / "euroc_v101"

@@ -47,7 +47,7 @@ import httpx
 import numpy as np
 import psutil
 
-from localize_request import START_SECONDS, free_port
+from measuring import START_SECONDS, free_port
 
 SHIPPED = Path(__file__).resolve().parents[1] / "maps"
 MAP = "testsite"

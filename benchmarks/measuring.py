@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -27,6 +28,7 @@ _OFFSETS_S = np.arange(-0.25, 0.2501, 0.01)
 _FEWEST_PAIRS = 8
 _FIT_SCALES = np.array([0.05] * 3 + [0.01] * 3 + [0.02])  # rad, rad/s, s
 _FIT_SCALE_RAD = np.radians(0.2)  # errors beyond count less and less in the fit
+START_SECONDS = 60  # by which a service answers
 _REACH = 0.15  # of an interval: how far the distance of two frames in time may be from it
 _STANDS_FOR_S = 0.5  # a placed frame covers this much of the recording before and behind it
 
@@ -211,6 +213,12 @@ def measured() -> Iterator[Cost]:
         done.set()
         watcher.join()
         cost.peak_mb = max(cost.peak_mb, resident_mb())
+
+
+def free_port() -> int:
+    """A local port that is free now."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
 
 
 def resident_mb() -> float:

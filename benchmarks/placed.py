@@ -44,8 +44,8 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.maps import read_trajectory_csv
 from rholoc.recordings import Recording, read_recording
 from rholoc.recordings.selection import SelectedFrames
-from rholoc.simulation import Site, simulate_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc_lab.simulation.sites import Site, simulate_site
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"
 NAMES = ("bedroom_night", "android_livingroom", "euroc_v101", "redkitchen", "room", "building")
@@ -85,7 +85,7 @@ def walk_of(name: str, data: Path, cache: Path, seconds: float) -> Walk:
         lasting_s, fps = (30.0, 30.0) if name == Site.ROOM else (seconds, 15.0)
         folder = cache / f"{name}-0-walk1-{lasting_s:.0f}s-{fps:g}fps-0ms"
         if not (folder / "made").exists():
-            simulate_recording(folder, seconds=lasting_s, fps=fps, site=Site(name))
+            simulate_site(folder, Site(name), seconds=lasting_s, fps=fps)
             (folder / "made").touch()
         return Walk(
             replace(read_recording(folder), waypoints=()), read_trajectory_csv(folder / "truth.csv").T_map_camera

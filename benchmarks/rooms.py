@@ -21,8 +21,9 @@ from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, load_map, read_trajectory_csv, save_map
 from rholoc.recordings import GivenPoses, Recording, read_image, read_recording
 from rholoc.recordings.selection import SelectedFrames
-from rholoc.simulation import Light, Site, simulate_recording
+from rholoc.simulation import Light
 from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc_lab.simulation.sites import Site, simulate_site
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"
 HALVES_ASKED = 24  # frames of each half, about
@@ -188,7 +189,7 @@ def simulated(
     folder = kept / f"{site.value}-{seed}-walk{walk}-{light.value}-{fps:g}fps"
     if not (folder / "made").exists():
         shutil.rmtree(folder, ignore_errors=True)
-        simulate_recording(folder, walk=walk, seconds=WALK_SECONDS, seed=seed, fps=fps, site=site, light=light)
+        simulate_site(folder, site, walk, WALK_SECONDS, seed, fps=fps, light=light)
         (folder / "made").touch()
     recording, truth = read_recording(folder), read_trajectory_csv(folder / "truth.csv")
     nearest = np.abs(truth.times[:, None] - recording.frames.times).argmin(axis=0)

@@ -72,6 +72,25 @@ sys.path.insert(0, str(Path(__file__).parent))  # of what tests of several packa
 _REAL_DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Runs ``rholoc``: arguments → (exit status, standard output, standard error)."""
+
+    from rholoc.cli import main
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["rholoc", *map(str, arguments)])
+        try:
+            main()
+            status: Any = 0
+        except SystemExit as ended:
+            status = ended.code or 0
+        printed = capsys.readouterr()
+        return int(status), printed.out, printed.err
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of real recordings beside the project; skips where it is absent, unless they are required."""

@@ -29,15 +29,16 @@ PAGES = (
     "server/LIGHT.md",
     "maps/README.md",
     "client/README.md",
+    "benchmarks/lab/README.md",
     "ros/README.md",
     "docs/howto.md",
     "docs/library.md",
     "docs/method.md",
+    "docs/others.md",
     "docs/experiments.md",
     "docs/page.md",
     "docs/paper.md",
 )
-NOTEBOOK = ROOT / "docs" / "paper.ipynb"
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)|(?<=src=\")([^\"]+)")
 
 
@@ -56,7 +57,7 @@ def on_files(files: Files, config: Any, **_: Any) -> Files:
         if files.get_file_from_path(name) is None:
             files.append(File.generated(config, name, abs_src_path=str(ROOT / name)))
     files.append(File.generated(config, "http.md", content=http_reference.page(create_app(Settings()).openapi())))
-    run = notebook.run_notebook(NOTEBOOK)
+    run = notebook.run_notebook(notebook.NOTEBOOK)
     files.append(File.generated(config, "docs/notebook.md", content=run.text))
     for name, picture in run.pictures.items():
         files.append(File.generated(config, f"docs/{name}", content=picture))

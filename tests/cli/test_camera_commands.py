@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from rholoc.cli import main
 from rholoc.geometry import Camera
 from rholoc.library import CameraLibrary
 
@@ -18,21 +16,10 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
+def run(command, monkeypatch, tmp_path):
     """Runs a command; its exit status, standard output and error."""
     monkeypatch.setenv("RHOLOC_MAPS_DIR", str(tmp_path / "maps"))
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["rholoc", *map(str, words)])
-        try:
-            main()
-            status = 0
-        except SystemExit as exit_:
-            status = exit_.code or 0
-        printed = capsys.readouterr()
-        return status, printed.out, printed.err
-
-    return run
+    return command
 
 
 def test_cameras_are_added_listed_shown_and_removed(run, tmp_path):

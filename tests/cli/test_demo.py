@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import pytest
 
-from rholoc.cli import demo as demo_command
+from rholoc.cli.demo import DemoFigures
 from rholoc.evaluation import Evaluation
 from rholoc.simulation import PHONE_CAMERA, simulate_recording
 from rholoc_client import Camera, MapSummary
@@ -144,19 +144,15 @@ def test_a_demo_whose_worker_dies_again_and_again_ends_with_why(walk: Path, tmp_
     assert "its library is broken" in line
 
 
-def test_the_demo_says_what_the_map_expects_and_whether_it_is_trusted(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_demo_says_what_the_map_expects_and_whether_it_is_trusted() -> None:
     camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
     described = ("testsite", "0" * 32, 1, "ray", "lab3", "metric", True, "2026-01-01T00:00:00Z", 900, 60, 400_000)
     summary = MapSummary(*described, camera, trusted=False, trust_reason="START is missed.", expected_error_m=0.0123)
     evaluation = Evaluation(300, 300, 2.5, 0.5, 5.0, 1.0, 0.84, 0.9, 1.0)
-    figures = demo_command._Figures(evaluation, summary, ("The frame poses are not trusted: ...",), 30.0, 60.0, 99.0)
-    demo_command._print(figures, demo_command._Files(tmp_path), as_json=False)
-    printed = capsys.readouterr()
-    assert "warning: The frame poses are not trusted" in printed.err
-    table = [" ".join(line.split()) for line in printed.out.splitlines()]
-    assert "median error 2.50 cm, 0.50°" in table
-    assert "the map's expected error 1.23 cm (rms)" in table
-    assert "trusted no. START is missed." in table
+    figures = DemoFigures(evaluation, summary, ("The frame poses are not trusted: ...",), 30.0, 60.0, 99.0)
+    rows = figures.rows()
+    assert rows["median error"] == "2.50 cm, 0.50°"
+    assert rows["the map's expected error"] == "1.23 cm (rms)"
+    assert rows["trusted"] == "no. START is missed."
     assert figures.as_dict()["trusted"] is False
+    assert figures.as_dict()["warnings"] == ["The frame poses are not trusted: ..."]

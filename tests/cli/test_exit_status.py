@@ -13,26 +13,15 @@ from typing import NoReturn
 import pytest
 
 from rholoc import __version__
-from rholoc.cli import main
 from rholoc.errors import InvalidMap
 
 Run = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def rholoc(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+def rholoc(command: Run) -> Run:
     """Runs the command in this process: arguments → (exit status, standard output, standard error)."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["rholoc", *map(str, arguments)])
-        with pytest.raises(SystemExit) as caught:
-            main()
-        status = 0 if caught.value.code is None else caught.value.code
-        assert isinstance(status, int)
-        printed = capsys.readouterr()
-        return status, printed.out, printed.err
-
-    return run
+    return command
 
 
 def fail_with(error: BaseException) -> Callable[..., NoReturn]:
@@ -74,9 +63,9 @@ def test_a_foreign_file_is_no_map(rholoc: Run, tmp_path: Path) -> None:
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["map build walk.mp4", "localize map.rho walk.mp4"])
-def test_a_missing_output_folder_is_reported_before_the_work(rholoc: Run, command: str, tmp_path: Path) -> None:
-    status, _, err = rholoc(*command.split(), "-o", tmp_path / "absent" / "out")
+@pytest.mark.parametrize("words", ["map build walk.mp4", "localize map.rho walk.mp4"])
+def test_a_missing_output_folder_is_reported_before_the_work(rholoc: Run, words: str, tmp_path: Path) -> None:
+    status, _, err = rholoc(*words.split(), "-o", tmp_path / "absent" / "out")
     assert status == 1
     assert "absent" in err
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from rholoc.cli import main
-
+Run = Callable[..., tuple[int, str, str]]
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz"
 
 
@@ -30,22 +30,17 @@ def walk(tmp_path: Path) -> Path:
     return folder
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["rholoc", "recording", "info", *map(str, arguments)])
-    try:
-        main()
-    except SystemExit as ended:
-        return int(ended.code or 0)
-    return 0
+@pytest.fixture
+def info(command: Run) -> Run:
+    """Runs ``rholoc recording info``: arguments → (exit status, standard output, standard error)."""
+    return partial(command, "recording", "info")
 
 
-def test_it_tells_all_of_a_recording(
-    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_tells_all_of_a_recording(walk: Path, tmp_path: Path, info: Run) -> None:
     picture = tmp_path / "walk.png"
-    assert run(monkeypatch, walk, "--json", "-o", picture) == 0
-    printed = capsys.readouterr()
-    shown = json.loads(printed.out)
+    status, printed, errors = info(walk, "--json", "-o", picture)
+    assert status == 0, errors
+    shown = json.loads(printed)
     assert shown["format"] == "rholoc"
     assert shown["frames"] | {"start_s": 0.0, "end_s": 1.95} == shown["frames"]
     assert (shown["frames"]["count"], shown["frames"]["width"], shown["frames"]["height"]) == (40, 64, 48)
@@ -59,18 +54,16 @@ def test_it_tells_all_of_a_recording(
     assert {warning["kind"] for warning in shown["warnings"]} == {"acceleration_unit", "imu_gap"}
     expected = {"too_fast", "too_dark", "too_little_texture", "pauses_missing"}
     assert {advice["kind"] for advice in shown["advice"]} == expected
-    assert str(picture) in printed.err
+    assert str(picture) in errors
     drawn = cv2.imread(str(picture))
     assert drawn is not None
     assert drawn.shape == (1080, 1600, 3)
     assert (drawn < 128).any(axis=2).mean() > 0.01  # lines, not a white page
 
 
-def test_people_read_the_same_in_words(
-    walk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, walk) == 0
-    printed = capsys.readouterr().out
+def test_people_read_the_same_in_words(walk: Path, info: Run) -> None:
+    status, printed, errors = info(walk)
+    assert status == 0, errors
     for words in (
         "40, 64×48",
         "at 20.0 Hz",
@@ -83,10 +76,7 @@ def test_people_read_the_same_in_words(
     assert printed.count("next time: ") == 4
 
 
-def test_what_is_no_recording_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, tmp_path / "nowhere") == 1
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.count("\n") == 1
+def test_what_is_no_recording_is_one_line(tmp_path: Path, info: Run) -> None:
+    status, printed, errors = info(tmp_path / "nowhere")
+    assert (status, printed) == (1, "")
+    assert errors.count("\n") == 1

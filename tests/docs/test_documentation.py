@@ -32,6 +32,7 @@ PAGES = [
         "docs/method.md",
         "docs/experiments.md",
         "docs/paper.md",
+        "docs/others.md",
         "server/README.md",
         "docs/service/asking.md",
         "docs/service/mapping.md",

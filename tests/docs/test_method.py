@@ -18,6 +18,11 @@ def test_modules_of_the_method_exist(module: str) -> None:
     assert (PACKAGE / module).is_file()
 
 
+def test_modules_that_the_method_names_without_their_room_exist() -> None:
+    named = set(re.findall(r"`([a-z_0-9]+\.py)`", METHOD))
+    assert named <= {path.name for path in PACKAGE.rglob("*.py")}
+
+
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:server|tests|benchmarks|maps)/[\w/.]*)`", CONTRIBUTING))))
 def test_paths_for_contributors_exist(path: str) -> None:
     assert (ROOT / path).exists()

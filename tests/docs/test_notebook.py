@@ -1,7 +1,8 @@
-"""The notebook holds no outputs; the site's test runs it."""
+"""The notebook keeps its outputs; the site's test runs it."""
 
 from __future__ import annotations
 
+import base64
 import json
 import sys
 from pathlib import Path
@@ -13,16 +14,20 @@ ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "docs" / "paper.ipynb"
 
 
-def test_outputs_are_stripped() -> None:
+def test_outputs_are_kept() -> None:
     cells: list[dict[str, Any]] = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     code = [cell for cell in cells if cell["cell_type"] == "code"]
-    assert len(code) > 5
-    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
+    assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
+    for cell in code:
+        source, kinds = "".join(cell["source"]), [one["output_type"] for one in cell["outputs"]]
+        assert ("display_data" in kinds) == ("plt.show()" in source)
+        assert ("stream" in kinds) == ("print(" in source), "run python docs/site/notebook.py"
+    assert str(ROOT) not in NOTEBOOK.read_text(encoding="utf-8")
 
 
 def test_a_page_has_what_cells_say_print_and_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "site"))
-    from notebook import run_notebook
+    from notebook import keep_outputs, run_notebook
 
     plot = "import matplotlib.pyplot as plt\nplt.plot([1, 2])\nplt.show()\nprint(6 * 7)"
     cells = [
@@ -36,6 +41,10 @@ def test_a_page_has_what_cells_say_print_and_show(tmp_path: Path, monkeypatch: p
     assert page.text.startswith("# A title\n\n```python\nimport matplotlib")
     assert "```text\n42\n```\n\n![what the cell above draws](walk-1.png)" in page.text
     assert page.pictures["walk-1.png"].startswith(b"\x89PNG")
+    keep_outputs(path)
+    ran = json.loads(path.read_text(encoding="utf-8"))["cells"][1]
+    assert ran["outputs"][0]["text"] == ["42\n"]
+    assert base64.b64decode(ran["outputs"][1]["data"]["image/png"]).startswith(b"\x89PNG")
     path.write_text(json.dumps({"cells": cells}), encoding="utf-8")
     with pytest.raises(AssertionError, match="wrong"):
         run_notebook(path)

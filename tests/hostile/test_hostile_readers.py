@@ -13,9 +13,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "recordings"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "jobs"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import phone_recordings as phone
-from fake_pipeline import tiny_map
 
 import fuzz_readers
+from fake_pipeline import tiny_map
 from rholoc.errors import RholocError
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.geometry import Camera

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rholoc.evaluation.lighting_pairs import compare_lighting_pairs
+from rholoc_lab.evaluation.lighting_pairs import compare_lighting_pairs
 
 pytestmark = pytest.mark.real
 

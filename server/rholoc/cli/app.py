@@ -9,27 +9,10 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import (
-    audit,
-    backup,
-    cameras,
-    compare,
-    demo,
-    doctor,
-    evaluate,
-    jobs,
-    keys,
-    localize,
-    maps,
-    paper,
-    recordings,
-    serve,
-    simulate,
-    sites,
-    storage,
-    track,
-)
+from rholoc.cli import cameras, demo, localize, maps, recordings, sites
 from rholoc.cli.console import print_error
+from rholoc.cli.lab import CommandsOfTheLab, add_lab
+from rholoc.cli.operate import audit, backup, doctor, jobs, keys, serve, storage
 from rholoc.disk import is_full
 from rholoc.errors import RholocError
 
@@ -39,6 +22,7 @@ DEBUG_VARIABLE = "RHOLOC_DEBUG"  # if set, bugs are shown with their traceback
 
 app = typer.Typer(
     name="rholoc",
+    cls=CommandsOfTheLab,
     help="Indoor localization from ordinary cameras: one walk with a phone makes a map, any frame gets its pose back.",
     no_args_is_help=True,
     add_completion=False,
@@ -52,19 +36,15 @@ app.command()(backup.backup)
 app.command()(backup.restore)
 app.command()(doctor.doctor)
 app.command()(audit.audit)
-app.command()(simulate.simulate)
 app.add_typer(maps.app, name="map")
 app.add_typer(cameras.app, name="camera")
 app.add_typer(sites.app, name="site")
 app.add_typer(recordings.app, name="recording")
-app.add_typer(paper.app, name="paper")
 app.add_typer(keys.app, name="key")
 app.add_typer(jobs.app, name="job")
 app.add_typer(storage.app, name="storage")
 app.command()(localize.localize)
-app.command()(track.track)
-app.command()(evaluate.evaluate)
-app.command()(compare.compare)
+add_lab(app, maps.app, recordings.app)
 
 
 def _print_version(asked: bool) -> None:

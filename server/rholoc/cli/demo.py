@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+from rholoc.cli import options
 from rholoc.cli.console import (
     fraction_progress,
     frame_progress,
@@ -22,11 +23,9 @@ from rholoc.cli.console import (
     print_json,
     print_notice,
 )
-from rholoc.cli.evaluate import evaluation_rows
 from rholoc.cli.localize import trajectory_table
-from rholoc.cli.maps import trust_line
+from rholoc.cli.maps.page import trust_line
 from rholoc.cli.server_process import RunningServer, in_background, running_server
-from rholoc.cli.simulate import Seed
 from rholoc.errors import RholocError
 from rholoc.processes import interruptible
 
@@ -89,7 +88,7 @@ def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path("demo-output"),
     seconds: Annotated[float, typer.Option(min=30, max=120, help="The length of each walk: 30, or longer.")] = 30.0,
     every: Annotated[int, typer.Option(min=1, help="Localize every N-th frame of the second walk.")] = 3,
-    seed: Seed = 0,
+    seed: options.Seed = 0,
     leave_open: Annotated[
         bool, typer.Option("--open", help="Leave the server running and open its pages, until Ctrl-C.")
     ] = False,
@@ -112,7 +111,7 @@ def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool,
         simulate_recording(first, walk=1, seconds=seconds, seed=seed, progress=progress)
     _put_truth_apart(first, files)
     with (
-        in_background("simulate", second, "--walk", 2, "--seconds", seconds, "--seed", seed) as second_is_simulated,
+        in_background("rholoc.simulation", second, 2, seconds, seed) as second_is_simulated,
         running_server(files.maps, files.data, files.log) as server,
     ):
         try:
@@ -128,7 +127,7 @@ def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool,
             raise RholocError(str(error), f"The server's log is {files.log}.") from error
         evaluation, median_ms = _evaluation(files, table, every), float(np.median(frame_ms))
         total_s = time.perf_counter() - start_s
-        figures = _Figures(evaluation, published, job.warnings, median_ms, build_s, total_s)
+        figures = DemoFigures(evaluation, published, job.warnings, median_ms, build_s, total_s)
         _print(figures, files, as_json)
         if leave_open:
             _stay(server)
@@ -157,12 +156,12 @@ def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTa
     """Localize every ``every``-th frame over HTTP; returns the trajectory and each request's milliseconds."""
     import cv2
 
-    from rholoc.evaluation.tracking import client_camera
     from rholoc.recordings import read_recording
+    from rholoc_client import Camera
 
     walk = read_recording(recording)
     assert walk.camera is not None
-    camera = client_camera(walk.camera)
+    camera = Camera(**walk.camera.to_dict())
     rows = range(0, len(walk.frames.times), every)
     answers, frame_ms = [], []
     with frame_progress("localizing walk 2", len(rows)) as advance:
@@ -176,7 +175,7 @@ def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTa
 
 
 @dataclass(frozen=True)
-class _Figures:
+class DemoFigures:
     """What the demo measured.
 
     Attributes:
@@ -209,6 +208,18 @@ class _Figures:
             "total_s": round(self.total_s, 1),
         }
 
+    def rows(self) -> dict[str, str]:
+        """The figures for people: texts with units, by name."""
+        expected_m = self.map.expected_error_m
+        return self.evaluation.rows() | {
+            "the map's expected error": "unknown" if expected_m is None else f"{100 * expected_m:.2f} cm (rms)",
+            "trusted": trust_line(self.map.trusted, self.map.trust_reason),
+            "time a frame": f"{self.median_ms:.0f} ms (median, over HTTP)",
+            "map": f"{self.map.size_bytes / 1000:.0f} kB, {self.map.landmarks} landmarks, "
+            f"built in {self.build_s:.0f} s",
+            "whole demo": f"{self.total_s:.0f} s",
+        }
+
 
 def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation:
     """Compare with the truth, and write the trajectory and the top view."""
@@ -227,22 +238,13 @@ def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation
     return evaluate(trajectory_errors(pairs.estimated, pairs.truth))
 
 
-def _print(figures: _Figures, files: _Files, as_json: bool) -> None:
+def _print(figures: DemoFigures, files: _Files, as_json: bool) -> None:
     for warning in figures.warnings:
         print_notice(f"warning: {warning}")
     if as_json:
         print_json(figures.as_dict())
         return
-    expected_m = figures.map.expected_error_m
-    rows = evaluation_rows(figures.evaluation) | {
-        "the map's expected error": "unknown" if expected_m is None else f"{100 * expected_m:.2f} cm (rms)",
-        "trusted": trust_line(figures.map.trusted, figures.map.trust_reason),
-        "time a frame": f"{figures.median_ms:.0f} ms (median, over HTTP)",
-        "map": f"{figures.map.size_bytes / 1000:.0f} kB, {figures.map.landmarks} landmarks, "
-        f"built in {figures.build_s:.0f} s",
-        "whole demo": f"{figures.total_s:.0f} s",
-    }
-    print_figures(_TITLE, rows)
+    print_figures(_TITLE, figures.rows())
     print_notice(f"The trajectory is in {files.trajectory}, the picture in {files.top_view}.")
 
 

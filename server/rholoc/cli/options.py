@@ -52,6 +52,7 @@ Topics = Annotated[
         "--topic", metavar="NAME", help="Of a bag, a topic to take where there are several of a kind; repeatable."
     ),
 ]
+Seed = Annotated[int, typer.Option(min=0, help="Another seed is another room; the same one the same recording.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map file (.rho).")]
 Source = Annotated[

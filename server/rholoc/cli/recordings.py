@@ -9,10 +9,9 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import output, print_figures, print_json, print_notice
-from rholoc.cli.flow import flow
+from rholoc.cli.lab import CommandsOfTheLab
 
-app = typer.Typer(no_args_is_help=True, help="Inspect recordings before a map is made from them.")
-app.command()(flow)
+app = typer.Typer(no_args_is_help=True, cls=CommandsOfTheLab, help="Inspect recordings before a map is made from them.")
 
 
 @app.callback()

@@ -1,4 +1,4 @@
-"""Child processes of a command that do not outlive it: a server as users start it, and background commands."""
+"""Child processes of a command that do not outlive it: a server as users start it, and programs in the background."""
 
 from __future__ import annotations
 
@@ -50,19 +50,19 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
 
 
 @contextmanager
-def in_background(*command: object) -> Iterator[Callable[[], None]]:
-    """A ``rholoc`` command in a process of its own, killed at the end of the block; yields a call that waits for it.
+def in_background(module: str, *arguments: object) -> Iterator[Callable[[], None]]:
+    """Run ``python -m module`` in the background until the end of the block; yields a call that waits for it to end.
 
     Raises:
-        RholocError: from that call: the command failed.
+        RholocError: from that call: the program failed.
     """
-    with running_program("rholoc", *command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
+    with running_program(module, *arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
 
         def wait() -> None:
             status, errors = program.wait()
             if status:
                 last = next(reversed(errors.splitlines()), "It ended unexpectedly; it may need more memory.")
-                raise RholocError(f"rholoc {command[0]} failed in the background.", last)
+                raise RholocError(f"{module} failed in the background.", last)
 
         yield wait
 

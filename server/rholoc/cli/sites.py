@@ -9,8 +9,8 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import output, print_error, print_json, print_notice
-from rholoc.cli.jobs import open_queue
-from rholoc.cli.serve import Data, service_settings
+from rholoc.cli.operate.jobs import open_queue
+from rholoc.cli.operate.serve import Data, service_settings
 from rholoc.errors import InvalidInput
 
 if TYPE_CHECKING:

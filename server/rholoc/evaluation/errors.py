@@ -67,6 +67,18 @@ class Evaluation:
         """The figures by name, JSON-serialisable."""
         return asdict(self)
 
+    def rows(self) -> dict[str, str]:
+        """The figures for people: texts with units, by name."""
+        return {
+            "frames": str(self.n),
+            "localized": f"{self.localized} ({_percent(self.localized / self.n if self.n else 0)})",
+            "median error": f"{_number(self.median_cm)} cm, {_number(self.median_deg)}°",
+            "90th percentile": f"{_number(self.p90_cm)} cm, {_number(self.p90_deg)}°",
+            "within 5 cm and 5°": _percent(self.recall_5cm_5deg),
+            "within 10 cm and 5°": _percent(self.recall_10cm_5deg),
+            "within 25 cm and 10°": _percent(self.recall_25cm_10deg),
+        }
+
 
 def trajectory_errors(estimated: FloatArray, truth: FloatArray) -> PoseErrors:
     """Errors of ``estimated`` (N, 4, 4) against ``truth`` (N, 4, 4), both T_map_camera in one map frame, metres.
@@ -119,6 +131,14 @@ def rigid_alignment(estimated: FloatArray, truth: FloatArray) -> FloatArray:
     known = np.isfinite(estimated).all(axis=(1, 2))
     aligned = kabsch(estimated[known, :3, 3], truth[known, :3, 3])
     return pose_matrix(aligned.rotation, aligned.translation)
+
+
+def _percent(fraction: float) -> str:
+    return f"{100 * fraction:.1f} %"
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
 
 
 def _fraction(flags: BoolArray) -> float:

@@ -19,10 +19,10 @@ from rholoc.recordings import CameraFile, write_camera_json, write_frames_csv, w
 from rholoc.recordings.tables.waypoints import MIN_WAYPOINTS
 from rholoc.simulation.light import Light, light_building, light_scene
 from rholoc.simulation.render import SAMPLES, Renderer
+from rholoc.simulation.rooms import make_test_site
 from rholoc.simulation.scene import Building, Scene
 from rholoc.simulation.sensor import Exposure, develop, expose, meter
-from rholoc.simulation.sites import Site, make_site, make_site_walk
-from rholoc.simulation.walk import R_CAMERA_IMU, Motion, measure_imu, measure_waypoints
+from rholoc.simulation.walk import R_CAMERA_IMU, Motion, make_walk, measure_imu, measure_waypoints
 
 PHONE_CAMERA = Camera(width=640, height=480, fx=520.0, fy=520.0, cx=319.5, cy=239.5)
 TRUTH_COLUMNS = "timestamp,x,y,z,hx,hy,hz,frame,roll,qx,qy,qz,qw,confidence,inliers"
@@ -68,7 +68,6 @@ def simulate_recording(
     seconds: float = 30.0,
     seed: int = 0,
     fps: float = 30.0,
-    site: Site = Site.ROOM,
     scene: Scene | Building | None = None,
     camera: Camera = PHONE_CAMERA,
     readout_s: float = 0.0,
@@ -81,11 +80,10 @@ def simulate_recording(
     in the same map frame, whatever the walk and the light.
 
     Args:
-        walk: a walk, or the number of one of the site's.
+        walk: a walk, or the number of one through the test site.
         seconds: the recording's length; less than a whole walk takes ends on the way, and without ``waypoints.csv``
             where it ends before the third.
-        site: where the walk is: the ``seed``'s room or building.
-        scene: another place than the site.
+        scene: another place than the ``seed``'s test site.
         readout_s: read-out time of a rolling shutter from the first row to the last; the frame's time is that of the
             middle row. Noted in ``camera.json``, as phones do that log it.
         progress: called with the fraction done; may raise to stop.
@@ -94,8 +92,8 @@ def simulate_recording(
         StorageFull: the video cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
-    walk = make_site_walk(site, walk, seconds, seed) if isinstance(walk, int) else walk
-    scene = _site(site, seed) if scene is None else scene
+    walk = make_walk(walk, seconds, seed) if isinstance(walk, int) else walk
+    scene = _test_site(seed) if scene is None else scene
     times = np.arange(max(1, round(seconds * fps))) / fps
     T_map_camera = walk.T_map_camera(times)
 
@@ -124,8 +122,8 @@ def render_view(
 
 
 @lru_cache(maxsize=2)
-def _site(site: Site, seed: int) -> Scene | Building:
-    return make_site(site, seed)
+def _test_site(seed: int) -> Scene:
+    return make_test_site(seed)
 
 
 @lru_cache(maxsize=2)

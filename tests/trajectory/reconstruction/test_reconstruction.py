@@ -9,11 +9,11 @@ import pytest
 from synthetic_walk import DELAY_S, SyntheticWalk, estimated
 
 from rholoc.errors import MappingFailed
-from rholoc.evaluation.odometry import measure_odometry
 from rholoc.geometry import UP, FloatArray, angles_between, umeyama
 from rholoc.recordings import Waypoint
 from rholoc.simulation import PHONE_CAMERA
 from rholoc.trajectory import PoseMethod, Scale, Trajectory
+from rholoc_lab.evaluation.odometry import measure_odometry
 
 pytestmark = pytest.mark.slow
 

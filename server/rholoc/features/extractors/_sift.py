@@ -95,7 +95,7 @@ def shortened(descriptors: FloatArray, size: int) -> ByteArray:
 
 @cache
 def _basis(size: int) -> tuple[FloatArray, FloatArray]:
-    """The mean (128,) and the basis (128, ``size``), made by benchmarks/train_sift_basis.py."""
+    """The mean (128,) and the basis (128, ``size``), made by benchmarks/train_bases.py."""
     with files(__package__).joinpath(_BASIS_FILE).open("rb") as file:
         stored = np.load(file, allow_pickle=False).astype(np.float32)
     mean, directions = stored[0], stored[1:]

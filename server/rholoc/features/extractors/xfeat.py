@@ -283,7 +283,7 @@ def _as_bytes(descriptors: FloatArray) -> ByteArray:
 
 @cache
 def _basis() -> tuple[FloatArray, FloatArray]:
-    """The mean (64,) and the directions (64, 40), made by benchmarks/train_xfeat_basis.py."""
+    """The mean (64,) and the directions (64, 40), made by benchmarks/train_bases.py."""
     with files(__package__).joinpath(BASIS_FILE).open("rb") as file:
         stored: FloatArray = np.load(file, allow_pickle=False)
     return stored[0], stored[1:].T

@@ -16,7 +16,6 @@ from pydantic_core import from_json
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rholoc.errors import Busy, DeadlineExceeded, InvalidInput
-from rholoc.evaluation.tracking import client_camera
 from rholoc.geometry import Camera
 from rholoc.localization import AnyLocalizer
 from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image
@@ -233,7 +232,7 @@ class _ServedTrack:
     def _camera(self, image: np.ndarray) -> ClientCamera:
         size = (image.shape[1], image.shape[0])
         frame = Frame(LocalizeOptions(camera=self._begin.camera), stored=self._stored)
-        return client_camera(camera_for(frame, size, self._localizer.map.info.camera))
+        return ClientCamera(**camera_for(frame, size, self._localizer.map.info.camera).to_dict())
 
 
 def _odometry(message: FrameMessage) -> FloatArray | None:

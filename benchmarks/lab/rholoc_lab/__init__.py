@@ -1,0 +1,1 @@
+"""What measures rholoc, and is no part of it: comparisons, simulated buildings, the paper's own data flow."""

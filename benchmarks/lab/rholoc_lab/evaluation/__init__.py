@@ -1,0 +1,1 @@
+"""Baselines, comparisons and trackers measured on recordings with known truth."""

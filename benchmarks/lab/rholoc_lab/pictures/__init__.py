@@ -1,0 +1,1 @@
+"""Plots of comparisons, tracks and optical flow."""

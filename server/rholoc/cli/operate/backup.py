@@ -1,0 +1,80 @@
+"""``rholoc backup`` and ``rholoc restore``: all that a server cannot make again, in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rholoc.cli.console import print_json, print_notice
+from rholoc.cli.operate.serve import Data, Maps, service_settings
+from rholoc.cli.options import Json
+
+if TYPE_CHECKING:
+    from rholoc.library import Stores
+    from rholoc.service import Settings
+    from rholoc.service.operate.backup import Manifest
+
+_MB = 1e6
+
+
+def backup(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to; it must not exist.")],
+    recordings: Annotated[bool, typer.Option("--recordings", help="Recordings, too; they are large.")] = False,
+    maps: Maps = None,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Write maps, the versions that they replaced, sites, cameras and keys to a file; the server may run."""
+    from rholoc.service.operate.backup import back_up
+
+    with _opened(service_settings(maps_dir=maps, data_dir=data)) as stores:
+        manifest = back_up(file, stores, recordings)
+    _say("Backed up", manifest, as_json)
+
+
+def restore(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="What rholoc backup wrote.")],
+    maps: Maps = None,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Bring back what is in a backup. Where something of it exists and is different, nothing is restored."""
+    from rholoc.service.operate.backup import restore as bring_back
+
+    with _opened(service_settings(maps_dir=maps, data_dir=data)) as stores:
+        manifest, moved = bring_back(file, stores)
+    for name in moved.unreadable:
+        print_notice(f"Not restored, for its file is damaged: the map {name}")
+    _say("Restored", manifest, as_json)
+
+
+@contextmanager
+def _opened(settings: Settings) -> Iterator[Stores]:
+
+    stores = settings.stores()
+    try:
+        stores.open()
+        yield stores
+    finally:
+        stores.close()
+
+
+def _say(done: str, manifest: Manifest, as_json: bool) -> None:
+    figures = {
+        "maps": manifest.count("maps/*.rho"),
+        "versions": manifest.count("maps/.previous/*"),
+        "sites": manifest.count("maps/sites/*"),
+        "cameras": manifest.count("maps/cameras/*"),
+        "keys": manifest.count("data/keys/*"),
+        "recordings": manifest.count("data/recordings/*/.entry.json"),
+        "size_bytes": sum(one.size_bytes for one in manifest.files.values()),
+    }
+    if as_json:
+        print_json(figures)
+        return
+    counts = ", ".join(f"{count} {what}" for what, count in figures.items() if what != "size_bytes")
+    print_notice(f"{done}: {counts}; {figures['size_bytes'] / _MB:.1f} MB.")

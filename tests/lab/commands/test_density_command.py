@@ -1,0 +1,153 @@
+"""``rholoc map density``: what it draws can be read, and what it cannot draw it says."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+import pytest
+
+from rholoc.density import DensityKind
+from rholoc.mapping.build.density_fitting import fit_densities
+from rholoc.maps import Map, load_map, save_map
+from rholoc.paper.landscape import Grid, Look, over_headings, over_picture, over_positions, seen_from
+
+Run = Callable[..., tuple[int, str, str]]
+SHIPPED = Path(__file__).parents[3] / "maps"
+
+
+@pytest.fixture(scope="module")
+def hall(point_room: Any) -> Map:
+    map_: Map = point_room.map_of(point_room.walk(150)[:20], "walk")
+    return map_
+
+
+@pytest.fixture
+def rholoc(command: Run) -> Run:
+    """Runs ``rholoc map``: arguments → (exit status, standard output, standard error)."""
+    return partial(command, "map")
+
+
+@pytest.fixture
+def file(hall: Map, tmp_path: Path) -> Path:
+    """The map ``hall`` in a file."""
+    save_map(hall, tmp_path / "hall.rho")
+    return tmp_path / "hall.rho"
+
+
+def _most_seen(map_: Map) -> int:
+    return int(np.argmax(np.bincount(map_.observations.features)))
+
+
+@pytest.mark.parametrize("kind", list(DensityKind))
+def test_every_form_peaks_where_its_feature_appears(hall: Map, kind: DensityKind) -> None:
+    map_, feature = fit_densities(hall, kind), _most_seen(hall)
+    views = hall.observations.views[hall.observations.features == feature]
+    look = Look.of_view(map_, feature, int(views[len(views) // 2]))
+    values, pixels = over_picture(map_, look, 60.0, 10.0)
+    peak = pixels.reshape(-1, 2)[np.argmax(values)]
+    assert values.max() > 0.9
+    assert np.linalg.norm(peak - look.pixel) < 15.0
+    grid = Grid.about(look.T_map_camera[:3, 3], (0.2, 0.2, 0.0), 0.1)
+    around = over_positions(map_, look, grid, 60.0)
+    assert around.shape == (1, 5, 5)
+    assert around[0, 2, 2] > 0.9
+    headings, up, aside = over_headings(map_, look, np.deg2rad(20), 9, 60.0)
+    assert up[4] == aside[4] == 0.0
+    assert headings[4, 4] > 0.9 > 0.5 > headings[0, 0]
+
+
+def test_a_feature_may_be_seen_from_where_it_was(hall: Map) -> None:
+    feature = _most_seen(hall)
+    view = int(hall.observations.views[hall.observations.features == feature][0])
+    grid = Grid.about(hall.views.positions[view], (0.1, 0.1, 0.0), 0.1)
+    assert seen_from(hall, feature, grid)[0, 1, 1]
+    behind = 2 * hall.landmarks.positions[feature] - hall.views.positions[view]
+    assert not seen_from(hall, feature, Grid.about(behind, (0.0, 0.0, 0.0), 0.1)).any()
+
+
+def test_a_grid_counts_x_fastest() -> None:
+    grid = Grid.about(np.array([1.0, 2.0, 3.0]), (0.5, 1.0, 0.5), 0.5)
+    assert grid.shape == (3, 5, 3)
+    assert grid.points[0].tolist() == [0.5, 1.0, 2.5]
+    assert grid.points[1].tolist() == [1.0, 1.0, 2.5]
+    assert grid.folded(grid.points[:, 2])[2].max() == grid.folded(grid.points[:, 2])[2].min() == 3.5
+
+
+@pytest.mark.parametrize("more", [(), ("--pixel", "300,200", "--tolerance", "20"), ("--sharpening",)])
+def test_a_picture(rholoc: Run, file: Path, hall: Map, more: tuple[str, ...]) -> None:
+    out = file.with_name("density.png")
+    status, _, errors = rholoc("density", file, "--feature", _most_seen(hall), "-o", out, *more)
+    assert status == 0, errors
+    picture = cv2.imread(str(out))
+    assert picture.shape[1] > 800
+    assert picture.std() > 10
+
+
+def test_a_volume_opens_as_an_image(rholoc: Run, file: Path, hall: Map) -> None:
+    out = file.with_name("density.vti")
+    assert rholoc("density", file, "--feature", _most_seen(hall), "-o", out)[0] == 0
+    image = ElementTree.parse(out).getroot()[0]
+    extent = [int(number) for number in image.attrib["WholeExtent"].split()]
+    points = np.prod([high - low + 1 for low, high in zip(extent[::2], extent[1::2], strict=True)])
+    arrays = {array.attrib["Name"]: np.array(array.text.split(), dtype=float) for array in image.iter("DataArray")}
+    assert set(arrays) == {"rho", "may_be_seen"}
+    assert all(len(values) == points for values in arrays.values())
+    assert 0.3 < arrays["rho"].max() <= 1.0
+    assert min(float(step) for step in image.attrib["Spacing"].split()) > 0
+
+
+@pytest.mark.parametrize("ending", [".gif", ".mp4"])
+def test_a_film_has_a_picture_for_every_view(rholoc: Run, file: Path, ending: str, tmp_path: Path) -> None:
+    map_ = load_map(file)
+    feature = int(np.argmin(np.abs(np.bincount(map_.observations.features) - 3)))
+    out = tmp_path / f"density{ending}"
+    status, _, errors = rholoc("density", file, "--feature", feature, "-o", out)
+    assert status == 0, errors
+    film, count = cv2.VideoCapture(str(out)), 0
+    while film.read()[0]:
+        count += 1
+    assert count == np.bincount(map_.observations.features)[feature]
+
+
+@pytest.mark.parametrize("ending", [".png", ".vti"])
+def test_a_localization_is_shown(rholoc: Run, ending: str, tmp_path: Path) -> None:
+    out = tmp_path / f"way{ending}"
+    camera = json.loads((SHIPPED / "queries" / "camera.json").read_text())
+    intrinsics = ",".join(str(camera[name]) for name in ("fx", "fy", "cx", "cy"))
+    query = SHIPPED / "queries" / "1.jpg"
+    arguments = ("--picture", query, "--camera", intrinsics, "--starts", "2", "-o", out)
+    status, _, errors = rholoc("density", SHIPPED / "testsite.rho", *arguments)
+    assert status == 0, errors
+    assert out.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--feature", "100000"), "has no feature 100000"),
+        (("--feature", "-1"), "has no feature -1"),
+        (("--feature", "0", "--view", "999"), "has no view 999"),
+        (("--feature", "0", "--pixel", "here"), "'here' is not a pixel"),
+        (("--feature", "0", "--pixel", "nan,2"), "is not a pixel"),
+        (("--feature", "0", "-o", "x.bmp"), "does not end in .png"),
+        (("--feature", "0", "--sharpening", "-o", "x.gif"), "does not end in .png"),
+        (("--picture", "nowhere.jpg"), "nowhere.jpg"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(rholoc: Run, file: Path, arguments: tuple[str, ...], complaint: str) -> None:
+    status, _, errors = rholoc("density", file, *arguments)
+    assert status == 1
+    assert complaint in errors
+    assert "Traceback" not in errors
+
+
+def test_a_feature_or_a_picture_has_to_be_named(rholoc: Run, file: Path) -> None:
+    assert rholoc("density", file)[0] == 2
+    assert rholoc("density", file, "--feature", "0", "--picture", "x.jpg")[0] == 2

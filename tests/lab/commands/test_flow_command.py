@@ -1,0 +1,91 @@
+"""``rholoc recording flow``: what moves by known pixels is found to."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from rholoc.maps import read_trajectory_csv
+from rholoc.recordings import write_frames_csv
+from rholoc.simulation import simulate_recording
+from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow
+from rholoc_lab.pictures.flow import dense_png
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+def _texture() -> np.ndarray:
+    rng = np.random.default_rng(4)
+    layers = [cv2.resize(rng.random((30 * k, 40 * k)), (420, 320), interpolation=cv2.INTER_CUBIC) for k in (1, 2, 4)]
+    return np.uint8(np.clip(255 * np.mean(layers, axis=0), 0, 255))
+
+
+@pytest.mark.parametrize("method", list(DenseMethod))
+def test_a_shift_is_found_everywhere(method: DenseMethod) -> None:
+    wide = _texture()
+    flow = dense_flow(wide[20:260, 20:340], wide[18:258, 15:335], method)  # the picture moves by (5, 2)
+    inner = flow[30:-30, 30:-30]
+    assert np.allclose(np.median(inner, axis=(0, 1)), (5, 2), atol=0.2)
+
+
+def test_red_is_to_the_right() -> None:
+    flow = np.zeros((8, 8, 2))
+    flow[:, :, 0] = 3.0
+    picture = cv2.imdecode(np.frombuffer(dense_png(flow), np.uint8), cv2.IMREAD_COLOR)
+    assert picture[4, 4].tolist() == [0, 0, 255]
+
+
+def test_tracks_and_fields_are_written(tmp_path: Path, command: Run) -> None:
+    wide, folder, out = _texture(), tmp_path / "walk", tmp_path / "flow"
+    folder.mkdir()
+    for frame in range(6):
+        cv2.imwrite(str(folder / f"frame-{frame:06d}.png"), wide[20:260, 60 - 4 * frame : 380 - 4 * frame])
+    write_frames_csv(folder / "frames.csv", np.arange(6), np.arange(6) / 30)
+    status, printed, errors = command("recording", "flow", folder, "-o", out, "--pictures", "2", "--fields", "--json")
+    assert status == 0, errors
+    figures = json.loads(printed)
+    assert figures["odometry"] is None
+    assert "No odometry: The camera hardly moves" in errors
+    assert figures["frames"] == 6
+    assert figures["motion_a_frame_px"] == pytest.approx(4, abs=0.5)
+    assert figures["dis_off_tracks_px"] < 0.5
+    assert figures["farneback_off_tracks_px"] < 0.5
+    status, printed, errors = command("recording", "flow", folder, "-o", tmp_path / "without", "--pictures", "0")
+    assert status == 0, errors
+    assert "None" not in printed
+    table = np.loadtxt(out / "tracks.csv", delimiter=",", skiprows=1)
+    longest = table[table[:, 1] == np.bincount(table[:, 1].astype(int)).argmax()]
+    assert np.allclose(np.diff(longest[:, 2]), 4, atol=0.5)
+    assert sorted(path.name for path in out.glob("*.png")) == [
+        f"{kind}-{frame:06d}.png" for kind in ("dis", "farneback", "tracks") for frame in (1, 5)
+    ]
+    field = cv2.readOpticalFlow(str(out / "farneback-000005.flo"))
+    assert np.allclose(np.median(field, axis=(0, 1)), (4, 0), atol=0.3)
+    dense = (out / "dense.csv").read_text().splitlines()
+    assert dense[0] == "frame,method,motion_px,off_tracks_px,off_tracks_p90_px"
+    assert [line.split(",")[:2] for line in dense[1:]] == [
+        [frame, method] for frame in ("1", "5") for method in ("farneback", "dis")
+    ]
+
+
+@pytest.mark.slow
+def test_odometry_stands_beside_the_truth(tmp_path: Path, command: Run) -> None:
+    walk, out = tmp_path / "walk", tmp_path / "flow"
+    simulate_recording(walk, seconds=9.0, fps=15)
+    status, printed, errors = command("recording", "flow", walk, "-o", out, "--pictures", "0", "--json")
+    assert status == 0, errors
+    found = json.loads(printed)["odometry"]
+    assert found["scale"] == "metric"
+    assert found["upright"]
+    assert found["true_size"] == pytest.approx(1, abs=0.05)
+    assert found["rms_m"] < 0.05
+    assert found["median_deg"] < 1.5
+    assert found["drift_percent"] < 5
+    assert (out / "odometry.png").stat().st_size > 10_000
+    table = read_trajectory_csv(out / "odometry.csv")
+    assert len(table) == found["keyframes"] > 10
