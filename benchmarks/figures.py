@@ -8,12 +8,14 @@ than its noise. Documents quote a figure as ``98 %<!-- kitchen.hard.within_2cm_p
 measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out.
 
 The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), afar (frames 30 cm and farther from
-the map's views), strangers (pictures of other rooms), pictures (a set without times), request (what a frame costs).
+the map's views), wide (frames of the kitchen's ends in maps of the rest), strangers (pictures of other rooms), pictures
+(a set without times), request (what a frame costs), throughput (frames a second of more clients and servers).
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import functools
 import json
 import os
@@ -23,21 +25,24 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import cv2
+import httpx
 import numpy as np
 
 import demo_sweep
+import load
 import rooms
 from measuring import SHARED_DATA
 from rholoc.evaluation.errors import trajectory_errors
-from rholoc.geometry import Camera, FloatArray, align_poses
+from rholoc.geometry import Camera, FloatArray, align_poses, pose_distances
 from rholoc.localization import Localizer, Query
+from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.recordings import read_recording
 from rholoc.trajectory import PoseMethod, estimate_trajectory
@@ -46,11 +51,13 @@ from rholoc_lab.evaluation.splits import QuerySet
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "server").glob("*.md")))
+DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md")), *sorted((ROOT / "server").glob("*.md")))
 QUOTED = re.compile(r"(?P<number>-?\d+(?:\.\d+)?)(?P<between>[^\d\n<]{0,5})<!-- (?P<name>[a-z]+(?:\.\w+)+) -->")
 KITCHEN = SHARED_DATA / "redkitchen"
 FRAME_PERCENT, AGAIN_CM, AGAIN_RATIO = 2.0, 0.1, 0.25
 SEED = 0
+REGION_95 = 7.81  # of χ² with three degrees of freedom
+LOAD_S = 6.0
 
 
 @dataclass(frozen=True)
@@ -145,6 +152,36 @@ def afar(cache: Path) -> Figures:
     }
 
 
+def wide(cache: Path) -> Figures:
+    """Frames of either end of the kitchen in a map of the rest of it: their places, and whether 95 % regions hold."""
+    rows = [row for named in rooms.WIDE if named.recording == "redkitchen" for row in _asked_afar(named, cache)]
+    answered = np.array([row is not None for row in rows])
+    off_m, off_rad, mahalanobis = np.array([row for row in rows if row is not None]).T
+    right = (off_m < PLACE_M) & (off_rad < PLACE_RAD)
+    return {
+        "wide.frames": Figure(len(rows), 0, True),
+        "wide.right_percent": Figure(round(100 * right.sum() / len(rows), 1), FRAME_PERCENT, True),
+        "wide.wrong_percent": Figure(round(100 * (~right).sum() / answered.sum(), 1), FRAME_PERCENT, False),
+        "wide.within_10cm_percent": Figure(round(100 * (off_m < 0.1).sum() / len(rows), 1), FRAME_PERCENT, True),
+        "wide.in_95_region_percent": Figure(round(100 * float(np.mean(mahalanobis < REGION_95)), 1), 4.0, True),
+    }
+
+
+def _asked_afar(named: rooms.NamedRoom, cache: Path) -> Iterator[tuple[float, float, float] | None]:
+    """Of each frame how far its answer is off [m, rad], and the position's squared Mahalanobis distance."""
+    room = named.make(cache)
+    localizer = Localizer(rooms.map_of(named, room.mapped, DEFAULT_FEATURES, cache))
+    assert room.asked.camera is not None
+    for T, image in room.pictures():
+        answer = localizer.localize(Query.of_picture(image, localizer.extractor, room.asked.camera))
+        if answer.pose is None or answer.covariance is None:
+            yield None
+            continue
+        off_m, off_rad = pose_distances(answer.pose.T_map_camera, T)
+        error = answer.pose.position - T[:3, 3]
+        yield float(off_m), float(off_rad), float(error @ np.linalg.solve(answer.covariance[:3, :3], error))
+
+
 def _pose(localizer: Localizer, image: np.ndarray, room: rooms.Room) -> FloatArray:
     camera = room.asked.camera
     assert camera is not None
@@ -218,13 +255,35 @@ def request(cache: Path) -> Figures:
     }
 
 
+def throughput(_: Path) -> Figures:
+    """How many more frames a second eight clients get than one, of one server and of two that share a storage."""
+    cores = len(os.sched_getaffinity(0))
+    return {
+        f"throughput.{name}_ratio": _gain(number, cores) for number, name in ((1, "one_server"), (2, "two_servers"))
+    }
+
+
+def _gain(servers: int, cores: int) -> Figure:
+    async def rates(started: Sequence[load.Server]) -> list[float]:
+        async with httpx.AsyncClient(timeout=load.PATIENCE_S) as client:
+            asker = load.Asker(started, client)
+            await asker.warm_up()
+            return [(await asker.always(clients, LOAD_S)).frames_a_second for clients in (1, 8)]
+
+    with load.serving(servers, cores) as started:
+        one, eight = asyncio.run(rates(started))
+    return Figure(round(eight / one, 2), AGAIN_RATIO, True)
+
+
 PARTS: dict[str, Callable[[Path], Figures]] = {
     "demo": demo,
     "kitchen": kitchen,
     "afar": afar,
+    "wide": wide,
     "strangers": strangers,
     "pictures": pictures,
     "request": request,
+    "throughput": throughput,
 }
 
 

@@ -256,8 +256,9 @@ def test_a_job_is_looked_up_once_for_all_who_watch_it(tmp_path):
             self.looked += 1
             return super().get(job_id)
 
-    queue = CountedQueue(tmp_path)
-    job = queue.submit(RecordingStore(tmp_path).create([("walk.mp4", [b"x"])]).id, "room")
+    recordings = RecordingStore(tmp_path)
+    queue = CountedQueue(recordings)
+    job = queue.submit(recordings.create([("walk.mp4", [b"x"])]).id, "room")
     before = queue.looked
 
     async def watch():
