@@ -58,7 +58,9 @@ def impatient(tmp_path):
 
 @pytest.fixture
 def crowded(tmp_path):
-    with answering(tmp_path, protocol_of(max_connections=5)) as address:
+    protocol = protocol_of(max_connections=5)
+    protocol.head_timeout_s = 3.0
+    with answering(tmp_path, protocol) as address:
         yield address
 
 
