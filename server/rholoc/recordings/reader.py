@@ -23,6 +23,8 @@ from rholoc.recordings.tables.lengths import parse_length
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.recordings.walk.checks import whole_warnings
 
+_ZIP_SUFFIXES = (".zip", ".r3d")  # Record3D packs its folder under a name of its own
+
 _KNOWN = (
     "Known are: a video ("
     + ", ".join(sorted(VIDEO_SUFFIXES))
@@ -93,7 +95,7 @@ def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Seq
         return read_bag(path, topics)
     if suffix in VIDEO_SUFFIXES:
         return Recording(name=path.stem, path=path, frames=read_video(path), format=RecordingFormat.VIDEO)
-    if suffix == ".zip":
+    if suffix in _ZIP_SUFFIXES:
         return _read_zip(path, workdir, max_unpacked_bytes, topics)
     raise InvalidRecording(f"{path.name} is not a recording of a known format.", _KNOWN)
 
