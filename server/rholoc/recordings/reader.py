@@ -13,6 +13,7 @@ from pathlib import Path
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
+from rholoc.recordings.file_contents import ZIP_SUFFIXES
 from rholoc.recordings.frames.bag import BAG_SUFFIXES
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
@@ -22,8 +23,6 @@ from rholoc.recordings.selection import parse_frame_slice, select_frames
 from rholoc.recordings.tables.lengths import parse_length
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.recordings.walk.checks import whole_warnings
-
-_ZIP_SUFFIXES = (".zip", ".r3d")  # Record3D packs its folder under a name of its own
 
 _KNOWN = (
     "Known are: a video ("
@@ -95,7 +94,7 @@ def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Seq
         return read_bag(path, topics)
     if suffix in VIDEO_SUFFIXES:
         return Recording(name=path.stem, path=path, frames=read_video(path), format=RecordingFormat.VIDEO)
-    if suffix in _ZIP_SUFFIXES:
+    if suffix in ZIP_SUFFIXES:
         return _read_zip(path, workdir, max_unpacked_bytes, topics)
     raise InvalidRecording(f"{path.name} is not a recording of a known format.", _KNOWN)
 
