@@ -8,7 +8,8 @@ than its noise. Documents quote a figure as ``98 %<!-- kitchen.hard.within_2cm_p
 measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out.
 
 The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), afar (frames 30 cm and farther from
-the map's views), strangers (pictures of other rooms), pictures (a set without times), request (what a frame costs).
+the map's views), strangers (pictures of other rooms), pictures (a set without times), corridor (pictures and depth
+without the poses that came with them), desk (a set without poses), request (what a frame costs).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,7 @@ from rholoc.geometry import Camera, FloatArray, align_poses
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.recordings import read_recording
-from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -199,6 +200,38 @@ def pictures(_: Path) -> Figures:
     }
 
 
+def corridor(_: Path) -> Figures:
+    """A corridor with doors that look alike, from pictures and LiDAR alone, against the poses that ARKit had."""
+    return _without_poses("corridor", SHARED_DATA / "corridor_lidar" / "scan")
+
+
+def desk(_: Path) -> Figures:
+    """A desk from pictures alone, against COLMAP's model."""
+    return _without_poses("desk", SHARED_DATA / "splat_desk")
+
+
+def _without_poses(part: str, path: Path) -> Figures:
+    """How much of a recording is placed without the poses that came with it, and how far from them."""
+    known = read_recording(path)
+    assert known.poses is not None
+    camera = known.camera if known.depth is not None else None
+    begun = time.monotonic()
+    found = estimate_trajectory(replace(known, poses=None, camera=camera), PoseMethod.AUTO)
+    a_picture_s = (time.monotonic() - begun) / len(known.frames.times)
+    T = known.poses.T_map_camera[found.rows]
+    aligned = align_poses(found.T_map_camera, T)
+    off = np.linalg.norm(aligned.poses(found.T_map_camera)[:, :3, 3] - T[:, :3, 3], axis=1)
+    extent = float(np.linalg.norm(np.ptp(T[:, :3, 3], axis=0)))
+    figures = {
+        f"{part}.placed_percent": share(np.isin(np.arange(len(known.frames.times)), found.rows), 0),
+        f"{part}.off_percent_of_extent": Figure(round(100 * float(np.median(off)) / extent, 2), 0.1, False),
+        f"{part}.s_a_picture": Figure(round(a_picture_s, 2), 0.5, False),
+    }
+    if found.scale is Scale.METRIC:
+        figures[f"{part}.scale_off_percent"] = Figure(round(100 * abs(aligned.scale - 1), 1), 0.5, False)
+    return figures
+
+
 def request(cache: Path) -> Figures:
     """What an easy frame and a stranger's picture cost, in multiples of what finding an easy frame's features costs."""
     room, localizer = _kitchen_map(cache)
@@ -218,6 +251,8 @@ PARTS: dict[str, Callable[[Path], Figures]] = {
     "afar": afar,
     "strangers": strangers,
     "pictures": pictures,
+    "corridor": corridor,
+    "desk": desk,
     "request": request,
 }
 

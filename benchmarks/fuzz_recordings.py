@@ -34,7 +34,15 @@ from rholoc.geometry import ByteArray
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import read_recording
 
-NAMES = ("redkitchen", "splat_desk", "corridor_lidar/scan", "euroc_v101", "bedroom_night", "android_livingroom")
+NAMES = (
+    "redkitchen",
+    "splat_desk",
+    "corridor_lidar/scan",
+    "euroc_v101",
+    "bedroom_night",
+    "android_livingroom",
+    "coloured_lights",
+)
 _WIDTH_PX = 640  # to which pictures are shrunk
 _PLEASE_REPORT = "report this recording"
 
