@@ -156,7 +156,7 @@ def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> list[VerifiedPair]
         pairs: verified.
         count: number of pictures.
     """
-    ends = np.array([(pair.first, pair.second) for pair in pairs]).reshape(-1, 2)
+    ends = np.array([(pair.first, pair.second) for pair in pairs], dtype=np.int64).reshape(-1, 2)
     matches = np.array([len(pair.matches) for pair in pairs])
     best = np.zeros(count)
     for k in range(count):
