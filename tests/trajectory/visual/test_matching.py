@@ -96,7 +96,8 @@ def test_a_loop_stands_alone_only_if_it_is_strong() -> None:
 def test_pairs_that_look_alike_elsewhere_are_left_out() -> None:
     walk = [_pair(k, k + step, 200) for step in (1, 2) for k in range(6 - step)]
     assert clear_pairs([*walk, _pair(0, 5, 40)], 6) == walk
-    assert clear_pairs([*walk, _pair(0, 5, 80)], 6) == [*walk, _pair(0, 5, 80)]
+    loop = _pair(0, 5, 80)
+    assert clear_pairs([*walk, loop], 6) == [*walk, loop]
     assert clear_pairs([], 6) == []
 
 
