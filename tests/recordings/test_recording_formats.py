@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import phone_recordings as phone
 import pycolmap
@@ -22,9 +23,11 @@ from rholoc.recordings import (
     write_camera_json,
     write_waypoints_csv,
 )
+from rholoc.recordings.frames.steady_frames import SteadyFrames
+from rholoc.recordings.frames.unified_pictures import resampled
 from rholoc.recordings.readers import READERS
 from rholoc.recordings.recording import Waypoint
-from rholoc.recordings.selection import select_frames
+from rholoc.recordings.selection import SelectedFrames, select_frames
 
 UNTIMED = ("7-scenes", "colmap", "nerfstudio", "metashape")
 SCANNING_APPS = ("scanner-app", "polycam", "record3d", "arkit-scenes")
@@ -46,7 +49,7 @@ POSED = {
 DISTORTED = {
     "rholoc": (),
     "stray": (),
-    **dict.fromkeys(SCANNING_APPS, ()),
+    **dict.fromkeys((*SCANNING_APPS, "mars-ios", "ios-logger"), ()),
     "spectacular": (0.01, -0.02, 0.0, 0.0, 0.003),
     **dict.fromkeys(("euroc", "colmap", "nerfstudio"), (0.1, -0.05, 0.001, 0.002)),
     "metashape": (0.1, -0.05, 0.001, 0.002, 0.0),
@@ -132,7 +135,10 @@ def check_poses(name: str, recording: Recording) -> None:
 
 def check_camera(name: str, recording: Recording) -> None:
     if name in DISTORTED:
-        assert recording.camera == Camera(*phone.SIZE, *phone.INTRINSICS, DISTORTED[name])
+        assert recording.camera is not None
+        focal = recording.camera.fx if name == "spectacular" else phone.INTRINSICS[0]  # which autofocus changes
+        assert recording.camera == Camera(*phone.SIZE, focal, *phone.INTRINSICS[1:], DISTORTED[name])
+        assert focal == pytest.approx(phone.INTRINSICS[0], rel=0.02)
     else:
         assert recording.camera is None
 
@@ -398,3 +404,39 @@ def test_an_xml_file_with_entities_is_not_expanded(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("<document", '<!DOCTYPE a [<!ENTITY b "c">]><document', 1))
     with pytest.raises(InvalidRecording, match="neither a video nor images"):
         read_recording(tmp_path / "walk")
+
+
+def test_frames_whose_logged_focal_length_changes_become_frames_of_one_camera(tmp_path: Path) -> None:
+    folder = phone.write_recording("stray", tmp_path / "walk")
+    (folder / "camera_matrix.csv").unlink()
+    steady = read_recording(folder)
+    assert steady.camera == Camera(*phone.SIZE, *phone.INTRINSICS)
+
+    def zoomed(rows: list[list[str]]) -> list[list[str]]:
+        column = [name.strip() for name in rows[0]].index("fx")
+        return [
+            rows[0],
+            *([*row[:column], str(60 + i), str(61 + i), *row[column + 2 :]] for i, row in enumerate(rows[1:])),
+        ]
+
+    phone.edit_rows(folder / "odometry.csv", zoomed)
+    recording = read_recording(folder, frames="4:")
+    assert recording.camera is not None
+    assert recording.camera.fx == 71.5
+    assert isinstance(recording.frames, SelectedFrames)
+    frames = recording.frames.source
+    assert isinstance(frames, SteadyFrames)
+    assert frames.cameras[3].fx == 63
+    assert [float(image.mean()) for image in recording.frames.images([0, 1])] == pytest.approx([40, 50], abs=4)
+
+
+def test_a_zoomed_picture_is_resampled_as_rays_are() -> None:
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    image = cv2.GaussianBlur(image, None, 2)
+    camera = Camera(64, 48, 60, 61, 30, 24, (0.1, -0.05, 0.001, 0.002))
+    common = Camera(64, 48, 57, 58, 31.5, 23.5, (0.1, -0.05, 0.001, 0.002))
+    found = resampled(image, camera, common)
+    u, v = np.meshgrid(np.arange(64), np.arange(48))
+    places = camera.project(common.rays(np.column_stack([u.ravel(), v.ravel()]))).astype(np.float32).reshape(48, 64, 2)
+    expected = cv2.remap(image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    np.testing.assert_allclose(found[4:-4, 4:-4].astype(float), expected[4:-4, 4:-4].astype(float), atol=4)

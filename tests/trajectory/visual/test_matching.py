@@ -95,16 +95,17 @@ def test_a_loop_stands_alone_only_if_it_is_strong() -> None:
 
 def test_pairs_that_look_alike_elsewhere_are_left_out() -> None:
     walk = [_pair(k, k + step, 200) for step in (1, 2) for k in range(6 - step)]
-    assert clear_pairs([*walk, _pair(0, 5, 40)], 6) == walk
+    alike = _pair(0, 5, 40)
+    assert clear_pairs([*walk, alike], 6) == (walk, [alike])
     loop = _pair(0, 5, 80)
-    assert clear_pairs([*walk, loop], 6) == [*walk, loop]
-    assert clear_pairs([], 6) == []
+    assert clear_pairs([*walk, loop], 6) == ([*walk, loop], [])
+    assert clear_pairs([], 6) == ([], [])
 
 
 def test_weak_pairs_that_link_two_parts_are_kept() -> None:
     parts = [_pair(a, b, 200) for first in (0, 3) for a in range(first, first + 3) for b in range(a + 1, first + 3)]
     link = _pair(2, 3, 20)
-    assert clear_pairs([*parts, link], 6) == [*parts, link]
+    assert clear_pairs([*parts, link], 6) == ([*parts, link], [])
 
 
 def test_progress_counts_pairs_up_to_two_fifths() -> None:

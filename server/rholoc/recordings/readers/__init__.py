@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rholoc.errors import InvalidRecording
+from rholoc.recordings.frames.steady_frames import with_logged_intrinsics
 from rholoc.recordings.readers import (
     advio,
     android_csv,
@@ -106,6 +107,8 @@ def _with_additions(recording: Recording, folder: Path) -> Recording:
     description = own.read_description(folder)
     if description.camera is not None and 0 not in recording.frames.size:
         recording = replace(recording, camera=description.camera.fitted(*recording.frames.size))
+    else:
+        recording = with_logged_intrinsics(recording)
     if description.R_camera_imu is not None and recording.imu is not None:
         recording = replace(recording, imu=replace(recording.imu, R_camera_imu=description.R_camera_imu))
     if description.readout_s is not None:

@@ -11,6 +11,7 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_matrix
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
+from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
@@ -36,6 +37,7 @@ from rholoc.trajectory.reconstruction.rounds import (
 )
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
+from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
 from rholoc.trajectory.visual.two_view import PairRotation
 
@@ -43,6 +45,7 @@ _ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
+_FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
 
 
@@ -105,7 +108,8 @@ def solve_from_set(
             f"Reconstructions of these pictures contradict each other: {agreement.why}",
             "Take more pictures in between, from places half a step apart, and let each show half of the one before.",
         )
-    found = _finished(sights, evidence, parts[0], waypoints, reason, progress)
+    part, evidence = _with_weak_pairs(parts[0], sights, camera, evidence, progress)
+    found = _finished(sights, evidence, part, waypoints, reason, progress)
     return replace(found, agreement=agreement or Agreement(np.nan, np.nan, np.nan, 0, len(sights.rows)))
 
 
@@ -152,6 +156,51 @@ def _placed_by(
     return part
 
 
+def _with_weak_pairs(
+    part: _Part, sights: Sights, camera: Camera, evidence: Evidence, progress: AdjustmentProgress
+) -> tuple[_Part, Evidence]:
+    """The part adjusted to the weak pairs that fit it, with further pictures by those of these pictures.
+
+    Returns the part as it is if they bend it.
+    """
+    more = _fitting(part, sights, camera, evidence)
+    if not more:
+        return part, evidence
+    richer = replace(evidence, sequential=[*evidence.sequential, *more], weak=[])
+    whole = with_depths(richer.observations(sights), sights.depth, camera)
+    start = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
+    try:
+        found = _adjusted(sights, whole, start, progress, (0.75, 0.85))
+    except (MappingFailed, RuntimeError):
+        return part, evidence
+    return (found, richer) if _agreement(found, part).same else (part, evidence)
+
+
+def _fitting(part: _Part, sights: Sights, camera: Camera, evidence: Evidence) -> list[VerifiedPair]:
+    """Weak pairs that the part's poses fit, of pictures as near to each other as clear pairs are; and all others of
+    pictures that it has not."""
+    count = len(sights.rows)
+    T = np.full((count, 4, 4), np.nan)
+    T[part.members] = part.adjusted.state.T_map_camera
+    reach = np.zeros(count)
+    for pair in evidence.sequential:
+        apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
+        for k in (pair.first, pair.second):
+            reach[k] = np.fmax(reach[k], apart)
+    rays = [camera.rays(found.pixels) for found in sights.features]
+    found = []
+    for pair in evidence.weak:
+        T_second_map, T_map_first = np.linalg.inv(T[pair.second]), T[pair.first]
+        apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
+        if np.isnan(apart):
+            found.append(pair)
+        elif apart <= max(reach[pair.first], reach[pair.second]):
+            a, b = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
+            if float(np.median(epipolar_errors(T_second_map @ T_map_first, a, b))) <= _FITTING:
+                found.append(pair)
+    return found
+
+
 def _agreement(part: _Part, other: _Part) -> Agreement:
     """How far two reconstructions are apart, over the pictures of the smaller one."""
     one, two = sorted((part, other), key=lambda some: len(some.members), reverse=True)
@@ -170,7 +219,7 @@ def _confirmed(part: _Part, others: Sequence[_Part]) -> bool:
 def _best_agreement(part: _Part, parts: Sequence[_Part]) -> Agreement | None:
     """The agreement with the other part that is nearest, None if there is no other to compare with."""
     found = [_agreement(part, other) for other in parts if other is not part]
-    return min(found, key=lambda one: np.nan_to_num(one.distance, nan=np.inf), default=None)
+    return min(found, key=lambda one: (not one.same, np.nan_to_num(one.distance, nan=np.inf)), default=None)
 
 
 def _adjusted(

@@ -115,10 +115,10 @@ def match_pictures(
     rays: Sequence[FloatArray],
     focal_px: float,
     progress: ProgressListener = silent,
-) -> list[VerifiedPair]:
-    """Match unordered pictures; returns verified pairs.
+) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
+    """Match unordered pictures; returns the verified pairs that are clear, and the others, see :func:`clear_pairs`.
 
-    Pairs that both overlap a third picture are tried as well, if not all pairs were. See :func:`clear_pairs`.
+    Pairs that both overlap a third picture are tried as well, if not all pairs were.
 
     Args:
         features: of K pictures.
@@ -147,8 +147,8 @@ def match_pictures(
     return clear_pairs(found, len(features))
 
 
-def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> list[VerifiedPair]:
-    """Pairs that have a fair share of their pictures' best pairs' matches, and all that link the parts these leave.
+def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
+    """Pairs that have a fair share of their pictures' best pairs' matches or link the parts these leave, and the rest.
 
     What looks alike elsewhere, such as doors along a corridor, has few matches beside those of the same place.
 
@@ -166,7 +166,8 @@ def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> list[VerifiedPair]
     graph = coo_matrix((np.ones(clear.sum()), ends[clear].T), shape=(count, count))
     part = connected_components(graph, directed=False)[1]
     kept = clear | (part[ends[:, 0]] != part[ends[:, 1]])
-    return [pair for pair, one in zip(pairs, kept.tolist(), strict=True) if one]
+    places = np.flatnonzero(kept).tolist(), np.flatnonzero(~kept).tolist()
+    return [pairs[k] for k in places[0]], [pairs[k] for k in places[1]]
 
 
 def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
