@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, rotation_angles
 from rholoc.progress import Stage
-from rholoc.trajectory.visual.loop_candidates import loop_candidates, sequential_pairs
+from rholoc.trajectory.visual.loop_candidates import least_alike, loop_candidates, sequential_pairs
 from rholoc.trajectory.visual.matching import VerifiedPair, clear_pairs, match_keyframes, supported_loops
 
 
@@ -91,6 +91,15 @@ def test_a_loop_stands_alone_only_if_it_is_strong() -> None:
     assert supported_loops([weak, strong]) == [strong]
     assert supported_loops([weak, beside]) == [weak, beside]
     assert supported_loops([]) == []
+
+
+def test_of_many_pictures_those_least_alike_are_kept() -> None:
+    places = [descriptors_of(60, seed) for seed in range(4)]
+    pixels = np.random.default_rng(0).uniform(0, 400, (60, 2))
+    features = [sift_like(pixels, places[k % 4]) for k in range(10)]  # places 0 and 1 three times, 2 and 3 twice
+    sharpness = np.arange(10.0)
+    assert least_alike(features, sharpness, 4).tolist() == [6, 7, 8, 9]
+    assert least_alike(features, sharpness, 10).tolist() == list(range(10))
 
 
 def test_pairs_that_look_alike_elsewhere_are_left_out() -> None:
