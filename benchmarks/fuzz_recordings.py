@@ -1,7 +1,7 @@
 """Whether any recording makes mapping fail otherwise than in one line with advice.
 
     python benchmarks/fuzz_recordings.py [redkitchen splat_desk …] [--cases 30] [--first 0] [--seed 0] [--pictures 24]
-        [--json FILE]
+        [--minutes 20] [--json FILE] [--write]
 
 Each case is a stretch of one recording's pictures, in a folder, to which one to three things have befallen: pictures
 were thinned, shuffled, cut out, doubled, rotated, rescaled or blanked, a second camera took some, the camera stood
@@ -9,7 +9,8 @@ still; another recording's may be mixed in, and there may be times, wrong poses 
 map by default options, whose report is not made. A case fails that raises anything but an error of ``rholoc.errors``
 with a message and advice, or the message that asks to report the recording.
 
-Prints each case and how it ended; exit status 1 where one failed. A case is made from the seed and its number.
+Prints each case and how it ended; exit status 1 where one failed. A case is made from the seed and its number. No case
+begins after so many minutes. With ``--write`` the totals go to benchmarks/results/fuzz.json.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from figures import Figure, write_results
 from measuring import SHARED_DATA
 from rholoc.errors import RholocError
 from rholoc.geometry import ByteArray
@@ -219,10 +221,14 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--pictures", type=int, default=24)
+    parser.add_argument("--minutes", type=float, default=np.inf)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
-    found, ends = [], Counter[str]()
+    found, ends, begun = [], Counter[str](), time.monotonic()
     for number in range(arguments.first, arguments.first + arguments.cases):
+        if time.monotonic() - begun > 60 * arguments.minutes:
+            break
         with tempfile.TemporaryDirectory() as folder:
             what = make_case(arguments.names, number, arguments.seed, arguments.pictures, Path(folder))
             start = time.monotonic()
@@ -234,6 +240,13 @@ def main() -> int:
     print(", ".join(f"{count} {end}" for end, count in ends.most_common()))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(found, indent=1))
+    if arguments.write:
+        figures = {
+            "fuzz.recordings": Figure(len(found), len(found), True),
+            "fuzz.maps": Figure(ends["map"], len(found), True),
+            "fuzz.ended_otherwise": Figure(ends["FAILED"], 0, False),
+        }
+        write_results("fuzz", figures, "python benchmarks/fuzz_recordings.py --write", arguments.seed)
     return 1 if ends["FAILED"] else 0
 
 

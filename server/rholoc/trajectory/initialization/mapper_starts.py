@@ -26,6 +26,7 @@ _CENTRE_SHIFT = 0.5  # COLMAP's pixel (0.5, 0.5) is the centre of the top-left o
 class Mapper(StrEnum):
     """A method for first poses."""
 
+    DEPTH = "depth"  # metric relative poses by depth pictures
     OWN = "own"  # rotation averaging, then global positioning
     GLOBAL = "global"  # pycolmap's global mapper
     INCREMENTAL = "incremental"  # pycolmap's incremental mapper

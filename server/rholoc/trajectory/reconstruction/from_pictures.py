@@ -13,6 +13,7 @@ from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.frame.map_frame import up_by_pictures
+from rholoc.trajectory.initialization.depth_start import depth_start
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
@@ -45,6 +46,7 @@ _ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
+_MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
 
@@ -81,7 +83,7 @@ def solve_from_set(
     """Reconstruct a set of pictures by several mappers, which check each other.
 
     Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
-    they see enough points. Of those that another one confirms, the reconstruction with most pictures is taken.
+    they see enough points. The reconstruction of which another one confirms most pictures is taken.
 
     Args:
         reason: one line on why the IMU was not used, or empty.
@@ -92,16 +94,16 @@ def solve_from_set(
     whole = with_depths(evidence.observations(sights), sights.depth, camera)
     parts: list[_Part] = []
     for number, mapper in enumerate(Mapper):
-        span = 0.45 + 0.1 * number, 0.55 + 0.1 * number
+        span = 0.45 + 0.07 * number, 0.52 + 0.07 * number
         part = _placed_by(mapper, sights, camera, evidence, whole, progress, span)
         if part is None:
             continue
         parts.append(part)
-        if _confirmed(part, parts[:-1]) and len(part.members) >= _ALL * len(sights.rows):
+        if _confirmed(part, parts) >= _ALL * len(sights.rows):
             break
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
-    parts.sort(key=lambda part: (_confirmed(part, parts), len(part.members)), reverse=True)
+    parts.sort(key=lambda part: (_confirmed(part, parts), part.in_metres, -len(part.members)), reverse=True)
     agreement = _best_agreement(parts[0], parts)
     if agreement is not None and not agreement.distance <= _CONTRADICTION:
         raise MappingFailed(
@@ -110,6 +112,8 @@ def solve_from_set(
         )
     part, evidence = _with_weak_pairs(parts[0], sights, camera, evidence, progress)
     found = _finished(sights, evidence, part, waypoints, reason, progress)
+    if agreement is not None and agreement.common < _MOST * len(part.members):
+        agreement = Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members))
     return replace(found, agreement=agreement or Agreement(np.nan, np.nan, np.nan, 0, len(sights.rows)))
 
 
@@ -120,11 +124,13 @@ class _Part:
     Attributes:
         members: (N,) the pictures, increasing.
         problem, adjusted: of those.
+        in_metres: whether depth pictures gave it its first poses, so that they check its shape.
     """
 
     members: IntArray
     problem: Problem
     adjusted: Adjusted
+    in_metres: bool = False
 
 
 def _placed_by(
@@ -138,7 +144,13 @@ def _placed_by(
 ) -> _Part | None:
     """The part that a mapper places, adjusted; None if it places none."""
     try:
-        if mapper is Mapper.OWN:
+        if mapper is Mapper.DEPTH:
+            rays = [camera.rays(features.pixels) for features in sights.features]
+            linked = None if sights.depth is None else depth_start(camera, sights.depth, rays, evidence.sequential)
+            if linked is None:
+                return None
+            start = State(linked[0], np.zeros((0, 3)), camera), linked[1]
+        elif mapper is Mapper.OWN:
             start = _own_start(sights, camera, evidence.rotations, whole)
         else:
             pixels = [features.pixels.astype(np.float64) for features in sights.features]
@@ -153,7 +165,7 @@ def _placed_by(
             part = _adjusted(sights, whole, more, progress, (middle, span[1]))
     except (MappingFailed, RuntimeError):  # gtsam's word for a system that cannot be solved
         return None
-    return part
+    return replace(part, in_metres=mapper is Mapper.DEPTH)
 
 
 def _with_weak_pairs(
@@ -212,8 +224,10 @@ def _agreement(part: _Part, other: _Part) -> Agreement:
     return compare(T, placed, two.members, two.adjusted.state.T_map_camera, held, depth)
 
 
-def _confirmed(part: _Part, others: Sequence[_Part]) -> bool:
-    return any(_agreement(part, other).same for other in others if other is not part)
+def _confirmed(part: _Part, others: Sequence[_Part]) -> int:
+    """Number of the part's pictures that another one confirms."""
+    found = (_agreement(part, other) for other in others if other is not part)
+    return max((one.common for one in found if one.same), default=0)
 
 
 def _best_agreement(part: _Part, parts: Sequence[_Part]) -> Agreement | None:
