@@ -12,8 +12,8 @@ whatever pictures they chose; seconds; degrees by which turns over 1, 10 and 60 
 the gyroscope; and where there is truth, centimetres after a similarity alignment. ``room`` and ``building`` are
 simulated, the latter ``--seconds`` long. The last lines name every recording of which plain pycolmap places more.
 
-``--as``: as they are (``walk``), or a folder of pictures without IMU. Without times: two pictures a second or all that
-have none (``set``), the same in any order (``shuffled``), every second of them (``half``), with the desk's among them
+``--as``: as they are (``walk``), or a folder of pictures without IMU. Without times: two pictures a second, or some
+forty (``set``), the same in any order (``shuffled``), every second of them (``half``), with the desk's among them
 (``mixed``). With times: one or half a picture a second. pycolmap then tries all pairs of up to 100 untimed pictures.
 """
 
@@ -79,6 +79,7 @@ COLUMNS = {
     "expected_cm": "expected cm",
     "failed": "failed",
 }
+_UNTIMED = 40  # pictures of a set of a recording without times, which count as taken at 2 Hz
 _MORE_PERCENT = 2.0  # of a recording, by which plain pycolmap must be ahead to be named
 
 
@@ -111,7 +112,8 @@ def as_pictures(walk: Walk, kind: str, folder: Path) -> Walk:
     """The walk as a folder of pictures, see the head of this file."""
     recording, frames = walk.recording, walk.recording.frames
     hz = 0.5 if kind == "0.5hz" else 1.0 if kind == "1hz" else 2.0
-    step = max(1, round(1 / hz / float(np.median(np.diff(frames.times))))) if frames.timed else round(2 / hz)
+    between_s = float(np.median(np.diff(frames.times))) if frames.timed else _UNTIMED / (2 * len(frames.times))
+    step = max(1, round(1 / hz / between_s))
     rows = np.arange(0, len(frames.times), step)[:: 2 if kind == "half" else 1]
     numbers = np.random.default_rng(0).permutation(len(rows)) if kind == "shuffled" else np.arange(len(rows))
     folder.mkdir(exist_ok=True)
