@@ -13,11 +13,11 @@ from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.frame.map_frame import up_by_pictures
-from rholoc.trajectory.initialization.depth_start import depth_start
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import GUESSED, Adjusted, Problem, State, adjust
+from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.figures import median_depth_of
 from rholoc.trajectory.reconstruction.measured_scale import (
     DEPTH_SIGMA,

@@ -11,7 +11,7 @@ from scene import CAMERA, arc, cloud, in_pixels
 
 from rholoc.geometry import FloatArray, kabsch
 from rholoc.recordings.frames.depth import DepthImages
-from rholoc.trajectory.initialization.depth_start import depth_start
+from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.visual.matching import VerifiedPair
 
 COUNT = 6
