@@ -9,7 +9,8 @@ measured number there, and a test compares each with its file. Speeds are ratios
 
 The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), afar (frames 30 cm and farther from
 the map's views), wide (frames of the kitchen's ends in maps of the rest), strangers (pictures of other rooms), pictures
-(a set without times), request (what a frame costs), throughput (frames a second of more clients and servers).
+(a set without times), corridor (pictures and depth without the poses that came with them), desk (a set without poses),
+request (what a frame costs), throughput (frames a second of more clients and servers).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ from rholoc.localization import Localizer, Query
 from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.recordings import read_recording
-from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 from rholoc_lab.evaluation.compare import CompareOptions, SplitResult, compare
 from rholoc_lab.evaluation.splits import QuerySet
 
@@ -242,6 +243,38 @@ def shuffled_pictures(folder: Path) -> FloatArray:
     return known.poses.T_map_camera[order]
 
 
+def corridor(_: Path) -> Figures:
+    """A corridor with doors that look alike, from pictures and LiDAR alone, against the poses that ARKit had."""
+    return _without_poses("corridor", SHARED_DATA / "corridor_lidar" / "scan")
+
+
+def desk(_: Path) -> Figures:
+    """A desk from pictures alone, against COLMAP's model."""
+    return _without_poses("desk", SHARED_DATA / "splat_desk")
+
+
+def _without_poses(part: str, path: Path) -> Figures:
+    """How much of a recording is placed without the poses that came with it, and how far from them."""
+    known = read_recording(path)
+    assert known.poses is not None
+    camera = known.camera if known.depth is not None else None
+    begun = os.times()
+    found = estimate_trajectory(replace(known, poses=None, camera=camera), PoseMethod.AUTO)
+    busy_s = sum(now - before for now, before in zip(os.times()[:4], begun[:4], strict=True))
+    T = known.poses.T_map_camera[found.rows]
+    aligned = align_poses(found.T_map_camera, T)
+    off = np.linalg.norm(aligned.poses(found.T_map_camera)[:, :3, 3] - T[:, :3, 3], axis=1)
+    extent = float(np.linalg.norm(np.ptp(T[:, :3, 3], axis=0)))
+    figures = {
+        f"{part}.placed_percent": share(np.isin(np.arange(len(known.frames.times)), found.rows), 0),
+        f"{part}.off_percent_of_extent": Figure(round(100 * float(np.median(off)) / extent, 2), 0.1, False),
+        f"{part}.cpu_s_a_picture": Figure(round(busy_s / len(known.frames.times), 2), 0.3, False),
+    }
+    if found.scale is Scale.METRIC:
+        figures[f"{part}.scale_off_percent"] = Figure(round(100 * abs(aligned.scale - 1), 1), 0.5, False)
+    return figures
+
+
 def request(cache: Path) -> Figures:
     """What an easy frame and a stranger's picture cost, in multiples of what finding an easy frame's features costs."""
     room, localizer = _kitchen_map(cache)
@@ -282,6 +315,8 @@ PARTS: dict[str, Callable[[Path], Figures]] = {
     "wide": wide,
     "strangers": strangers,
     "pictures": pictures,
+    "corridor": corridor,
+    "desk": desk,
     "request": request,
     "throughput": throughput,
 }
@@ -298,7 +333,7 @@ def read_results() -> Figures:
     return found
 
 
-def write_results(part: str, figures: Figures, command: str | None = None) -> None:
+def write_results(part: str, figures: Figures, command: str | None = None, seed: int = SEED) -> None:
     """Write the file of a part; ``command`` is what measured it, by default this script."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
     described = {
@@ -306,7 +341,7 @@ def write_results(part: str, figures: Figures, command: str | None = None) -> No
         "commit": commit.stdout.strip(),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
-        "seeds": [SEED],
+        "seeds": [seed],
         "figures": {name: asdict(one) for name, one in figures.items()},
     }
     RESULTS.mkdir(exist_ok=True)

@@ -19,8 +19,8 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -34,8 +34,8 @@ from rholoc.evaluation import trajectory_errors
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, Pose, align_poses, posed_alignment
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
-from rholoc.recordings import FrameSource, GivenPoses, MemoryFrames, Recording, read_recording
-from rholoc.recordings.frames.unified_pictures import resampled
+from rholoc.recordings import GivenPoses, MemoryFrames, Recording, read_recording
+from rholoc.recordings.frames.steady_frames import SteadyFrames
 from rholoc.recordings.selection import SelectedFrames
 from rholoc.simulation import Light
 from rholoc.simulation.light import light_scene
@@ -69,35 +69,6 @@ R_CAMERA_FACES = np.array(  # front, right, back, left, down, up
 # -- walks -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class ResampledFrames:
-    """Another source's frames as another camera at the same place shows them."""
-
-    source: FrameSource
-    camera: Camera
-    seen_by: Camera
-
-    @property
-    def times(self) -> FloatArray:
-        return self.source.times
-
-    @property
-    def timed(self) -> bool:
-        return self.source.timed
-
-    @property
-    def numbers(self) -> IntArray:
-        return self.source.numbers
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.seen_by.width, self.seen_by.height
-
-    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
-        for image in self.source.images(rows):
-            yield resampled(image, self.camera, self.seen_by)
-
-
 def with_lens(recording: Recording, lens: Lens) -> Recording:
     """The recording as a camera with another lens would have made it; as it is for a pinhole."""
     camera = recording.camera
@@ -109,7 +80,8 @@ def with_lens(recording: Recording, lens: Lens) -> Recording:
     else:
         height = round(math.pi * camera.focal)
         seen_by = Camera.panorama(2 * height, height)
-    return replace(recording, frames=ResampledFrames(recording.frames, camera, seen_by), camera=seen_by)
+    cameras = (camera,) * len(recording.frames.times)
+    return replace(recording, frames=SteadyFrames(recording.frames, cameras, seen_by), camera=seen_by)
 
 
 def chosen(recording: Recording, rows: IntArray) -> Recording:

@@ -339,18 +339,87 @@ def write_nerfstudio(folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps({**values, "frames": frames[::-1]}))
 
 
+def arkit_poses() -> FloatArray:
+    """T_arkit_camera (24, 4, 4) of the phone on its side."""
+    T = np.tile(np.eye(4), (FRAMES, 1, 1))
+    T[:, :3, :3] = R_MAP_ARKIT
+    return np.asarray(np.linalg.inv(T) @ camera_poses(R_LANDSCAPE_CAMERA_IMU) @ np.diag([1.0, -1, -1, 1]))
+
+
 def write_scanner_app(folder: Path) -> None:
-    T = camera_poses(R_LANDSCAPE_CAMERA_IMU)
-    T_arkit_camera = R_MAP_ARKIT.T @ T[:, :3, :3] @ np.diag([1.0, -1, -1])
-    positions = T[:, :3, 3] @ R_MAP_ARKIT
     write_images(folder, [f"frame_{3 * i:05d}.jpg" for i in range(FRAMES)])
     write_depth(folder, [f"depth_{3 * i:05d}.png" for i in range(FRAMES)])
     fx, fy, cx, cy = INTRINSICS
-    for i in range(FRAMES):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = T_arkit_camera[i], positions[i]
+    for i, pose in enumerate(arkit_poses()):
         values = {"intrinsics": [fx, 0, cx, 0, fy, cy, 0, 0, 1], "cameraPoseARFrame": pose.ravel().tolist()}
         (folder / f"frame_{3 * i:05d}.json").write_text(json.dumps({**values, "time": frame_times[i]}))
+
+
+def write_polycam(folder: Path) -> None:
+    names = [str(round(1e6 * time)) for time in frame_times]
+    keyframes = folder / "keyframes"
+    write_images(keyframes / "images", [f"{name}.jpg" for name in names])
+    write_depth(keyframes / "depth", [f"{name}.png" for name in names])
+    (keyframes / "cameras").mkdir()
+    camera = dict(zip(("width", "height", "fx", "fy", "cx", "cy"), (*SIZE, *INTRINSICS), strict=True))
+    for name, pose in zip(names, arkit_poses(), strict=True):
+        values = {f"t_{row}{column}": pose[row, column] for row in range(3) for column in range(4)}
+        (keyframes / "cameras" / f"{name}.json").write_text(json.dumps({**values, **camera, "blur_score": 80.0}))
+    (folder / "mesh_info.json").write_text("{}")
+
+
+def write_record3d(folder: Path) -> None:
+    write_images(folder / "rgbd", [f"{i}.jpg" for i in range(FRAMES)])
+    T = arkit_poses()
+    fx, fy, cx, cy = INTRINSICS
+    values = {
+        "w": SIZE[0],
+        "h": SIZE[1],
+        "K": [fx, 0, 0, 0, fy, 0, cx, cy, 1],
+        "poses": np.column_stack([quaternions(T[:, :3, :3]), T[:, :3, 3]]).tolist(),
+        "perFrameIntrinsicCoeffs": [INTRINSICS] * FRAMES,
+        "frameTimestamps": frame_times.tolist(),
+    }
+    (folder / "metadata").write_text(json.dumps(values))
+
+
+def write_arkit_scenes(folder: Path) -> None:
+    root = folder / "40777060_frames"
+    names = [f"40777060_{time:.3f}" for time in frame_times]
+    write_images(root / "lowres_wide", [f"{name}.png" for name in names])
+    write_depth(root / "lowres_depth", [f"{name}.png" for name in names])
+    for name in names:
+        write_rows(root / "lowres_wide_intrinsics" / f"{name}.pincam", "", [[*SIZE, *INTRINSICS]], " ")
+    T = np.linalg.inv(camera_poses(R_LANDSCAPE_CAMERA_IMU))
+    turned = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
+    write_rows(root / "lowres_wide.traj", "", np.column_stack([frame_times, turned, T[:, :3, 3]]).tolist(), " ")
+
+
+def write_metashape(folder: Path) -> None:
+    names = [f"DSC{i:05d}" for i in range(FRAMES)]
+    write_images(folder / "photos", [f"{name}.JPG" for name in names])
+    fx, fy, cx, cy = INTRINSICS
+    values = {"f": fy, "cx": cx + 0.5 - SIZE[0] / 2, "cy": cy + 0.5 - SIZE[1] / 2, "b1": fx - fy}
+    values |= {"k1": 0.1, "k2": -0.05, "p1": 0.002, "p2": 0.001}
+    size = f'<resolution width="{SIZE[0]}" height="{SIZE[1]}"/>'
+    calibration = "".join(f"<{name}>{value!r}</{name}>" for name, value in values.items())
+    R, t, scale = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix(), np.array([4.0, -3.0, 2.0]), 2.5
+    T = camera_poses(R_PORTRAIT_CAMERA_IMU)
+    T[:, :3, :3], T[:, :3, 3] = R.T @ T[:, :3, :3], (T[:, :3, 3] - t) @ R / scale
+    cameras = [
+        f'<camera id="{i}" sensor_id="0" component_id="0" label="{name}">'
+        f"<transform>{' '.join(map(repr, pose.ravel().tolist()))}</transform></camera>"
+        for i, (name, pose) in enumerate(zip(names, T, strict=True))
+    ]
+    (folder / "cameras.xml").write_text(
+        '<?xml version="1.0" encoding="UTF-8"?>\n<document version="2.0.0"><chunk label="Chunk 1" enabled="true">'
+        f'<sensors><sensor id="0" label="a" type="frame">{size}<calibration type="frame" class="adjusted">{size}'
+        f'{calibration}</calibration></sensor></sensors><components><component id="0"><transform>'
+        f'<rotation locked="true">{" ".join(map(repr, R.ravel().tolist()))}</rotation>'
+        f'<translation locked="true">{" ".join(map(repr, t.tolist()))}</translation><scale>{scale}</scale>'
+        f"</transform></component></components><cameras>{''.join(cameras)}"
+        '<camera id="99" sensor_id="0" label="not aligned"/></cameras></chunk></document>'
+    )
 
 
 WRITERS: dict[str, tuple[RecordingFormat, Callable[[Path], None]]] = {
@@ -371,6 +440,10 @@ WRITERS: dict[str, tuple[RecordingFormat, Callable[[Path], None]]] = {
     "colmap": (RecordingFormat.COLMAP, write_colmap),
     "nerfstudio": (RecordingFormat.NERFSTUDIO, write_nerfstudio),
     "scanner-app": (RecordingFormat.SCANNER_APP, write_scanner_app),
+    "polycam": (RecordingFormat.POLYCAM, write_polycam),
+    "record3d": (RecordingFormat.RECORD3D, write_record3d),
+    "arkit-scenes": (RecordingFormat.ARKIT_SCENES, write_arkit_scenes),
+    "metashape": (RecordingFormat.METASHAPE, write_metashape),
 }
 
 

@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import phone_recordings as phone
 import pycolmap
@@ -22,12 +23,15 @@ from rholoc.recordings import (
     write_camera_json,
     write_waypoints_csv,
 )
+from rholoc.recordings.frames.steady_frames import SteadyFrames
+from rholoc.recordings.frames.unified_pictures import resampled
 from rholoc.recordings.readers import READERS
 from rholoc.recordings.recording import Waypoint
-from rholoc.recordings.selection import select_frames
+from rholoc.recordings.selection import SelectedFrames, select_frames
 
-UNTIMED = ("7-scenes", "colmap", "nerfstudio")
-WITHOUT_IMU = (*UNTIMED, "tum", "scanner-app")
+UNTIMED = ("7-scenes", "colmap", "nerfstudio", "metashape")
+SCANNING_APPS = ("scanner-app", "polycam", "record3d", "arkit-scenes")
+WITHOUT_IMU = (*UNTIMED, "tum", *SCANNING_APPS)
 MOUNTED = {
     "rholoc": phone.R_PORTRAIT_CAMERA_IMU,
     "spectacular": phone.R_LANDSCAPE_CAMERA_IMU,
@@ -39,15 +43,16 @@ MOUNTED = {
 POSED = {
     "stray": phone.R_LANDSCAPE_CAMERA_IMU,
     "ios-logger": phone.R_LANDSCAPE_CAMERA_IMU,
-    "scanner-app": phone.R_LANDSCAPE_CAMERA_IMU,
-    **dict.fromkeys(("advio", "euroc", "tum", "7-scenes", "colmap", "nerfstudio"), phone.R_PORTRAIT_CAMERA_IMU),
+    **dict.fromkeys(SCANNING_APPS, phone.R_LANDSCAPE_CAMERA_IMU),
+    **dict.fromkeys(("advio", "euroc", "tum", *UNTIMED), phone.R_PORTRAIT_CAMERA_IMU),
 }
 DISTORTED = {
     "rholoc": (),
     "stray": (),
-    "scanner-app": (),
+    **dict.fromkeys((*SCANNING_APPS, "mars-ios", "ios-logger"), ()),
     "spectacular": (0.01, -0.02, 0.0, 0.0, 0.003),
     **dict.fromkeys(("euroc", "colmap", "nerfstudio"), (0.1, -0.05, 0.001, 0.002)),
+    "metashape": (0.1, -0.05, 0.001, 0.002, 0.0),
 }
 WARNED = {
     "tum": [WarningKind.NOT_USED],
@@ -72,7 +77,10 @@ def test_the_walk_comes_back_from_every_format(name: str, tmp_path: Path) -> Non
     check_camera(name, recording)
 
 
-@pytest.mark.parametrize(("name", "known"), [("stray", 0), ("7-scenes", 0), ("scanner-app", 0), ("tum", 1)])
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [(name, 0) for name in ("stray", "7-scenes", "scanner-app", "polycam", "arkit-scenes")] + [("tum", 1)],
+)
 def test_depth_comes_with_its_frame(name: str, known: int, tmp_path: Path) -> None:
     recording = read(name, tmp_path)
     assert recording.depth is not None
@@ -127,7 +135,10 @@ def check_poses(name: str, recording: Recording) -> None:
 
 def check_camera(name: str, recording: Recording) -> None:
     if name in DISTORTED:
-        assert recording.camera == Camera(*phone.SIZE, *phone.INTRINSICS, DISTORTED[name])
+        assert recording.camera is not None
+        focal = recording.camera.fx if name == "spectacular" else phone.INTRINSICS[0]  # which autofocus changes
+        assert recording.camera == Camera(*phone.SIZE, focal, *phone.INTRINSICS[1:], DISTORTED[name])
+        assert focal == pytest.approx(phone.INTRINSICS[0], rel=0.02)
     else:
         assert recording.camera is None
 
@@ -297,6 +308,20 @@ def test_a_binary_colmap_model_is_read_as_its_text_is(tmp_path: Path) -> None:
     assert other.frames.numbers.tolist() == one.frames.numbers.tolist()
 
 
+def test_a_model_by_hloc_is_read_and_its_features_are_named_as_unused(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    (folder / "outputs").mkdir()
+    (folder / "sparse" / "0").rename(folder / "outputs" / "sfm_superpoint+lightglue")
+    (folder / "sparse").rmdir()
+    (folder / "images").rename(folder / "photos")
+    (folder / "outputs" / "feats-superpoint-n4096-r1024.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
+    recording = read_recording(folder)
+    assert recording.format is RecordingFormat.COLMAP
+    assert len(recording.frames.times) == phone.FRAMES
+    (warning,) = [one for one in recording.warnings if one.kind is WarningKind.NOT_USED]
+    assert warning.text.endswith(": outputs/feats-superpoint-n4096-r1024.h5.")
+
+
 @pytest.mark.parametrize("kept", [0, 7, 40, 100])
 def test_a_binary_colmap_model_that_is_cut_off_is_refused(kept: int, tmp_path: Path) -> None:
     folder = phone.write_recording("colmap", tmp_path / "walk")
@@ -336,3 +361,82 @@ def test_pictures_of_a_scanner_app_with_their_own_focal_lengths_become_frames_of
     assert recording.camera is not None
     assert 60 < recording.camera.fx < 60 + 0.1 * phone.FRAMES
     assert recording.frames.size == (recording.camera.width, recording.camera.height)
+
+
+def test_record3ds_own_file_is_read(tmp_path: Path) -> None:
+    phone.write_recording("record3d", tmp_path / "walk")
+    packed = Path(shutil.make_archive(str(tmp_path / "walk"), "zip", tmp_path / "walk"))
+    recording = read_recording(packed.rename(tmp_path / "walk.r3d"))
+    assert recording.format is RecordingFormat.RECORD3D
+    assert recording.poses is not None
+
+
+def test_polycams_refined_cameras_are_preferred(tmp_path: Path) -> None:
+    keyframes = phone.write_recording("polycam", tmp_path / "walk") / "keyframes"
+    for kind in ("images", "cameras"):
+        shutil.copytree(keyframes / kind, keyframes / f"corrected_{kind}")
+    for path in (keyframes / "corrected_cameras").iterdir():
+        values = json.loads(path.read_text())
+        path.write_text(json.dumps({**values, "t_03": values["t_03"] + 1}))
+    poses = read_recording(tmp_path / "walk").poses
+    assert poses is not None
+    moved = poses.T_map_camera[:, 0, 3] - phone.camera_poses(phone.R_LANDSCAPE_CAMERA_IMU)[:, 0, 3]
+    np.testing.assert_allclose(moved, 1, atol=1e-6)
+
+
+def test_metashapes_scale_and_fourth_coefficient(tmp_path: Path) -> None:
+    path = phone.write_recording("metashape", tmp_path / "walk") / "cameras.xml"
+    text = path.read_text()
+    path.write_text(text.replace("<k2>", "<k4>0.02</k4><k2>"))
+    camera = read_recording(tmp_path / "walk").camera
+    assert camera is not None
+    assert camera.distortion[4] != 0
+    start, end = text.index("<components>"), text.index("<cameras>")
+    path.write_text(text[:start] + text[end:])
+    recording = read_recording(tmp_path / "walk")
+    assert recording.poses is not None
+    assert not recording.poses.metric
+    assert [warning.kind for warning in recording.warnings] == [WarningKind.SCALE_UNKNOWN]
+
+
+def test_an_xml_file_with_entities_is_not_expanded(tmp_path: Path) -> None:
+    path = phone.write_recording("metashape", tmp_path / "walk") / "cameras.xml"
+    path.write_text(path.read_text().replace("<document", '<!DOCTYPE a [<!ENTITY b "c">]><document', 1))
+    with pytest.raises(InvalidRecording, match="neither a video nor images"):
+        read_recording(tmp_path / "walk")
+
+
+def test_frames_whose_logged_focal_length_changes_become_frames_of_one_camera(tmp_path: Path) -> None:
+    folder = phone.write_recording("stray", tmp_path / "walk")
+    (folder / "camera_matrix.csv").unlink()
+    steady = read_recording(folder)
+    assert steady.camera == Camera(*phone.SIZE, *phone.INTRINSICS)
+
+    def zoomed(rows: list[list[str]]) -> list[list[str]]:
+        column = [name.strip() for name in rows[0]].index("fx")
+        return [
+            rows[0],
+            *([*row[:column], str(60 + i), str(61 + i), *row[column + 2 :]] for i, row in enumerate(rows[1:])),
+        ]
+
+    phone.edit_rows(folder / "odometry.csv", zoomed)
+    recording = read_recording(folder, frames="4:")
+    assert recording.camera is not None
+    assert recording.camera.fx == 71.5
+    assert isinstance(recording.frames, SelectedFrames)
+    frames = recording.frames.source
+    assert isinstance(frames, SteadyFrames)
+    assert frames.cameras[3].fx == 63
+    assert [float(image.mean()) for image in recording.frames.images([0, 1])] == pytest.approx([40, 50], abs=4)
+
+
+def test_a_zoomed_picture_is_resampled_as_rays_are() -> None:
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    image = cv2.GaussianBlur(image, None, 2)
+    camera = Camera(64, 48, 60, 61, 30, 24, (0.1, -0.05, 0.001, 0.002))
+    common = Camera(64, 48, 57, 58, 31.5, 23.5, (0.1, -0.05, 0.001, 0.002))
+    found = resampled(image, camera, common)
+    u, v = np.meshgrid(np.arange(64), np.arange(48))
+    places = camera.project(common.rays(np.column_stack([u.ravel(), v.ravel()]))).astype(np.float32).reshape(48, 64, 2)
+    expected = cv2.remap(image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    np.testing.assert_allclose(found[4:-4, 4:-4].astype(float), expected[4:-4, 4:-4].astype(float), atol=4)

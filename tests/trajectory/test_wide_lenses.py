@@ -103,7 +103,7 @@ def test_pycolmaps_mappers_place_all(camera: Camera, mapper: Mapper) -> None:
         sift_like(seen.pixels[seen.keyframes == k], descriptors[seen.tracks[seen.keyframes == k]]) for k in range(COUNT)
     ]
     rays = [camera.rays(one.pixels) for one in features]
-    pairs = match_pictures(features, rays, camera.focal)
+    pairs, _ = match_pictures(features, rays, camera.focal)
     pixels = [one.pixels.astype(np.float64) for one in features]
     piece = largest_piece(mapper, camera, True, pixels, pairs)
     assert piece is not None

@@ -51,13 +51,20 @@ class FollowedTrack:
         """As :meth:`Track.imu`."""
         self._track.imu(time_s, acceleration_m_s2, rate_rad_s)
 
-    def frame(self, time_s: float, T_odom_camera: FloatArray | None = None, picture: Any = None) -> Tracked:
+    def frame(
+        self,
+        time_s: float,
+        T_odom_camera: FloatArray | None = None,
+        picture: Any = None,
+        camera: Camera | None = None,
+    ) -> Tracked:
         """Take in a frame, and say where the camera is.
 
         Args:
             time_s: when it was taken.
             T_odom_camera: (4, 4) by odometry, or None.
             picture: (H, W, 3) BGR or (H, W) grey of uint8, followed if there is never any odometry; or None.
+            camera: this picture's intrinsics, where autofocus changes them; None: the track's.
 
         Raises:
             InvalidTrack: as :meth:`Track.frame`.
@@ -65,12 +72,14 @@ class FollowedTrack:
         if T_odom_camera is not None and self._motion is not None:
             raise InvalidTrack("This track began without odometry. Begin another to use it.")
         self._with_odometry = self._with_odometry or T_odom_camera is not None
-        if picture is not None and self._camera is not None and not self._with_odometry:
+        camera = camera or self._camera
+        if picture is not None and camera is not None and not self._with_odometry:
             if self._motion is None:
-                self._begin_to_follow(picture)
+                self._begin_to_follow()
             if self._motion is not None:
                 self._track.check_time(time_s)
-                T_odom_camera = self._motion.follow(time_s, picture)
+                height, width = picture.shape[:2]
+                T_odom_camera = self._motion.follow(time_s, picture, fitted(camera, width, height))
         return self._track.frame(time_s, T_odom_camera)
 
     def now(self) -> Tracked:
@@ -113,15 +122,12 @@ class FollowedTrack:
         ]
         self._track.answered(answer, steps, way[-1][1] if way else None)
 
-    def _begin_to_follow(self, picture: Any) -> None:
-        assert self._camera is not None
+    def _begin_to_follow(self) -> None:
         try:
             from rholoc_client.tracking.pictures import PICTURE_NOISE, PictureMotion
         except ImportError:  # OpenCV is an extra: without it, motion comes from the IMU or is guessed
-            self._camera = None
             return
-        height, width = picture.shape[:2]
-        self._motion = PictureMotion(fitted(self._camera, width, height))
+        self._motion = PictureMotion()
         self._track.options = replace(self._options, odometry=PICTURE_NOISE)
 
 

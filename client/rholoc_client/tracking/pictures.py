@@ -46,23 +46,20 @@ class _Points:
 
 @dataclass(frozen=True, eq=False)
 class _FollowedFrame:
-    """A frame: its time, its picture (H, W) in grey, its pose (4, 4) if it has one, and the points in it."""
+    """A frame: its time, its picture (H, W) in grey and the camera's intrinsics, its pose (4, 4) if it has one, and the
+    points in it."""
 
     time_s: float
     grey: np.ndarray
+    camera: Camera
     T_odom_camera: FloatArray | None
     points: _Points
 
 
 class PictureMotion:
-    """Odometry from pictures. Its frame starts out as the map's, by the first answer, and drifts from there.
+    """Odometry from pictures. Its frame starts out as the map's, by the first answer, and drifts from there."""
 
-    Args:
-        camera: the intrinsics; ``width`` and ``height`` are those of the pictures.
-    """
-
-    def __init__(self, camera: Camera) -> None:
-        self._camera = camera
+    def __init__(self) -> None:
         self._last: _FollowedFrame | None = None
         self._kept: deque[_FollowedFrame] = deque(maxlen=_KEPT_PICTURES)
 
@@ -71,10 +68,13 @@ class PictureMotion:
         """Whether so few points are left that asking pays."""
         return self._last is not None and len(self._last.points.points) < _FEW_POINTS
 
-    def follow(self, time_s: float, picture: np.ndarray) -> FloatArray | None:
-        """The camera's pose (4, 4) at a picture (H, W, 3) BGR or (H, W) grey; None where too few points are left."""
+    def follow(self, time_s: float, picture: np.ndarray, camera: Camera) -> FloatArray | None:
+        """The camera's pose (4, 4) at a picture (H, W, 3) BGR or (H, W) grey; None where too few points are left.
+
+        ``camera`` has the picture's intrinsics, which autofocus may change from one picture to the next.
+        """
         grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        self._last = self._followed(self._last, time_s, grey)
+        self._last = self._followed(self._last, time_s, grey, camera)
         if self._kept:
             self._kept.append(self._last)
         return self._last.T_odom_camera
@@ -103,7 +103,7 @@ class PictureMotion:
         )
         # The points alone give a pose slightly off the answer's, which weighs them better. Motion is from one such pose
         # to the next, so that both are off by the same amount.
-        placed = self._placed(seen, T_map_camera)
+        placed = _placed(asked.camera, seen, T_map_camera)
         T_map_seen, seen = (T_map_camera, seen) if placed is None else placed
         T_odom_camera = T_map_camera if asked.T_odom_camera is None else asked.T_odom_camera
         T_odom_map = T_odom_camera @ inverse(T_map_seen)
@@ -112,7 +112,7 @@ class PictureMotion:
         last = replace(asked, T_odom_camera=T_odom_camera, points=seen)
         path = [(last.time_s, last.T_odom_camera)]
         for frame in later:
-            last = self._followed(last, frame.time_s, frame.grey)
+            last = self._followed(last, frame.time_s, frame.grey, frame.camera)
             path.append((last.time_s, last.T_odom_camera))
         self._last = last
         return path
@@ -121,50 +121,51 @@ class PictureMotion:
         """No answer came."""
         self._kept.clear()
 
-    def _followed(self, last: _FollowedFrame | None, time_s: float, grey: np.ndarray) -> _FollowedFrame:
-        nothing = _FollowedFrame(time_s, grey, None, _Points(np.zeros((0, 3)), np.zeros((0, 2))))
+    def _followed(self, last: _FollowedFrame | None, time_s: float, grey: np.ndarray, camera: Camera) -> _FollowedFrame:
+        nothing = _FollowedFrame(time_s, grey, camera, None, _Points(np.zeros((0, 3)), np.zeros((0, 2))))
         if last is None or last.T_odom_camera is None or len(last.points.points) < _MIN_POINTS:
             return nothing
         if last.grey.shape != grey.shape:
             return nothing
         points = _flowed(last.grey, grey, last.points)
-        placed = self._placed(points, last.T_odom_camera)
-        return nothing if placed is None else _FollowedFrame(time_s, grey, *placed)
+        placed = _placed(camera, points, last.T_odom_camera)
+        return nothing if placed is None else _FollowedFrame(time_s, grey, camera, *placed)
 
-    def _placed(self, points: _Points, T_guess: FloatArray) -> tuple[FloatArray, _Points] | None:
-        """The pose (4, 4) that projects the points to their pixels, and the points that agree with it.
 
-        Gauss–Newton from a guess, with weights that fall to 0 at a tolerance that narrows: flow has few outliers and
-        the guess is the frame before, so that no random sampling is needed.
-        """
-        if len(points.points) < _MIN_POINTS:
-            return None
-        R_plane_camera, plane = image_planes(self._camera, points.pixels)
-        T, focal_px = inverse(T_guess), float(np.sqrt(self._camera.fx * self._camera.fy))
-        agreeing = np.zeros(len(plane), dtype=bool)
-        for tolerance_px in _TOLERANCES_PX:
-            for _ in range(_ITERATIONS):
-                seen = points.points @ T[:3, :3].T + T[:3, 3]
-                there = np.einsum("nij,nj->ni", R_plane_camera, seen)
-                x, y, depth = there[:, 0], there[:, 1], np.maximum(there[:, 2], _MIN_DEPTH)
-                residual = plane - there[:, :2] / depth[:, None]
-                off_px = focal_px * np.linalg.norm(residual, axis=1)
-                agreeing = (off_px < tolerance_px) & (there[:, 2] > _MIN_DEPTH)
-                if agreeing.sum() < _MIN_POINTS:
-                    return None
-                weight = np.where(agreeing, 1 - (off_px / tolerance_px) ** 2, 0.0)
-                one, none = np.ones_like(x), np.zeros_like(x)
-                by_point = np.stack([np.stack([one, none, -x / depth], 1), np.stack([none, one, -y / depth], 1)], 1)
-                by_point = by_point / depth[:, None, None] @ R_plane_camera
-                J = np.concatenate([by_point, -by_point @ _crosses(seen)], axis=2)  # of a motion of the camera frame
-                weighted = (J * weight[:, None, None]).reshape(-1, 6)
-                curvature = weighted.T @ J.reshape(-1, 6) + 1e-9 * np.eye(6)
-                step = np.linalg.solve(curvature, weighted.T @ residual.ravel())
-                R = rotation(step[3:])
-                T = pose(R @ T[:3, :3], R @ T[:3, 3] + step[:3])
-                if np.abs(step).max() < _SETTLED:
-                    break
-        return inverse(T), points.take(np.flatnonzero(agreeing))
+def _placed(camera: Camera, points: _Points, T_guess: FloatArray) -> tuple[FloatArray, _Points] | None:
+    """The pose (4, 4) that projects the points to their pixels, and the points that agree with it.
+
+    Gauss–Newton from a guess, with weights that fall to 0 at a tolerance that narrows: flow has few outliers and
+    the guess is the frame before, so that no random sampling is needed.
+    """
+    if len(points.points) < _MIN_POINTS:
+        return None
+    R_plane_camera, plane = image_planes(camera, points.pixels)
+    T, focal_px = inverse(T_guess), float(np.sqrt(camera.fx * camera.fy))
+    agreeing = np.zeros(len(plane), dtype=bool)
+    for tolerance_px in _TOLERANCES_PX:
+        for _ in range(_ITERATIONS):
+            seen = points.points @ T[:3, :3].T + T[:3, 3]
+            there = np.einsum("nij,nj->ni", R_plane_camera, seen)
+            x, y, depth = there[:, 0], there[:, 1], np.maximum(there[:, 2], _MIN_DEPTH)
+            residual = plane - there[:, :2] / depth[:, None]
+            off_px = focal_px * np.linalg.norm(residual, axis=1)
+            agreeing = (off_px < tolerance_px) & (there[:, 2] > _MIN_DEPTH)
+            if agreeing.sum() < _MIN_POINTS:
+                return None
+            weight = np.where(agreeing, 1 - (off_px / tolerance_px) ** 2, 0.0)
+            one, none = np.ones_like(x), np.zeros_like(x)
+            by_point = np.stack([np.stack([one, none, -x / depth], 1), np.stack([none, one, -y / depth], 1)], 1)
+            by_point = by_point / depth[:, None, None] @ R_plane_camera
+            J = np.concatenate([by_point, -by_point @ _crosses(seen)], axis=2)  # of a motion of the camera frame
+            weighted = (J * weight[:, None, None]).reshape(-1, 6)
+            curvature = weighted.T @ J.reshape(-1, 6) + 1e-9 * np.eye(6)
+            step = np.linalg.solve(curvature, weighted.T @ residual.ravel())
+            R = rotation(step[3:])
+            T = pose(R @ T[:3, :3], R @ T[:3, 3] + step[:3])
+            if np.abs(step).max() < _SETTLED:
+                break
+    return inverse(T), points.take(np.flatnonzero(agreeing))
 
 
 def _crosses(vectors: FloatArray) -> FloatArray:

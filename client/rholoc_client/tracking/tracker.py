@@ -42,7 +42,7 @@ class _Tracking(Generic[_Pending]):
         self.map_name = map_name
         self.last_error: RholocClientError | None = None
         """Why the last question was not answered, if the cause is temporary: the service is busy, or out of reach."""
-        self._camera = camera
+        self._camera = self._last_camera = camera
         self._track = FollowedTrack(options, camera)
         self._expected: Prior | None = None
         self._pending: _Pending | None = None
@@ -64,13 +64,16 @@ class _Tracking(Generic[_Pending]):
         """Send ``prior`` with the questions for which the track itself expects no pose; None: send none with them."""
         self._expected = prior
 
-    def _frame(self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None) -> Tracked:
-        return self._track.frame(time_s, T_odom_camera, _decoded(picture) if T_odom_camera is None else None)
+    def _frame(
+        self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None, camera: Camera | None
+    ) -> Tracked:
+        self._last_camera = camera or self._camera
+        return self._track.frame(time_s, T_odom_camera, _decoded(picture) if T_odom_camera is None else None, camera)
 
     def _asking(self, question: Question) -> dict[str, Any]:
         """The options of a question's request."""
         prior = question.prior or self._expected
-        return {"camera": self._camera, "prior": prior, "with_matches": self._track.follows_pictures}
+        return {"camera": self._last_camera, "prior": prior, "with_matches": self._track.follows_pictures}
 
     def _collect(self) -> None:
         """Take in the answer to the open question, if it has arrived."""
@@ -142,7 +145,13 @@ class Tracker(_Tracking[Future[Localization]]):
         """Stop asking, and wait for the open question."""
         self._thread.shutdown(cancel_futures=True)
 
-    def track(self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None = None) -> Tracked:
+    def track(
+        self,
+        time_s: float,
+        picture: ImageLike | None,
+        T_odom_camera: FloatArray | None = None,
+        camera: Camera | None = None,
+    ) -> Tracked:
         """Where the camera is at a frame.
 
         Args:
@@ -150,13 +159,14 @@ class Tracker(_Tracking[Future[Localization]]):
             picture: as for :meth:`Client.localize`; None for a frame without one, which odometry alone places.
             T_odom_camera: (4, 4) the camera's pose by odometry: ARKit's, ARCore's, wheels', VIO's, in its own frame.
                 None: motion comes from the pictures (where OpenCV is installed), else from the IMU.
+            camera: this picture's intrinsics, where autofocus changes them; None: the tracker's.
 
         Raises:
             InvalidTrack: the time is not after the last frame's, or the pose is not a rigid motion.
             ServiceError: the service refused, and would again: there is no such map, the key is not valid.
         """
         self._collect()
-        tracked = self._frame(time_s, picture, T_odom_camera)
+        tracked = self._frame(time_s, picture, T_odom_camera, camera)
         if picture is not None and self._pending is None and self._track.wants_answer:
             asked = self._asking(self._track.ask())
             self._pending = self._thread.submit(
@@ -200,10 +210,16 @@ class AsyncTracker(_Tracking[asyncio.Task[Localization]]):
             self._pending.cancel()
             await asyncio.gather(self._pending, return_exceptions=True)
 
-    async def track(self, time_s: float, picture: ImageLike | None, T_odom_camera: FloatArray | None = None) -> Tracked:
+    async def track(
+        self,
+        time_s: float,
+        picture: ImageLike | None,
+        T_odom_camera: FloatArray | None = None,
+        camera: Camera | None = None,
+    ) -> Tracked:
         """As :meth:`Tracker.track`."""
         self._collect()
-        tracked = self._frame(time_s, picture, T_odom_camera)
+        tracked = self._frame(time_s, picture, T_odom_camera, camera)
         if picture is not None and self._pending is None and self._track.wants_answer:
             asked = self._asking(self._track.ask())
             self._pending = asyncio.create_task(self._client.localize(self.map_name, _encoded(picture), **asked))

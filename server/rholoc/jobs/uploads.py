@@ -31,7 +31,7 @@ from rholoc.errors import (
 from rholoc.jobs.job import Job, JobOptions
 from rholoc.jobs.queue import JobQueue
 from rholoc.library.recordings import RecordingStore, is_recording_id, sanitized, unknown_recording
-from rholoc.recordings import MAX_FILES, START_BYTES, ZIP_SUFFIX, check_archive, check_file_name, check_file_start
+from rholoc.recordings import MAX_FILES, START_BYTES, ZIP_SUFFIXES, check_archive, check_file_name, check_file_start
 from rholoc.storage.database import reporting_full_database
 from rholoc.storage.tables import upload_pieces_table, uploads_table
 
@@ -265,7 +265,7 @@ class UploadStore:
             self._fetch(plan, path)
             with path.open("rb") as file:
                 check_file_start(path.name, file.read(START_BYTES))
-            if path.suffix.lower() == ZIP_SUFFIX:
+            if path.suffix.lower() in ZIP_SUFFIXES:
                 check_archive(path, max_files=self._max_files)
             self._recordings.adopt(folder, plan.id, plan.file_name)
 

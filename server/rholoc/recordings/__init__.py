@@ -3,7 +3,7 @@
 from rholoc.recordings.archive import MAX_FILES, check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json
 from rholoc.recordings.description import describe_recording
-from rholoc.recordings.file_contents import START_BYTES, ZIP_SUFFIX, check_file_name, check_file_start
+from rholoc.recordings.file_contents import START_BYTES, ZIP_SUFFIXES, check_file_name, check_file_start
 from rholoc.recordings.frames.image_decoding import decode_image, read_image
 from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.frames.video import MAX_FRAME_PIXELS, frame_pixels_limited
@@ -35,7 +35,7 @@ __all__ = [
     "MAX_FILES",
     "MAX_FRAME_PIXELS",
     "START_BYTES",
-    "ZIP_SUFFIX",
+    "ZIP_SUFFIXES",
     "Advice",
     "AdviceKind",
     "CameraFile",

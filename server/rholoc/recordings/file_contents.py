@@ -9,7 +9,7 @@ from rholoc.recordings.frames.bag import BAG_SUFFIXES
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES
 
 START_BYTES = 12
-ZIP_SUFFIX = ".zip"
+ZIP_SUFFIXES = (".zip", ".r3d")  # Record3D packs its folder under a suffix of its own
 
 # The first box of a QuickTime or MPEG-4 file, at byte 4; browsers and phones write "ftyp".
 _MPEG4_BOXES = frozenset({b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot", b"styp", b"moof"})
@@ -17,7 +17,7 @@ _STARTS = {
     ".bag": (b"#ROSBAG V2.0",),
     ".mcap": (b"\x89MCAP",),
     ".db3": (b"SQLite forma",),
-    ".zip": (b"PK\x03\x04",),
+    **dict.fromkeys(ZIP_SUFFIXES, (b"PK\x03\x04",)),
     ".jpg": (b"\xff\xd8\xff",),
     ".jpeg": (b"\xff\xd8\xff",),
     ".png": (b"\x89PNG",),
@@ -30,7 +30,7 @@ def check_file_name(name: str) -> None:
     Raises:
         InvalidRecording: not the name of a video, a bag or a ZIP file.
     """
-    if PurePath(name).suffix.lower() not in VIDEO_SUFFIXES | BAG_SUFFIXES | {ZIP_SUFFIX}:
+    if PurePath(name).suffix.lower() not in VIDEO_SUFFIXES | BAG_SUFFIXES | {*ZIP_SUFFIXES}:
         videos, bags = (", ".join(sorted(suffixes)) for suffixes in (VIDEO_SUFFIXES, BAG_SUFFIXES))
         raise InvalidRecording(f"{name} is not a recording.", f"Send a video ({videos}), a bag ({bags}) or a ZIP file.")
 

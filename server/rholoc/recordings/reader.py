@@ -13,6 +13,7 @@ from pathlib import Path
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
+from rholoc.recordings.file_contents import ZIP_SUFFIXES
 from rholoc.recordings.frames.bag import BAG_SUFFIXES
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
@@ -93,7 +94,7 @@ def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Seq
         return read_bag(path, topics)
     if suffix in VIDEO_SUFFIXES:
         return Recording(name=path.stem, path=path, frames=read_video(path), format=RecordingFormat.VIDEO)
-    if suffix == ".zip":
+    if suffix in ZIP_SUFFIXES:
         return _read_zip(path, workdir, max_unpacked_bytes, topics)
     raise InvalidRecording(f"{path.name} is not a recording of a known format.", _KNOWN)
 

@@ -35,7 +35,11 @@ class RecordingFormat(StrEnum):
     NERFSTUDIO = "nerfstudio"  # transforms.json
     KAPTURE = "kapture"
     BAG = "ros-bag"  # of ROS 1 or 2
+    METASHAPE = "metashape"  # cameras.xml
     SCANNER_APP = "3d-scanner-app"  # frame_*.jpg with frame_*.json
+    POLYCAM = "polycam"  # keyframes/
+    RECORD3D = "record3d"  # metadata with poses
+    ARKIT_SCENES = "arkit-scenes"  # lowres_wide.traj
 
 
 class FrameSource(Protocol):

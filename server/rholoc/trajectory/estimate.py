@@ -33,12 +33,14 @@ from rholoc.trajectory.reconstruction import (
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.visual.flow import Flow, track_corners
 from rholoc.trajectory.visual.keyframe_features import ImageListener, KeyframeFeatures
-from rholoc.trajectory.visual.keyframes import choose_keyframes, choose_pictures, is_film
+from rholoc.trajectory.visual.keyframes import MAX_PICTURES, choose_keyframes, is_film
+from rholoc.trajectory.visual.loop_candidates import least_alike
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
 from rholoc.trajectory.visual.self_calibration import calibration_report
 
 _FEWEST_GIVEN = 3
 _FEWEST_KEYFRAMES = 4
+_MAX_COMPARED = 1200  # pictures of a set, of which those least alike are used
 _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
 _MIN_PLACED = 0.5  # the share of the keyframes that a map must have
 _WELL_PLACED = 0.9  # and that one which is trusted has
@@ -148,7 +150,7 @@ def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show
     assert recording.poses is not None
     with KeyframeFeatures(recording.frames, (), show, recording.camera) as features:
         flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
-        rows = np.intersect1d(_chosen(flow), np.flatnonzero(recording.poses.known))
+        rows = np.intersect1d(_chosen(flow, features), np.flatnonzero(recording.poses.known))
         _require_keyframes(rows, len(recording.frames.times))
         sights = _sights(recording, flow, rows, features.of(rows, progress))
     T = recording.poses.T_map_camera[rows]
@@ -267,7 +269,7 @@ def _visual(
     stops = _rows_at(recording.frames.times, recording.waypoints).union(*_rows_of_lengths(recording))
     with KeyframeFeatures(recording.frames, stops, show, recording.camera) as features:
         flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
-        rows, choices = _keyframes(recording, imu, flow)
+        rows, choices = _keyframes(recording, imu, flow, features)
         sights = _sights(recording, flow, rows, features.of(rows, progress))
     return _placed(recording, method, sights, imu, choices, progress)
 
@@ -348,7 +350,9 @@ def _rows_of_lengths(recording: Recording) -> list[tuple[int, int]]:
     ]
 
 
-def _keyframes(recording: Recording, imu: Imu | None, flow: Flow) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
+def _keyframes(
+    recording: Recording, imu: Imu | None, flow: Flow, features: KeyframeFeatures | None = None
+) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
     """Keyframes by motion and sharpness, and the frames nearest to the waypoints; the waypoints with their times.
 
     Where those are not known, one frame for each pause, and every way to take pauses for the waypoints.
@@ -357,7 +361,7 @@ def _keyframes(recording: Recording, imu: Imu | None, flow: Flow) -> tuple[IntAr
     if not times_are_known(recording.waypoints):
         choices = list(choices_of_pauses(recording.waypoints, find_pauses(flow.times, flow.motion, imu)))
     stops = set().union(*(_rows_at(flow.times, waypoints) for waypoints in choices), *_rows_of_lengths(recording))
-    rows = np.union1d(_chosen(flow), np.array(sorted(stops), dtype=np.int64))
+    rows = np.union1d(_chosen(flow, features), np.array(sorted(stops), dtype=np.int64))
     _require_keyframes(rows, len(flow.times))
     return rows, choices
 
@@ -372,11 +376,25 @@ def _require_keyframes(rows: IntArray, frames: int) -> None:
         raise MappingFailed("The camera hardly moves in this recording.", _MOVE)
 
 
-def _chosen(flow: Flow) -> IntArray:
-    """Keyframes of a film at steps of image motion; of a set the pictures that are used."""
+def _chosen(flow: Flow, features: KeyframeFeatures | None) -> IntArray:
+    """Keyframes of a film at steps of image motion; of a set all pictures up to ``MAX_PICTURES``, else the least alike.
+
+    Without ``features``, or of more than ``_MAX_COMPARED`` pictures, they are chosen at even steps.
+    """
     if is_film(flow):
         return choose_keyframes(flow.times, flow.motion, flow.sharpness, flow.timed)
-    return choose_pictures(flow.motion, flow.sharpness)
+    rows: IntArray = np.arange(len(flow.times))
+    if len(rows) <= MAX_PICTURES:
+        return rows
+    rows = _evenly(rows, MAX_PICTURES if features is None else _MAX_COMPARED)
+    if features is None:
+        return rows
+    return rows[least_alike(features.of(rows), flow.sharpness[rows], MAX_PICTURES)]
+
+
+def _evenly(rows: IntArray, count: int) -> IntArray:
+    """``count`` of the rows at even steps; all if there are fewer."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, count).round().astype(np.int64))] if len(rows) > count else rows
 
 
 def _rows_at(times: FloatArray, waypoints: Sequence[Waypoint]) -> set[int]:

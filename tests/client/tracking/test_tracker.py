@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import cv2
 import httpx
@@ -150,15 +151,34 @@ def test_points_that_an_answer_named_give_the_motion_since(picture_world):
     rays = np.column_stack([(pixels - (319.5, 239.5)) / 520.0, np.ones(80)])
     landmarks = rays * rng.uniform(2, 4, (80, 1))
     shift = moved(np.eye(4), np.array([0.2, 0, 0, 0, 0, 0.0]))
-    motion = PictureMotion(CAMERA)
-    motion.follow(0.0, picture_world.image)
+    motion = PictureMotion()
+    motion.follow(0.0, picture_world.image, CAMERA)
     motion.keep()
     K = np.array([[520.0, 0, 319.5], [0, 520.0, 239.5], [0, 0, 1]])
     for number in (1, 2, 3):
         turn = cv2.Rodrigues(np.array([0.0, np.radians(number), 0.0]))[0]
-        motion.follow(number / 30, cv2.warpPerspective(picture_world.image, K @ turn.T @ np.linalg.inv(K), (640, 480)))
+        turned = cv2.warpPerspective(picture_world.image, K @ turn.T @ np.linalg.inv(K), (640, 480))
+        motion.follow(number / 30, turned, CAMERA)
     way = motion.answered(shift, pixels, landmarks @ shift[:3, :3].T + shift[:3, 3])
     assert [time_s for time_s, _ in way] == [0.0, *(np.arange(1, 4) / 30)]
     apart = motion_between(inverse(way[0][1]) @ way[-1][1], pose(turn, np.zeros(3)))
     assert np.linalg.norm(apart[:3]) < 0.02
     assert np.degrees(np.linalg.norm(apart[3:])) < 0.5
+
+
+def test_pictures_that_autofocus_zooms_are_followed_by_their_own_intrinsics(picture_world):
+    """The camera rests while its focal length grows: with the intrinsics of each picture it does not move."""
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform((200, 150), (440, 330), (80, 2))
+    rays = np.column_stack([(pixels - (CAMERA.cx, CAMERA.cy)) / CAMERA.fx, np.ones(80)])
+    landmarks = rays * rng.uniform(2, 4, (80, 1))
+    motion = PictureMotion()
+    motion.follow(0.0, picture_world.image, CAMERA)
+    motion.keep()
+    for number in (1, 2, 3):
+        zoom = 1 + 0.01 * number
+        places = np.array([[zoom, 0, (1 - zoom) * CAMERA.cx], [0, zoom, (1 - zoom) * CAMERA.cy]])
+        picture = cv2.warpAffine(picture_world.image, places, (640, 480))
+        motion.follow(number / 30, picture, replace(CAMERA, fx=zoom * CAMERA.fx, fy=zoom * CAMERA.fy))
+    way = motion.answered(np.eye(4), pixels, landmarks)
+    assert np.linalg.norm(motion_between(way[0][1], way[-1][1])[:3]) < 0.01

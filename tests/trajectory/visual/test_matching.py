@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, rotation_angles
 from rholoc.progress import Stage
-from rholoc.trajectory.visual.loop_candidates import loop_candidates, sequential_pairs
-from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, supported_loops
+from rholoc.trajectory.visual.loop_candidates import least_alike, loop_candidates, sequential_pairs
+from rholoc.trajectory.visual.matching import VerifiedPair, clear_pairs, match_keyframes, supported_loops
 
 
 def _seen(T_world_camera: FloatArray, points: FloatArray, descriptors: FloatArray) -> list[FeatureSet]:
@@ -91,6 +91,30 @@ def test_a_loop_stands_alone_only_if_it_is_strong() -> None:
     assert supported_loops([weak, strong]) == [strong]
     assert supported_loops([weak, beside]) == [weak, beside]
     assert supported_loops([]) == []
+
+
+def test_of_many_pictures_those_least_alike_are_kept() -> None:
+    places = [descriptors_of(60, seed) for seed in range(4)]
+    pixels = np.random.default_rng(0).uniform(0, 400, (60, 2))
+    features = [sift_like(pixels, places[k % 4]) for k in range(10)]  # places 0 and 1 three times, 2 and 3 twice
+    sharpness = np.arange(10.0)
+    assert least_alike(features, sharpness, 4).tolist() == [6, 7, 8, 9]
+    assert least_alike(features, sharpness, 10).tolist() == list(range(10))
+
+
+def test_pairs_that_look_alike_elsewhere_are_left_out() -> None:
+    walk = [_pair(k, k + step, 200) for step in (1, 2) for k in range(6 - step)]
+    alike = _pair(0, 5, 40)
+    assert clear_pairs([*walk, alike], 6) == (walk, [alike])
+    loop = _pair(0, 5, 80)
+    assert clear_pairs([*walk, loop], 6) == ([*walk, loop], [])
+    assert clear_pairs([], 6) == ([], [])
+
+
+def test_weak_pairs_that_link_two_parts_are_kept() -> None:
+    parts = [_pair(a, b, 200) for first in (0, 3) for a in range(first, first + 3) for b in range(a + 1, first + 3)]
+    link = _pair(2, 3, 20)
+    assert clear_pairs([*parts, link], 6) == ([*parts, link], [])
 
 
 def test_progress_counts_pairs_up_to_two_fifths() -> None:

@@ -92,8 +92,19 @@ def resampled(image: ByteArray, camera: Camera, common: Camera) -> ByteArray:
         size = round(camera.width * shrunk), round(camera.height * shrunk)
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         camera = camera.resized(*size)
+    if (camera.lens, camera.distortion) == (common.lens, common.distortion) and camera.lens is not Lens.EQUIRECTANGULAR:
+        return _zoomed(image, camera, common)
     horizontal, vertical = _maps(camera, common)
     found = cv2.remap(image, horizontal, vertical, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, dtype=np.uint8)
+
+
+def _zoomed(image: ByteArray, camera: Camera, common: Camera) -> ByteArray:
+    """Resample between cameras that differ in focal lengths and principal point alone."""
+    across, down = camera.fx / common.fx, camera.fy / common.fy
+    places = np.array([[across, 0, camera.cx - across * common.cx], [0, down, camera.cy - down * common.cy]])
+    size, flags = (common.width, common.height), cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    found = cv2.warpAffine(image, places, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(found, dtype=np.uint8)
 
 

@@ -1,6 +1,7 @@
 """One reader per format, chosen by the folder's files, their headers and numbers of columns.
 
-A new format is one new file with ``recognises`` and ``read``, and one line here.
+A new format is one new file with ``recognises`` and ``read``, and one line here; a new scanning app is a row of
+:mod:`rholoc.recordings.readers.scanning_apps`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rholoc.errors import InvalidRecording
+from rholoc.recordings.frames.steady_frames import with_logged_intrinsics
 from rholoc.recordings.readers import (
     advio,
     android_csv,
@@ -19,10 +21,10 @@ from rholoc.recordings.readers import (
     ios_logger,
     kapture,
     mars_logger,
+    metashape,
     nerfstudio,
     opencamera_sensors,
     own,
-    scanner_app,
     sensor_logger,
     seven_scenes,
     spectacular,
@@ -30,6 +32,7 @@ from rholoc.recordings.readers import (
     tum_rgbd,
 )
 from rholoc.recordings.readers._unused import with_unused_files
+from rholoc.recordings.readers.scanning_apps import APPS
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.tables.lengths import read_lengths_csv
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
@@ -65,11 +68,11 @@ READERS = tuple(
         (RecordingFormat.SEVEN_SCENES, seven_scenes),
         (RecordingFormat.COLMAP, colmap),
         (RecordingFormat.NERFSTUDIO, nerfstudio),
-        (RecordingFormat.SCANNER_APP, scanner_app),
+        (RecordingFormat.METASHAPE, metashape),
         (RecordingFormat.KAPTURE, kapture),
         (RecordingFormat.BAG, bag),
     )
-)
+) + tuple(Reader(app.format, app.recognises, app.read, app.tables) for app in APPS)
 
 
 def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
@@ -104,6 +107,8 @@ def _with_additions(recording: Recording, folder: Path) -> Recording:
     description = own.read_description(folder)
     if description.camera is not None and 0 not in recording.frames.size:
         recording = replace(recording, camera=description.camera.fitted(*recording.frames.size))
+    else:
+        recording = with_logged_intrinsics(recording)
     if description.R_camera_imu is not None and recording.imu is not None:
         recording = replace(recording, imu=replace(recording.imu, R_camera_imu=description.R_camera_imu))
     if description.readout_s is not None:

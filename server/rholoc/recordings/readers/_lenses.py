@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from rholoc.geometry import Camera, Lens
 from rholoc.reports import RecordingWarning, WarningKind
 
-_CENTRE_SHIFT = 0.5  # their pixel (0.5, 0.5) is the centre of the top-left one
+CENTRE_SHIFT = 0.5  # their pixel (0.5, 0.5) is the centre of the top-left one
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def camera_of_model(model: str, size: tuple[int, int], parameters: Sequence[floa
         return Camera.panorama(*size)
     fx, fy, cx, cy = (parameters[place] for place in known.pinhole)
     coefficients = tuple(0.0 if place is None else parameters[place] for place in known.distortion)
-    return Camera(*size, fx, fy, cx - _CENTRE_SHIFT, cy - _CENTRE_SHIFT, coefficients, known.lens)
+    return Camera(*size, fx, fy, cx - CENTRE_SHIFT, cy - CENTRE_SHIFT, coefficients, known.lens)
 
 
 def lens_of_model(model: str) -> Lens | None:

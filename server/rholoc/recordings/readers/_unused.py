@@ -9,6 +9,7 @@ from pathlib import Path, PurePath
 
 from rholoc.recordings.frames.bag import BagFrames
 from rholoc.recordings.frames.image_folder import ImageFolderFrames
+from rholoc.recordings.frames.steady_frames import SteadyFrames
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures
 from rholoc.recordings.frames.video import VideoFrames
 from rholoc.recordings.recording import FrameSource, Recording
@@ -66,7 +67,7 @@ def _is_known(path: PurePath, tables: tuple[str, ...]) -> bool:
 
 def _files_of(frames: FrameSource) -> tuple[Path, ...]:
     match frames:
-        case SelectedFrames():
+        case SelectedFrames() | SteadyFrames():
             return _files_of(frames.source)
         case ImageFolderFrames() | UnifiedPictures():
             return frames.paths

@@ -6,6 +6,7 @@
     sparse/0/cameras.txt       CAMERA_ID MODEL WIDTH HEIGHT PARAMS…       or sparse/, or the folder itself
     sparse/0/images.txt        IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of points
     sparse/0/*.bin             the same as binary
+    outputs/sfm*/              a model by hloc, or sfm*/; its features-*.h5 and matches-*.h5 are not used
 
 Poses are of the world in the camera; pixel (0.5, 0.5) is the centre of the top-left one. The unit of length is not
 stated.
@@ -33,7 +34,19 @@ SCALE_WARNING = RecordingWarning(
     WarningKind.SCALE_UNKNOWN, "The poses' unit of length is not stated: a map from them is not metric."
 )
 
-TABLES = ("sparse/*", "cameras.*", "images.*", "points3d.*", "frames.*", "rigs.*", "database.db", "project.ini")
+TABLES = (
+    "sparse/*",
+    "cameras.*",
+    "images.*",
+    "points3d.*",
+    "frames.*",
+    "rigs.*",
+    "database.db",
+    "project.ini",
+    "sfm*/*",
+    "outputs/sfm*/*",
+    "*pairs*.txt",
+)
 
 # COLMAP's numbers of the models in binary files, and how many parameters each has.
 _BINARY_MODELS = {
@@ -86,7 +99,7 @@ def read(folder: Path) -> Recording:
     model = _model(folder)
     assert model is not None
     images, fields = _read_binary(model) if (model / "images.bin").is_file() else _read_text(model)
-    source = folder / "images" if (folder / "images").is_dir() else folder
+    source = _pictures_folder(folder, images[0].name)
     cameras, warnings = _cameras(fields, [image.camera for image in images])
     timed = untimed_images([listed_file(source, image.name) for image in images], cameras)
     T_camera_map = poses_from_rows(np.array([images[row].pose for row in timed.rows]), "the model's images")
@@ -101,8 +114,17 @@ def read(folder: Path) -> Recording:
     )
 
 
+def _pictures_folder(folder: Path, name: str) -> Path:
+    """The folder that a picture's name is relative to: ``images`` if there is one, else any that has the picture."""
+    if (folder / "images").is_dir():
+        return folder / "images"
+    some = [path for path in (folder, *sorted(folder.iterdir())) if path.is_dir()]
+    return next((path for path in some if listed_file(path, name).is_file()), folder)
+
+
 def _model(folder: Path) -> Path | None:
-    for place in (folder / "sparse" / "0", folder / "sparse", folder):
+    by_hloc = sorted(path for pattern in ("sfm*", "outputs/sfm*") for path in folder.glob(pattern))
+    for place in (folder / "sparse" / "0", folder / "sparse", folder, *by_hloc):
         for ending in ("bin", "txt"):
             if all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
                 return place

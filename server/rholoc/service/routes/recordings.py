@@ -24,7 +24,7 @@ from rholoc.jobs import JobOptions
 from rholoc.library import PendingRecording, RecordedWaypoint, corrected_waypoints, read_notes, read_thumbnail
 from rholoc.recordings import (
     START_BYTES,
-    ZIP_SUFFIX,
+    ZIP_SUFFIXES,
     check_archive,
     check_file_name,
     check_file_start,
@@ -301,7 +301,7 @@ def _check_files(starts: Mapping[str, bytes], pending: PendingRecording, max_fil
     for name, start in starts.items():
         if len(start) < START_BYTES:
             check_file_start(name, start)
-    zips = [name for name in starts if name.lower().endswith(ZIP_SUFFIX)]
+    zips = [name for name in starts if name.lower().endswith(ZIP_SUFFIXES)]
     if zips and len(starts) > 1:
         raise InvalidRecording("A ZIP file was sent with other files.", "Put waypoints.csv into the ZIP file.")
     if len(starts) == 1:

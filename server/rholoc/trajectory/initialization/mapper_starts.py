@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, IntArray, Lens, on_plane
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.sphere import on_sphere, sphere_camera
@@ -25,6 +26,7 @@ _CENTRE_SHIFT = 0.5  # COLMAP's pixel (0.5, 0.5) is the centre of the top-left o
 class Mapper(StrEnum):
     """A method for first poses."""
 
+    DEPTH = "depth"  # metric relative poses by depth pictures
     OWN = "own"  # rotation averaging, then global positioning
     GLOBAL = "global"  # pycolmap's global mapper
     INCREMENTAL = "incremental"  # pycolmap's incremental mapper
@@ -153,7 +155,8 @@ def _incremental_options(is_known: bool) -> pycolmap.IncrementalPipelineOptions:
     return options
 
 
-def _piece(mapper: Mapper, model: pycolmap.Reconstruction, camera: Camera, is_known: bool) -> Piece:
+def _piece(mapper: Mapper, model: pycolmap.Reconstruction, camera: Camera, is_known: bool) -> Piece | None:
+    """A model as a piece; None if its intrinsics are impossible."""
     poses = {
         int(image.name): image.cam_from_world().inverse().matrix() for image in model.images.values() if image.has_pose
     }
@@ -162,9 +165,11 @@ def _piece(mapper: Mapper, model: pycolmap.Reconstruction, camera: Camera, is_kn
     T[:, :3] = [poses[k] for k in members]
     if not is_known:
         focal, cx, cy, k1 = next(iter(model.cameras.values())).params
-        camera = Camera(
-            camera.width, camera.height, focal, focal, cx - _CENTRE_SHIFT, cy - _CENTRE_SHIFT, (k1, 0.0, 0.0, 0.0)
-        )
+        centre = cx - _CENTRE_SHIFT, cy - _CENTRE_SHIFT
+        try:
+            camera = Camera(camera.width, camera.height, focal, focal, *centre, (k1, 0.0, 0.0, 0.0))
+        except InvalidCamera:
+            return None
     return Piece(mapper, np.array(members, dtype=np.int64), T, camera)
 
 

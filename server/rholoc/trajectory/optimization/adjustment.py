@@ -18,7 +18,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
 
-from rholoc.errors import MappingFailed
+from rholoc.errors import InvalidCamera, MappingFailed
 from rholoc.geometry import (
     BoolArray,
     Camera,
@@ -650,7 +650,8 @@ class _Descent:
     def _along(self, values: gtsam.Values, step: gtsam.VectorValues) -> Iterator[gtsam.Values]:
         yield values.retract(step)
         for share in _SHARES:
-            yield self.settled(values.retract(step.scale(share)))
+            with contextlib.suppress(MappingFailed):  # impossible intrinsics
+                yield self.settled(values.retract(step.scale(share)))
 
 
 def _with_points_settled(values: gtsam.Values, problem: Problem, state: State, used: BoolArray) -> gtsam.Values:
@@ -758,7 +759,13 @@ def _to_gtsam(camera: Camera) -> gtsam.Cal3DS2:
 
 def _from_gtsam(model: gtsam.Cal3DS2, camera: Camera) -> Camera:
     fx, fy, _, cx, cy, k1, k2, p1, p2 = (float(value) for value in model.vector())
-    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2))
+    try:
+        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2))
+    except InvalidCamera as error:
+        raise MappingFailed(
+            "The pictures do not show what the camera's focal length is.",
+            "Calibrate the camera (rholoc camera calibrate), or take pictures from places further apart.",
+        ) from error
 
 
 def robust(sigmas: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:

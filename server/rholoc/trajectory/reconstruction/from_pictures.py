@@ -11,11 +11,13 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_matrix
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
+from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import GUESSED, Adjusted, Problem, State, adjust
+from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.figures import median_depth_of
 from rholoc.trajectory.reconstruction.measured_scale import (
     DEPTH_SIGMA,
@@ -36,6 +38,7 @@ from rholoc.trajectory.reconstruction.rounds import (
 )
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
+from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
 from rholoc.trajectory.visual.two_view import PairRotation
 
@@ -43,6 +46,8 @@ _ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
+_MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
+_FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
 
 
@@ -78,7 +83,7 @@ def solve_from_set(
     """Reconstruct a set of pictures by several mappers, which check each other.
 
     Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
-    they see enough points. Of those that another one confirms, the reconstruction with most pictures is taken.
+    they see enough points. The reconstruction of which another one confirms most pictures is taken.
 
     Args:
         reason: one line on why the IMU was not used, or empty.
@@ -89,23 +94,26 @@ def solve_from_set(
     whole = with_depths(evidence.observations(sights), sights.depth, camera)
     parts: list[_Part] = []
     for number, mapper in enumerate(Mapper):
-        span = 0.45 + 0.1 * number, 0.55 + 0.1 * number
+        span = 0.45 + 0.07 * number, 0.52 + 0.07 * number
         part = _placed_by(mapper, sights, camera, evidence, whole, progress, span)
         if part is None:
             continue
         parts.append(part)
-        if _confirmed(part, parts[:-1]) and len(part.members) >= _ALL * len(sights.rows):
+        if _confirmed(part, parts) >= _ALL * len(sights.rows):
             break
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
-    parts.sort(key=lambda part: (_confirmed(part, parts), len(part.members)), reverse=True)
+    parts.sort(key=lambda part: (_confirmed(part, parts), part.in_metres, -len(part.members)), reverse=True)
     agreement = _best_agreement(parts[0], parts)
     if agreement is not None and not agreement.distance <= _CONTRADICTION:
         raise MappingFailed(
             f"Reconstructions of these pictures contradict each other: {agreement.why}",
             "Take more pictures in between, from places half a step apart, and let each show half of the one before.",
         )
-    found = _finished(sights, evidence, parts[0], waypoints, reason, progress)
+    part, evidence = _with_weak_pairs(parts[0], sights, camera, evidence, progress)
+    found = _finished(sights, evidence, part, waypoints, reason, progress)
+    if agreement is not None and agreement.common < _MOST * len(part.members):
+        agreement = Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members))
     return replace(found, agreement=agreement or Agreement(np.nan, np.nan, np.nan, 0, len(sights.rows)))
 
 
@@ -116,11 +124,13 @@ class _Part:
     Attributes:
         members: (N,) the pictures, increasing.
         problem, adjusted: of those.
+        in_metres: whether depth pictures gave it its first poses, so that they check its shape.
     """
 
     members: IntArray
     problem: Problem
     adjusted: Adjusted
+    in_metres: bool = False
 
 
 def _placed_by(
@@ -134,7 +144,13 @@ def _placed_by(
 ) -> _Part | None:
     """The part that a mapper places, adjusted; None if it places none."""
     try:
-        if mapper is Mapper.OWN:
+        if mapper is Mapper.DEPTH:
+            rays = [camera.rays(features.pixels) for features in sights.features]
+            linked = None if sights.depth is None else depth_start(camera, sights.depth, rays, evidence.sequential)
+            if linked is None:
+                return None
+            start = State(linked[0], np.zeros((0, 3)), camera), linked[1]
+        elif mapper is Mapper.OWN:
             start = _own_start(sights, camera, evidence.rotations, whole)
         else:
             pixels = [features.pixels.astype(np.float64) for features in sights.features]
@@ -149,7 +165,52 @@ def _placed_by(
             part = _adjusted(sights, whole, more, progress, (middle, span[1]))
     except (MappingFailed, RuntimeError):  # gtsam's word for a system that cannot be solved
         return None
-    return part
+    return replace(part, in_metres=mapper is Mapper.DEPTH)
+
+
+def _with_weak_pairs(
+    part: _Part, sights: Sights, camera: Camera, evidence: Evidence, progress: AdjustmentProgress
+) -> tuple[_Part, Evidence]:
+    """The part adjusted to the weak pairs that fit it, with further pictures by those of these pictures.
+
+    Returns the part as it is if they bend it.
+    """
+    more = _fitting(part, sights, camera, evidence)
+    if not more:
+        return part, evidence
+    richer = replace(evidence, sequential=[*evidence.sequential, *more], weak=[])
+    whole = with_depths(richer.observations(sights), sights.depth, camera)
+    start = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
+    try:
+        found = _adjusted(sights, whole, start, progress, (0.75, 0.85))
+    except (MappingFailed, RuntimeError):
+        return part, evidence
+    return (found, richer) if _agreement(found, part).same else (part, evidence)
+
+
+def _fitting(part: _Part, sights: Sights, camera: Camera, evidence: Evidence) -> list[VerifiedPair]:
+    """Weak pairs that the part's poses fit, of pictures as near to each other as clear pairs are; and all others of
+    pictures that it has not."""
+    count = len(sights.rows)
+    T = np.full((count, 4, 4), np.nan)
+    T[part.members] = part.adjusted.state.T_map_camera
+    reach = np.zeros(count)
+    for pair in evidence.sequential:
+        apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
+        for k in (pair.first, pair.second):
+            reach[k] = np.fmax(reach[k], apart)
+    rays = [camera.rays(found.pixels) for found in sights.features]
+    found = []
+    for pair in evidence.weak:
+        T_second_map, T_map_first = np.linalg.inv(T[pair.second]), T[pair.first]
+        apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
+        if np.isnan(apart):
+            found.append(pair)
+        elif apart <= max(reach[pair.first], reach[pair.second]):
+            a, b = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
+            if float(np.median(epipolar_errors(T_second_map @ T_map_first, a, b))) <= _FITTING:
+                found.append(pair)
+    return found
 
 
 def _agreement(part: _Part, other: _Part) -> Agreement:
@@ -163,14 +224,16 @@ def _agreement(part: _Part, other: _Part) -> Agreement:
     return compare(T, placed, two.members, two.adjusted.state.T_map_camera, held, depth)
 
 
-def _confirmed(part: _Part, others: Sequence[_Part]) -> bool:
-    return any(_agreement(part, other).same for other in others if other is not part)
+def _confirmed(part: _Part, others: Sequence[_Part]) -> int:
+    """Number of the part's pictures that another one confirms."""
+    found = (_agreement(part, other) for other in others if other is not part)
+    return max((one.common for one in found if one.same), default=0)
 
 
 def _best_agreement(part: _Part, parts: Sequence[_Part]) -> Agreement | None:
     """The agreement with the other part that is nearest, None if there is no other to compare with."""
     found = [_agreement(part, other) for other in parts if other is not part]
-    return min(found, key=lambda one: np.nan_to_num(one.distance, nan=np.inf), default=None)
+    return min(found, key=lambda one: (not one.same, np.nan_to_num(one.distance, nan=np.inf)), default=None)
 
 
 def _adjusted(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -87,12 +87,16 @@ class Sights:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the pictures alone tell: corners that were followed, matches of neighbours, and of places seen again."""
+    """What the pictures alone tell: corners that were followed, matches of neighbours, and of places seen again.
+
+    ``weak`` are pairs of a set of pictures that may merely look alike.
+    """
 
     corners: Observations
     turned: list[PairRotation]
     sequential: list[VerifiedPair]
     loops: list[VerifiedPair]
+    weak: list[VerifiedPair] = field(default_factory=list)
 
     @property
     def rotations(self) -> list[PairRotation]:
@@ -119,18 +123,20 @@ def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progr
     """
     corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
     rays = [camera.rays(features.pixels) for features in sights.features]
+    weak: list[VerifiedPair] = []
     if sights.is_film or felt is not None:
         sequential, loops = match_keyframes(
             sights.features, rays, camera.focal, sights.times, felt, _is_followed(sights), progress
         )
     else:
-        sequential, loops = match_pictures(sights.features, rays, camera.focal, progress), []
+        loops = []
+        sequential, weak = match_pictures(sights.features, rays, camera.focal, progress)
     if only_turned(sequential, rays):
         raise MappingFailed(
             "The camera stayed in one place; turning alone does not show how far away things are.",
             "Walk through the room, sideways where you can.",
         )
-    return Evidence(corners, rotations, sequential, loops)
+    return Evidence(corners, rotations, sequential, loops, weak)
 
 
 def _is_followed(sights: Sights) -> bool:

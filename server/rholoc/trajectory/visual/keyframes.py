@@ -12,7 +12,7 @@ _FINEST_STEP = 0.01  # … and its minimum, for recordings with too few keyframe
 _FEW_KEYFRAMES = 60
 _LONGEST_S = 1.4  # between keyframes of a camera at rest
 _SHORTEST_S = 0.08  # between any two
-MAX_PICTURES = 300  # keyframes of a set of pictures
+MAX_PICTURES = 300  # of a set that are all used; of larger ones those least alike
 _FILM_SHARE, _FILM_CORNERS = 0.2, 40  # maximum share of a film's frames with fewer shared corners
 _FILM_MOTION = 0.02  # from frame to frame in the mean, as a share of the image's longer side
 
@@ -86,21 +86,3 @@ def choose_keyframes(times: FloatArray, motion: FloatArray, sharpness: FloatArra
     steps = KeyframeSteps(float(np.clip(motion.sum() / _FEW_KEYFRAMES, _FINEST_STEP, _STEP)), timed)
     found = [steps.add(*frame) for frame in zip(range(len(times)), times, motion, sharpness, strict=True)]
     return np.array([row for row in (*found, steps.end()) if row is not None], dtype=np.int64)
-
-
-def choose_pictures(motion: FloatArray, sharpness: FloatArray) -> IntArray:
-    """Keyframes of a set of N pictures: rows (K,), increasing.
-
-    All of up to ``MAX_PICTURES`` pictures; else the sharpest of each of ``MAX_PICTURES`` equal steps of image motion.
-
-    Args:
-        motion: (N,) image motion before each picture, as a share of the image's longer side.
-        sharpness: (N,) any measure that grows with sharpness.
-    """
-    if len(motion) <= MAX_PICTURES:
-        return np.arange(len(motion))
-    path = np.cumsum(motion)
-    step = np.minimum(path / path[-1] * MAX_PICTURES, MAX_PICTURES - 1).astype(np.int64)
-    by_sharpness = np.lexsort((-sharpness, step))
-    first = np.unique(step[by_sharpness], return_index=True)[1]
-    return np.sort(by_sharpness[first])

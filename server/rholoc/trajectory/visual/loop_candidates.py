@@ -10,6 +10,7 @@ import numpy as np
 
 from rholoc.features import FeatureSet
 from rholoc.features.vlad import Vlad
+from rholoc.geometry import FloatArray, IntArray
 
 Pair = tuple[int, int]
 
@@ -29,10 +30,9 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
     Retrieval by VLAD (:mod:`rholoc.features.vlad`), trained on these keyframes' descriptors. Skips the neighbours of a
     chosen pair, so that one place does not take all.
     """
-    if not any(len(found) for found in features):
+    vectors = _vectors(features)
+    if not vectors.any():
         return []
-    descriptors = [found.descriptors for found in features]
-    vectors = Vlad(descriptors).vectors(descriptors)
     pairs: set[Pair] = set()
     for i, vector in enumerate(vectors):
         row = vectors @ vector
@@ -59,14 +59,44 @@ def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
 
 def most_alike(features: Sequence[FeatureSet], each: int) -> list[Pair]:
     """Pairs of every picture with its ``each`` most similar pictures by VLAD."""
-    if not any(len(found) for found in features):
-        return []
-    descriptors = [found.descriptors for found in features]
-    vectors = Vlad(descriptors).vectors(descriptors)
-    alike = vectors @ vectors.T
-    np.fill_diagonal(alike, -np.inf)
+    alike = _similarities(features)
     nearest = np.argsort(-alike, axis=1, kind="stable")[:, :each]
     return sorted({(min(i, j), max(i, j)) for i, row in enumerate(nearest.tolist()) for j in row})
+
+
+def least_alike(features: Sequence[FeatureSet], sharpness: FloatArray, count: int) -> IntArray:
+    """Rows (count,), increasing, of N pictures of which, of the two most alike, the less sharp was left out repeatedly.
+
+    What is left shows as much as all, and overlaps as far as it can.
+
+    Args:
+        features: of N pictures.
+        sharpness: (N,) any measure that grows with sharpness.
+        count: number of pictures to keep.
+    """
+    alike, kept = _similarities(features), np.ones(len(features), dtype=np.bool_)
+    for _ in range(len(features) - count):
+        first, second = np.unravel_index(alike.argmax(), alike.shape)
+        out = first if sharpness[first] < sharpness[second] else second
+        kept[out] = False
+        alike[out] = alike[:, out] = -np.inf
+    return np.flatnonzero(kept)
+
+
+def _similarities(features: Sequence[FeatureSet]) -> FloatArray:
+    """Similarity (N, N) of pictures by VLAD; -inf on the diagonal."""
+    vectors = _vectors(features)
+    alike = vectors @ vectors.T
+    np.fill_diagonal(alike, -np.inf)
+    return np.asarray(alike)
+
+
+def _vectors(features: Sequence[FeatureSet]) -> FloatArray:
+    """VLAD vectors (N, D) of pictures on words learned from them; zeros without any feature."""
+    if not any(len(found) for found in features):
+        return np.zeros((len(features), 1))
+    descriptors = [found.descriptors for found in features]
+    return Vlad(descriptors).vectors(descriptors)
 
 
 def transitive_pairs(pairs: Sequence[Pair], tried: Collection[Pair]) -> list[Pair]:

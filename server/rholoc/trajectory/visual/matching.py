@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
@@ -38,6 +40,8 @@ _STRONG_LOOP = 80  # inliers, from which a loop needs no support
 _BESIDE = 2  # keyframes, within which another loop supports one
 _LOOPS_EACH = 3
 _TRANSITIVE_EACH = 8  # mean number of transitive pairs to try per picture
+_FAIR_SHARE = 0.33  # of the matches of its pictures' best pairs, from which a pair shows the same place
+_BEST = 2  # the best but one: a picture may be there twice
 _EXPLAINED = 0.8  # minimum share of the image rotation's inliers that the gyroscope's rotation explains
 _BESIDE_WALK = (1, 2, 4)  # offsets of keyframes to match with if corners were tracked …
 _BESIDE_JUMPS = (1, 2, 3, 4, 5, 6, 8, 12)  # … and if pictures are too far apart for tracking
@@ -111,8 +115,8 @@ def match_pictures(
     rays: Sequence[FloatArray],
     focal_px: float,
     progress: ProgressListener = silent,
-) -> list[VerifiedPair]:
-    """Match unordered pictures; returns verified pairs.
+) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
+    """Match unordered pictures; returns the verified pairs that are clear, and the others, see :func:`clear_pairs`.
 
     Pairs that both overlap a third picture are tried as well, if not all pairs were.
 
@@ -140,7 +144,30 @@ def match_pictures(
             tried.update(pairs)
             strong = [(one.first, one.second) for one in found if len(one.matches) >= _MIN_LOOP]
             pairs = transitive_pairs(strong, tried)[: _TRANSITIVE_EACH * len(features)]
-    return found
+    return clear_pairs(found, len(features))
+
+
+def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
+    """Pairs that have a fair share of their pictures' best pairs' matches or link the parts these leave, and the rest.
+
+    What looks alike elsewhere, such as doors along a corridor, has few matches beside those of the same place.
+
+    Args:
+        pairs: verified.
+        count: number of pictures.
+    """
+    ends = np.array([(pair.first, pair.second) for pair in pairs], dtype=np.int64).reshape(-1, 2)
+    matches = np.array([len(pair.matches) for pair in pairs])
+    best = np.zeros(count)
+    for k in range(count):
+        own = np.sort(matches[(ends == k).any(axis=1)])
+        best[k] = own[-min(_BEST, len(own))] if len(own) else 0
+    clear = matches >= _FAIR_SHARE * best[ends].min(axis=1)
+    graph = coo_matrix((np.ones(clear.sum()), ends[clear].T), shape=(count, count))
+    part = connected_components(graph, directed=False)[1]
+    kept = clear | (part[ends[:, 0]] != part[ends[:, 1]])
+    places = np.flatnonzero(kept).tolist(), np.flatnonzero(~kept).tolist()
+    return [pairs[k] for k in places[0]], [pairs[k] for k in places[1]]
 
 
 def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:

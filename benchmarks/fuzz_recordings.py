@@ -1,0 +1,254 @@
+"""Whether any recording makes mapping fail otherwise than in one line with advice.
+
+    python benchmarks/fuzz_recordings.py [redkitchen splat_desk …] [--cases 30] [--first 0] [--seed 0] [--pictures 24]
+        [--minutes 20] [--json FILE] [--write]
+
+Each case is a stretch of one recording's pictures, in a folder, to which one to three things have befallen: pictures
+were thinned, shuffled, cut out, doubled, rotated, rescaled or blanked, a second camera took some, the camera stood
+still; another recording's may be mixed in, and there may be times, wrong poses or wrong intrinsics. It is built into a
+map by default options, whose report is not made. A case fails that raises anything but an error of ``rholoc.errors``
+with a message and advice, or the message that asks to report the recording.
+
+Prints each case and how it ended; exit status 1 where one failed. A case is made from the seed and its number. No case
+begins after so many minutes. With ``--write`` the totals go to benchmarks/results/fuzz.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from figures import Figure, write_results
+from measuring import SHARED_DATA
+from rholoc.errors import RholocError
+from rholoc.geometry import ByteArray
+from rholoc.mapping import BuildOptions, build_map
+from rholoc.recordings import read_recording
+
+NAMES = (
+    "redkitchen",
+    "splat_desk",
+    "corridor_lidar/scan",
+    "euroc_v101",
+    "bedroom_night",
+    "android_livingroom",
+    "coloured_lights",
+)
+_WIDTH_PX = 640  # to which pictures are shrunk
+_PLEASE_REPORT = "report this recording"
+
+
+@dataclass
+class Pictures:
+    """Pictures of a case, and the names of what has befallen them."""
+
+    images: list[ByteArray]
+    log: list[str]
+
+
+Happening = Callable[[Pictures, random.Random], None]
+
+
+def thinned(case: Pictures, choices: random.Random) -> None:
+    """Every second, third or sixth picture."""
+    case.images = case.images[:: choices.choice((2, 3, 6))]
+
+
+def shuffled(case: Pictures, choices: random.Random) -> None:
+    """In any order."""
+    choices.shuffle(case.images)
+
+
+def cut(case: Pictures, choices: random.Random) -> None:
+    """A piece is missing."""
+    start = choices.randrange(len(case.images))
+    del case.images[start : start + choices.randint(1, max(1, len(case.images) // 2))]
+
+
+def doubled(case: Pictures, choices: random.Random) -> None:
+    """Some pictures come again, next to themselves or at the end."""
+    again = choices.sample(case.images, k=min(len(case.images), choices.randint(1, 6)))
+    case.images += again
+    if choices.random() < 0.5:
+        case.images += case.images
+
+
+def rotated(case: Pictures, choices: random.Random) -> None:
+    """Some or all were taken with the camera turned."""
+    turn, share = choices.choice((cv2.ROTATE_90_CLOCKWISE, cv2.ROTATE_180)), choices.choice((0.3, 1.0))
+    case.images = [np.asarray(cv2.rotate(one, turn)) if choices.random() < share else one for one in case.images]
+
+
+def rescaled(case: Pictures, choices: random.Random) -> None:
+    """Some or all are smaller, maybe tiny, maybe of another shape."""
+    factors, share = (choices.uniform(0.05, 0.9), choices.uniform(0.05, 0.9)), choices.choice((0.3, 1.0))
+    across, down = factors if choices.random() < 0.3 else (factors[0], factors[0])
+    case.images = [
+        np.asarray(cv2.resize(one, None, fx=across, fy=down)) if choices.random() < share else one
+        for one in case.images
+    ]
+
+
+def second_camera(case: Pictures, choices: random.Random) -> None:
+    """A longer lens took the second half."""
+    middle, factor = len(case.images) // 2, choices.uniform(0.4, 0.9)
+    for k, one in enumerate(case.images[middle:], middle):
+        height, width = (round(factor * side) for side in one.shape[:2])
+        top, left = (one.shape[0] - height) // 2, (one.shape[1] - width) // 2
+        case.images[k] = one[top : top + height, left : left + width].copy()
+
+
+def blanked(case: Pictures, choices: random.Random) -> None:
+    """Some pictures are black, white or of noise."""
+    rng = np.random.default_rng(choices.randrange(2**32))
+    for k in choices.sample(range(len(case.images)), k=choices.randint(1, len(case.images))):
+        shape = case.images[k].shape
+        kind = choices.randrange(3)
+        case.images[k] = np.full(shape, 255 * kind, np.uint8) if kind < 2 else rng.integers(0, 255, shape, np.uint8)
+
+
+def standing(case: Pictures, choices: random.Random) -> None:
+    """The camera did not move: one picture, over and over, with noise."""
+    rng = np.random.default_rng(choices.randrange(2**32))
+    one = choices.choice(case.images).astype(np.int16)
+    case.images = [
+        np.clip(one + rng.integers(-4, 5, one.shape, np.int16), 0, 255).astype(np.uint8) for _ in case.images
+    ]
+
+
+HAPPENINGS: tuple[Happening, ...] = (
+    thinned,
+    shuffled,
+    cut,
+    doubled,
+    rotated,
+    rescaled,
+    second_camera,
+    blanked,
+    standing,
+)
+
+
+def stretch(name: str, pictures: int, choices: random.Random) -> list[ByteArray]:
+    """Consecutive pictures of a recording, some steps apart."""
+    frames = read_recording(SHARED_DATA / name).frames
+    count = len(frames.times)
+    step = choices.randint(1, max(1, min(12, count // pictures)))
+    first = choices.randrange(max(1, count - step * pictures))
+    rows = list(range(first, count, step))[:pictures]
+    factor = min(1.0, _WIDTH_PX / frames.size[0])
+    return [
+        np.asarray(cv2.resize(one, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA))
+        for one in frames.images(rows)
+    ]
+
+
+def make_case(names: list[str], number: int, seed: int, pictures: int, folder: Path) -> str:
+    """Write a case's recording; returns what it is."""
+    choices = random.Random(f"{seed} {number}")
+    name = choices.choice(names)
+    case = Pictures(stretch(name, pictures, choices), [name])
+    if choices.random() < 0.25:
+        other = choices.choice(names)
+        at = choices.randrange(len(case.images))
+        case.images[at:at] = stretch(other, choices.randint(1, pictures), choices)
+        case.log.append(f"mixed with {other}")
+    for happening in choices.sample(HAPPENINGS, k=choices.randint(1, 3)):
+        if case.images:
+            happening(case, choices)
+            case.log.append(happening.__name__)
+    for k, image in enumerate(case.images):
+        assert cv2.imwrite(str(folder / f"{k:04d}.jpg"), image)
+    _add_tables(case, choices, folder)
+    return ", ".join(case.log) + f": {len(case.images)} pictures"
+
+
+def _add_tables(case: Pictures, choices: random.Random, folder: Path) -> None:
+    rng = np.random.default_rng(choices.randrange(2**32))
+    count = len(case.images)
+    if choices.random() < 0.3:
+        rate_hz = choices.choice((0.5, 2.0, 10.0, 30.0))
+        rows = [f"{k},{k / rate_hz}" for k in range(count)]
+        (folder / "frames.csv").write_text("\n".join(["frame,timestamp", *rows]) + "\n")
+        case.log.append(f"at {rate_hz:g} Hz")
+    if choices.random() < 0.2:
+        poses = np.column_stack([np.arange(count), rng.normal(0, 1, (count, 3)), np.tile([0, 0, 0, 1], (count, 1))])
+        (folder / "poses.txt").write_text("\n".join(" ".join(map(str, row)) for row in poses.tolist()) + "\n")
+        case.log.append("wrong poses")
+    if choices.random() < 0.2:
+        (folder / "camera.json").write_text(_camera_of(case.images, choices.uniform(0.3, 3.0)))
+        case.log.append("wrong intrinsics")
+
+
+def _camera_of(images: list[ByteArray], focal: float) -> str:
+    height, width = images[0].shape[:2] if images else (480, 640)
+    focal_px = focal * max(width, height)
+    members = {"width": width, "height": height, "fx": focal_px, "fy": focal_px, "cx": width / 2, "cy": height / 2}
+    return json.dumps(members)
+
+
+def outcome(folder: Path) -> tuple[bool, str]:
+    """Whether a recording ends well, and how."""
+    try:
+        info = build_map([read_recording(folder)], BuildOptions(report=False)).info
+    except RholocError as error:
+        fine = bool(error.message and error.hint) and _PLEASE_REPORT not in f"{error.message} {error.hint}".lower()
+        return fine, f"{type(error).__name__}: {error.message} {error.hint}"
+    except Exception as error:
+        return False, f"{type(error).__name__}: {error}"
+    return True, "map: " + "; ".join(
+        f"{one.frames} of {one.keyframes} placed, {'' if one.trusted else 'not '}trusted"
+        for one in info.report.trajectories
+    )
+
+
+def main() -> int:
+    """Run the cases."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", default=list(NAMES))
+    parser.add_argument("--cases", type=int, default=30)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--pictures", type=int, default=24)
+    parser.add_argument("--minutes", type=float, default=np.inf)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--write", action="store_true")
+    arguments = parser.parse_args()
+    found, ends, begun = [], Counter[str](), time.monotonic()
+    for number in range(arguments.first, arguments.first + arguments.cases):
+        if time.monotonic() - begun > 60 * arguments.minutes:
+            break
+        with tempfile.TemporaryDirectory() as folder:
+            what = make_case(arguments.names, number, arguments.seed, arguments.pictures, Path(folder))
+            start = time.monotonic()
+            fine, how = outcome(Path(folder))
+        seconds = round(time.monotonic() - start, 1)
+        ends[how.split(":")[0] if fine else "FAILED"] += 1
+        found.append({"case": number, "what": what, "fine": fine, "how": how, "seconds": seconds})
+        print(f"{number:4d} {seconds:6.1f} s  {'' if fine else 'FAILED '}{what}\n          {how}", flush=True)
+    print(", ".join(f"{count} {end}" for end, count in ends.most_common()))
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(found, indent=1))
+    if arguments.write:
+        figures = {
+            "fuzz.recordings": Figure(len(found), len(found), True),
+            "fuzz.maps": Figure(ends["map"], len(found), True),
+            "fuzz.ended_otherwise": Figure(ends["FAILED"], 0, False),
+        }
+        write_results("fuzz", figures, "python benchmarks/fuzz_recordings.py --write", arguments.seed)
+    return 1 if ends["FAILED"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

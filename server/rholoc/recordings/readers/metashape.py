@@ -1,0 +1,182 @@
+"""Cameras exported from Agisoft Metashape ("Export Cameras", Agisoft XML), beside the photos or in a folder above.
+
+::
+
+    cameras.xml    any name: document/chunk with
+                   sensors/sensor: resolution, calibration (f, cx, cy from the image's centre, b1, k1 … k4, p1, p2)
+                   components/component/transform, or transform: rotation, translation, scale
+                   cameras/camera: sensor_id, component_id, label, transform (4×4, by rows)
+
+A camera's transform is T_chunk_camera with OpenCV's camera axes; a component's takes the chunk to the reference, in
+metres. Without it the unit of length is not stated. Of a geocentric reference only the scale is used. A photo is found
+by its label, with or without its suffix; cameras that were not aligned are ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
+from rholoc.geometry import Camera, FloatArray, Lens, is_rotation, pose_matrix
+from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
+from rholoc.recordings.readers._frames import untimed_images
+from rholoc.recordings.readers._lenses import CENTRE_SHIFT, unsupported
+from rholoc.recordings.readers.colmap import SCALE_WARNING
+from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.tables.csv_table import read_text
+from rholoc.reports import RecordingWarning
+
+TABLES = ("*.xml", "*.psx", "*.files/*", "*.ply", "*.obj", "*.mtl")
+_LENSES = {
+    "frame": Lens.PINHOLE,
+    "fisheye": Lens.FISHEYE,
+    "equidistant_fisheye": Lens.FISHEYE,
+    "spherical": Lens.EQUIRECTANGULAR,
+}
+_ROTATION_TOLERANCE = 1e-3
+_GEOCENTRIC_M = 1e6  # a component's distance from the origin, beyond which its frame is geocentric
+_ADVICE = "Export the cameras again, as Agisoft XML."
+
+
+def recognises(folder: Path) -> bool:
+    """Whether there is a file of cameras."""
+    return _document(folder) is not None
+
+
+def read(folder: Path) -> Recording:
+    """Read the folder.
+
+    Raises:
+        InvalidRecording: no camera is aligned, or a photo is missing or broken.
+        InvalidCamera: a calibration is broken.
+        InvalidTrajectory: a transform is broken.
+    """
+    document = _document(folder)
+    assert document is not None
+    placed = [one for one in document.iter("camera") if one.find("transform") is not None and one.get("label")]
+    if not placed:
+        raise InvalidRecording("The cameras' file has no aligned camera.", "Align the photos, then export the cameras.")
+    photos = _photos(folder)
+    labels = [str(one.get("label")) for one in placed]
+    missing = next((label for label in labels if label.lower() not in photos), None)
+    if missing is not None:
+        raise InvalidRecording(f"There is no photo {missing[:60]}.", "Put the photos beside the cameras' file.")
+    sensors = {sensor.get("id"): sensor for sensor in document.iter("sensor")}
+    cameras, warnings = _cameras([sensors.get(one.get("sensor_id")) for one in placed])
+    timed = untimed_images([photos[label.lower()] for label in labels], cameras)
+    frames = {one.get("id"): one.find("transform") for one in document.iter("component")}
+    whole = document.find("chunk/transform")
+    metric = any(one is not None and one.find("scale") is not None for one in (*frames.values(), whole))
+    T = np.array(
+        [_pose(one, frames.get(one.get("component_id"), whole)) for one in (placed[row] for row in timed.rows)]
+    )
+    return Recording(
+        name=folder.resolve().name,
+        path=folder,
+        frames=timed.frames,
+        camera=timed.camera,
+        poses=GivenPoses(np.ones(len(T), dtype=np.bool_), T, metric=metric),
+        format=RecordingFormat.METASHAPE,
+        warnings=(*timed.warnings, *warnings, *(() if metric else (SCALE_WARNING,))),
+    )
+
+
+def _document(folder: Path) -> Element | None:
+    """The first XML file of the folder that lists a chunk's cameras; None if there is none."""
+    for path in sorted(folder.glob("*.xml")):
+        try:
+            root = ElementTree.fromstring(_without_entities(read_text(path)))
+        except (ElementTree.ParseError, InvalidRecording):
+            continue
+        if root.tag == "document" and root.find("chunk/cameras") is not None:
+            return root
+    return None
+
+
+def _without_entities(text: str) -> str:
+    """The text; raises InvalidRecording if it defines entities, which may expand without bound."""
+    if "<!ENTITY" in text:
+        raise InvalidRecording("The XML file defines entities.", _ADVICE)
+    return text
+
+
+def _photos(folder: Path) -> dict[str, Path]:
+    """Photos below the folder, by their lower-case names with and without suffix."""
+    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
+    return {name.lower(): path for path in reversed(found) for name in (path.stem, path.name)}
+
+
+def _pose(camera: Element, frame: Element | None) -> FloatArray:
+    """T_map_camera (4, 4) of a camera, in the frame of its component, or of its chunk if that is None."""
+    T = _numbers(camera.find("transform"), 16).reshape(4, 4)
+    rotation, translation, scale = (
+        None if frame is None else frame.find(n) for n in ("rotation", "translation", "scale")
+    )
+    factor = 1.0 if scale is None else float(_numbers(scale, 1)[0])
+    R = np.eye(3) if rotation is None else _numbers(rotation, 9).reshape(3, 3)
+    t = np.zeros(3) if translation is None else _numbers(translation, 3)
+    if not (is_rotation(T[:3, :3], _ROTATION_TOLERANCE) and is_rotation(R, _ROTATION_TOLERANCE) and factor > 0):
+        raise InvalidTrajectory(f"The transform of {str(camera.get('label'))[:60]} is not a pose.", _ADVICE)
+    T[:3, 3] *= factor
+    return T if np.linalg.norm(t) > _GEOCENTRIC_M else np.asarray(pose_matrix(R[None], t[None])[0] @ T)
+
+
+def _numbers(element: Element | None, count: int) -> FloatArray:
+    try:
+        found = np.array([float(word) for word in (element.text or "").split()] if element is not None else [])
+    except ValueError:
+        found = np.zeros(0)
+    if found.shape != (count,) or not np.isfinite(found).all():
+        raise InvalidTrajectory(f"A transform is not {count} numbers.", _ADVICE)
+    return found
+
+
+def _cameras(sensors: Sequence[Element | None]) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
+    """Camera of each sensor; None if one of them is of a type that is not supported."""
+    known: dict[Element | None, Camera] = {}
+    for sensor in dict.fromkeys(sensors):
+        kind = "unknown" if sensor is None else str(sensor.get("type", "frame"))
+        if sensor is None or kind not in _LENSES:
+            return None, (unsupported(kind),)
+        known[sensor] = _camera(sensor, _LENSES[kind])
+    return [known[sensor] for sensor in sensors], ()
+
+
+def _camera(sensor: Element, lens: Lens) -> Camera:
+    """The adjusted calibration of a sensor, else the first one."""
+    calibration = sensor.find("calibration[@class='adjusted']")
+    calibration = sensor.find("calibration") if calibration is None else calibration
+    resolution = sensor.find("resolution")
+    try:
+        assert resolution is not None
+        width, height = int(resolution.attrib["width"]), int(resolution.attrib["height"])
+        if lens is Lens.EQUIRECTANGULAR:
+            return Camera.panorama(width, height)
+        assert calibration is not None
+        found = {one.tag: float(one.text or "") for one in calibration if one.tag != "resolution" and len(one) == 0}
+        focal = found["f"]
+    except (AssertionError, KeyError, ValueError) as error:
+        raise InvalidCamera(f"The sensor {str(sensor.get('label'))[:60]} has no valid calibration.", _ADVICE) from error
+    cx, cy = width / 2 + found.get("cx", 0.0), height / 2 + found.get("cy", 0.0)
+    centre = cx - CENTRE_SHIFT, cy - CENTRE_SHIFT
+    radial = [found.get(f"k{n}", 0.0) for n in (1, 2, 3, 4)]
+    if lens is Lens.FISHEYE:
+        return Camera(width, height, focal + found.get("b1", 0.0), focal, *centre, tuple(radial), lens)
+    k1, k2, k3 = _three_coefficients(radial, float(np.hypot(width, height)) / 2 / focal)
+    distortion = (k1, k2, found.get("p2", 0.0), found.get("p1", 0.0), k3)  # OpenCV has p1 and p2 the other way round
+    return Camera(width, height, focal + found.get("b1", 0.0), focal, *centre, distortion if any(distortion) else ())
+
+
+def _three_coefficients(radial: Sequence[float], radius: float) -> tuple[float, float, float]:
+    """k1, k2, k3 nearest to k1 … k4 up to a ``radius`` on the plane z = 1."""
+    if not radial[3]:
+        return radial[0], radial[1], radial[2]
+    squares = np.linspace(0.05, 1, 40) ** 2 * radius**2
+    powers = squares[:, None] ** np.arange(1, 5)
+    found = np.linalg.lstsq(powers[:, :3], powers @ np.array(radial), rcond=None)[0]
+    return float(found[0]), float(found[1]), float(found[2])
