@@ -146,7 +146,7 @@ class Deployment:
         self._control.mkdir()
         self.disks: list[Path] = []
         self.servers = [self._server(folder, number, environment) for number in range(2)]
-        pipeline = str(TESTS / "jobs" / "fake_pipeline.py")
+        pipeline = str(TESTS / "fake_pipeline.py")
         self.workers = []
         for number in range(2):
             home = folder / f"worker-{number}"

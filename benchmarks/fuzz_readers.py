@@ -31,8 +31,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "recordings"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "jobs"))
+sys.path += [str(Path(__file__).parents[1] / "tests" / part) for part in ("", "recordings")]
 import cv2
 import numpy as np
 import phone_recordings as phone
