@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from rholoc.geometry import ByteArray, FloatArray
+from rholoc.geometry import ByteArray
 from rholoc.maps import Map
 
 _DARK = 30.0  # of 255, the mean grey level
@@ -108,12 +110,12 @@ def sight_of(image: ByteArray) -> Sight:
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
     tint = 0.0
     if image.ndim == 3:
-        mean = image.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
+        mean = np.round(cv2.mean(image)[:3]).astype(np.uint8)
         lab = np.asarray(cv2.cvtColor(mean[None, None], cv2.COLOR_BGR2LAB))[0, 0].astype(np.float64)
         tint = float(np.hypot(lab[1] - 128, lab[2] - 128))
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
-    grey = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7), dtype=np.float64)
-    return Sight(float(grey.mean()), tint, _sharpness(grey))
+    grey = np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), 0.7), dtype=np.float32)
+    return Sight(cv2.mean(grey)[0], tint, _sharpness(grey))
 
 
 def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: int, agreement: Agreement) -> Diagnosis:
@@ -195,18 +197,19 @@ def _brightness_of(map_: Map) -> float:
     return float(np.mean(levels)) if levels else 0.0
 
 
-def _sharpness(grey: FloatArray) -> float:
+def _sharpness(grey: NDArray[np.float32]) -> float:
     """Fine contrast divided by coarse contrast, in the blurrier of the two directions (motion blurs along one).
 
     A direction without coarse contrast, as of a bare wall, counts as sharp.
     """
     if min(grey.shape) <= _COARSE_PX:
         return 1.0
-    across = (grey, grey.T)
-    contrasts = [(_contrast(plane, 1), _contrast(plane, _COARSE_PX)) for plane in across]
+    planes = (grey, np.ascontiguousarray(grey.T))
+    contrasts = [(_contrast(plane, 1), _contrast(plane, _COARSE_PX)) for plane in planes]
     return min((fine / coarse for fine, coarse in contrasts if coarse > _FLAT), default=1.0)
 
 
-def _contrast(plane: FloatArray, apart: int) -> float:
+def _contrast(plane: NDArray[np.float32], apart: int) -> float:
     """Root mean square difference between rows that are ``apart`` rows from each other."""
-    return float(np.sqrt(np.mean((plane[apart:] - plane[:-apart]) ** 2)))
+    above, below = plane[:-apart], plane[apart:]
+    return float(cv2.norm(above, below, cv2.NORM_L2)) / math.sqrt(above.size)
