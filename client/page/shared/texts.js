@@ -564,6 +564,13 @@ export const GERMAN = {
   "Fitting densities": "Dichten anpassen",
   "Testing the map": "Karte prüfen",
   Published: "Fertig",
+  "Comparing the maps": "Karten vergleichen",
+  "less than a minute left": "noch weniger als eine Minute",
+  "about a minute left": "noch etwa eine Minute",
+  "about {0} minutes left": "noch etwa {0} Minuten",
+  "about {0} hours left": "noch etwa {0} Stunden",
+  "Try it with a few pictures from where it will be used. Its page shows where it works less well, and where to walk next.":
+    "Probieren Sie sie mit einigen Bildern von dort aus, wo sie gebraucht wird. Ihre Seite zeigt, wo sie weniger gut ist und wo Sie als Nächstes gehen sollten.",
   "The map is ready": "Die Karte ist fertig",
   "The map is made, but do not rely on it": "Die Karte ist fertig, aber auf sie ist kein Verlass",
   "See the map": "Karte ansehen",
