@@ -301,6 +301,7 @@ test("a running job says what it does and how long that still takes", () => {
   const job = { state: "running", stage: "poses", message: "", started: 1000, progress: 0.4 };
   assert.equal(doing(job), "Finding where each frame was taken"); // a line is never empty
   assert.equal(doing({ ...job, message: "31 of 60 keyframes placed" }), "31 of 60 keyframes placed");
+  assert.equal(doing({ stage: "published", message: "published" }), "Published");
   near(secondsLeft(job, 1080), 120);
   assert.equal(timeLeft(job, 1080), "about 2 minutes left");
   assert.equal(timeLeft({ ...job, progress: 0.9 }, 1080), "less than a minute left");

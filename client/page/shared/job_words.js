@@ -19,7 +19,7 @@ const MIN_PROGRESS = 0.05; // before that, the time spent says little about the 
 
 /** What a job is doing, in one line that is never empty. */
 export const doing = ({ stage, message, error }) =>
-  heard(error?.message ?? message) || (STAGES[stage] ?? t`Comparing the maps`);
+  heard(error?.message ?? (message === stage ? "" : message)) || (STAGES[stage] ?? t`Comparing the maps`);
 
 /** How long a running job will still take [s], by the time since it started; null while that says too little. */
 export function secondsLeft({ state, started, progress }, now = Date.now() / 1000) {

@@ -777,6 +777,12 @@ export const GERMAN = {
 
 // Sentences of the server, as it says them in English; tests/page looks whether it still does.
 export const GERMAN_OF_SERVER = {
+  "waiting for a worker": "wartet auf einen freien Worker",
+  "{0} of {1} pairs of pictures matched": "{0} von {1} Bildpaaren verglichen",
+  "all measurements adjusted together": "alle Messungen werden gemeinsam ausgeglichen",
+  "adjusted anew": "neu ausgeglichen",
+  "{0} of {1} pairs of views": "{0} von {1} Paaren von Ansichten",
+  "{0} of {1} frames held out, for consistency": "{0} von {1} zurückgehaltenen Bildern geprüft",
   "This picture does not show this map: nothing in it looks like anything there.":
     "Dieses Bild zeigt diese Karte nicht: Nichts darin gleicht etwas von dort.",
   "This picture does not show this map: {0} of {1} matches agree, no better than chance.":
