@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import time
 
 import cv2
 import httpx
@@ -191,6 +193,21 @@ def test_a_job_is_cancelled_and_tried_again(desk_browser, named, opened):
         expect(page.get_by_label("Priority")).to_have_value("high")
         newest = httpx.get(f"{named.url}/v1/jobs").json()["jobs"][0]
         assert (newest["map"], newest["priority"]) == ("hall", "high")
+
+
+def test_a_running_job_says_what_it_does_and_how_long_that_takes(desk_browser, named, opened):
+    job = httpx.get(f"{named.url}/v1/jobs").json()["jobs"][0]
+    running = {"state": "running", "stage": "poses", "progress": 0.4, "message": "", "started": time.time() - 70}
+    job |= running | {"error": None, "ended": None}
+    with opened(desk_browser, named.url) as page:
+        page.route("**/v1/jobs", lambda route: route.fulfill(json={"jobs": [job], "more": False}))
+        page.route("**/v1/jobs/*/events", lambda route: route.fulfill(body=f"data: {json.dumps(job)}\n\n"))
+        page.route(f"**/v1/jobs/{job['id']}", lambda route: route.fulfill(json=job))
+        page.goto(f"{named.url}/#/jobs")
+        expect(page.locator("main li")).to_contain_text("Finding where each frame was taken – about 2 minutes left")
+        page.goto(f"{named.url}/#/jobs/{job['id']}")
+        expect(page.locator("main")).to_contain_text("about 2 minutes left")
+        expect(page.locator("main")).to_contain_text("You may close this page")
 
 
 def test_a_recording_is_uploaded(desk_browser, named, tmp_path, opened, settled):

@@ -494,6 +494,30 @@ def test_a_map_that_is_not_trusted_is_not_said_to_be_ready(running, phone):
     expect(page.get_by_text("Measure that point again")).to_be_visible()
     expect(page.get_by_role("link", name="Correct the points")).to_have_attribute("href", f"./#/recordings/{'1' * 32}")
 
+    # a good map comes with advice, too
+    report["report"] = {}
+    page.reload()
+    expect(page.get_by_text("Try it with a few pictures")).to_be_visible()
+
+    # while it is made, there is a line about what is done, and the time left
+    job.update(state="running", stage="poses", progress=0.5, started=time.time() - 230, ended=None, trusted=None)
+    page.reload()
+    expect(page.get_by_role("status")).to_have_text("Finding where each frame was taken – about 4 minutes left")
+    expect(page.get_by_role("button", name="Cancel")).to_be_visible()
+
+
+@pytest.mark.slow
+def test_sending_can_be_cancelled(running, phone):
+    page = phone(running.url)
+    page.route("**/v1/recordings**", lambda route: route.abort())
+    open_camera(page)
+    record(page, 5.5)
+    page.get_by_role("button", name="Send").click()
+    expect(page.get_by_role("alert")).to_contain_text("The server cannot be reached")
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.get_by_role("heading", name="Your recording")).to_be_visible()
+    expect(page.get_by_role("button", name="Send")).to_be_enabled()
+
 
 def test_a_key_that_allows_too_little_is_asked_for_again(serve, phone):
     running = serve(keys=KeyPolicy.ALWAYS)

@@ -15,6 +15,7 @@ import { ellipsoid } from "../../client/page/console/scene_lines.js";
 import { readScene } from "../../client/page/console/scene_data.js";
 import { snippet } from "../../client/page/console/snippets.js";
 import { bounds, placement } from "../../client/page/console/thumbnail.js";
+import { doing, secondsLeft, timeLeft } from "../../client/page/shared/job_words.js";
 import { Track } from "../../client/page/console/track.js";
 
 const CAMERA = { width: 1280, height: 720, fx: 1040, fy: 1030, cx: 645, cy: 350, distortion: [0.1, -0.02, 0.001, 0.002] };
@@ -294,4 +295,18 @@ test("a map says from how many queries it learns, when it last did, and what cam
   const error = { message: "The map would be worse." };
   const failed = learningText({ ...asked, last, latest: { state: "failed", ended, error } });
   assert.match(failed, /On 1 Mar 2026, .* it learned nothing: The map would be worse\. With version 2 it learned/);
+});
+
+test("a running job says what it does and how long that still takes", () => {
+  const job = { state: "running", stage: "poses", message: "", started: 1000, progress: 0.4 };
+  assert.equal(doing(job), "Finding where each frame was taken"); // a line is never empty
+  assert.equal(doing({ ...job, message: "31 of 60 keyframes placed" }), "31 of 60 keyframes placed");
+  assert.equal(doing({ stage: "published", message: "published" }), "Published");
+  near(secondsLeft(job, 1080), 120);
+  assert.equal(timeLeft(job, 1080), "about 2 minutes left");
+  assert.equal(timeLeft({ ...job, progress: 0.9 }, 1080), "less than a minute left");
+  assert.equal(timeLeft({ ...job, progress: 0.5 }, 1060), "about a minute left");
+  assert.equal(timeLeft({ ...job, progress: 0.05 }, 1900), "about 5 hours left");
+  for (const unknown of [{ state: "queued" }, { state: "published" }, { started: null }, { progress: 0.01 }, { started: 2000 }])
+    assert.equal(timeLeft({ ...job, ...unknown }, 1080), "");
 });

@@ -3,22 +3,12 @@
 import { cancelJob, followJob } from "../record/job.js";
 import { call, get, passes, path } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
-import { heard, t, translated } from "../shared/text.js";
-import { inPlainWords, Trust, whatToDo } from "../shared/trust.js";
+import { doing, STAGES, timeLeft } from "../shared/job_words.js";
+import { t, translated } from "../shared/text.js";
+import { inPlainWords, nextForGood, Trust, whatToDo } from "../shared/trust.js";
 import { duration, when } from "./format.js";
 import { empty, facts, loading, lostNotice, skeletons, stateBadge } from "./parts.js";
 
-const STAGES = [
-  "received",
-  "read",
-  "keyframes",
-  "features",
-  "poses",
-  "observations",
-  "densities",
-  "report",
-  "published",
-];
 const STAGES_OF_SITES = ["received", "links", "published"];
 const PRIORITIES = ["high", "normal", "low"];
 const LOOK_MS = 2000;
@@ -70,7 +60,7 @@ function row(job) {
       h("span", { class: "row" }, stateBadge(job), h("span", { class: "muted small" }, when(job.created))),
     ),
     bar(job),
-    h("p", { class: "muted small" }, heard(job.error?.message ?? job.message)),
+    h("p", { class: "muted small" }, [doing(job), timeLeft(job)].filter(Boolean).join(" – ")),
     job.warnings.map((warning) => h("p", { class: "small reason" }, inPlainWords(warning).plain)),
   );
 }
@@ -131,8 +121,17 @@ function overview(job) {
     h(
       "div",
       { class: "card stack" },
-      h("div", { class: "row" }, stateBadge(job), h("span", { role: "status" }, heard(job.message))),
+      h(
+        "div",
+        { class: "row" },
+        stateBadge(job),
+        h("span", { role: "status" }, doing(job)),
+        h("span", { class: "muted" }, timeLeft(job)),
+      ),
       bar(job),
+      !ENDED.includes(job.state) &&
+        h("p", { class: "muted" }, t`You may close this page: the server goes on by itself.`),
+      job.trusted && h("p", {}, nextForGood()),
       stages(job),
     ),
     facts([
@@ -190,7 +189,7 @@ function priorityField(job) {
 }
 
 function stages(job) {
-  const all = job.site ? STAGES_OF_SITES : STAGES;
+  const all = job.site ? STAGES_OF_SITES : Object.keys(STAGES);
   const at = all.indexOf(job.stage);
   return h(
     "ol",

@@ -47,6 +47,7 @@ const FILES = [
   "shared/events.js",
   "shared/handover.js",
   "shared/icon.svg",
+  "shared/job_words.js",
   "shared/name_choice.js",
   "shared/style.css",
   "shared/text.js",

@@ -564,6 +564,13 @@ export const GERMAN = {
   "Fitting densities": "Dichten anpassen",
   "Testing the map": "Karte prüfen",
   Published: "Fertig",
+  "Comparing the maps": "Karten vergleichen",
+  "less than a minute left": "noch weniger als eine Minute",
+  "about a minute left": "noch etwa eine Minute",
+  "about {0} minutes left": "noch etwa {0} Minuten",
+  "about {0} hours left": "noch etwa {0} Stunden",
+  "Try it with a few pictures from where it will be used. Its page shows where it works less well, and where to walk next.":
+    "Probieren Sie sie mit einigen Bildern von dort aus, wo sie gebraucht wird. Ihre Seite zeigt, wo sie weniger gut ist und wo Sie als Nächstes gehen sollten.",
   "The map is ready": "Die Karte ist fertig",
   "The map is made, but do not rely on it": "Die Karte ist fertig, aber auf sie ist kein Verlass",
   "See the map": "Karte ansehen",
@@ -770,6 +777,12 @@ export const GERMAN = {
 
 // Sentences of the server, as it says them in English; tests/page looks whether it still does.
 export const GERMAN_OF_SERVER = {
+  "waiting for a worker": "wartet auf einen freien Worker",
+  "{0} of {1} pairs of pictures matched": "{0} von {1} Bildpaaren verglichen",
+  "all measurements adjusted together": "alle Messungen werden gemeinsam ausgeglichen",
+  "adjusted anew": "neu ausgeglichen",
+  "{0} of {1} pairs of views": "{0} von {1} Paaren von Ansichten",
+  "{0} of {1} frames held out, for consistency": "{0} von {1} zurückgehaltenen Bildern geprüft",
   "This picture does not show this map: nothing in it looks like anything there.":
     "Dieses Bild zeigt diese Karte nicht: Nichts darin gleicht etwas von dort.",
   "This picture does not show this map: {0} of {1} matches agree, no better than chance.":

@@ -63,6 +63,10 @@ export function inPlainWords(why) {
 /** Whether what speaks against a map, or is to be corrected in it, are its measured points. */
 export const blamesPoints = (mistakes, why) => mistakes.length > 0 || /The waypoint .+ is missed by/.test(why ?? "");
 
+/** What to do with a map that can be relied on. */
+export const nextForGood = () =>
+  t`Try it with a few pictures from where it will be used. Its page shows where it works less well, and where to walk next.`;
+
 /** What to do about a map that cannot be relied on because of `why`; `mistakes` are of measured points. */
 export function whatToDo(trust, mistakes = [], why = "") {
   if (mistakes.length) return t`Measure that point again, correct it, and map the recording again.`;

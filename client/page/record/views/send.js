@@ -2,27 +2,16 @@
 
 import { get, path } from "../../shared/api.js";
 import { action, fill, h } from "../../shared/dom.js";
+import { doing, STAGES, timeLeft } from "../../shared/job_words.js";
 import { Existing } from "../../shared/name_choice.js";
-import { heard, percent, t } from "../../shared/text.js";
-import { blamesPoints, inPlainWords, mistakesIn, Trust, whatToDo } from "../../shared/trust.js";
+import { percent, t } from "../../shared/text.js";
+import { blamesPoints, inPlainWords, mistakesIn, nextForGood, Trust, whatToDo } from "../../shared/trust.js";
 import { cancelJob, followJob } from "../job.js";
 import { mapNames } from "../map_names.js";
 import { archive } from "../recording.js";
 import { State } from "../store.js";
 import { upload } from "../upload.js";
 import { size } from "./words.js";
-
-const STAGES = {
-  received: t`Received`,
-  read: t`Reading the recording`,
-  keyframes: t`Choosing keyframes`,
-  features: t`Finding features`,
-  poses: t`Finding where each frame was taken`,
-  observations: t`Linking observations`,
-  densities: t`Fitting densities`,
-  report: t`Testing the map`,
-  published: t`Published`,
-};
 
 /** Upload, going on where an earlier try stood; then the job, stage by stage. */
 export async function sendView({ content, store, id }) {
@@ -35,6 +24,11 @@ export async function sendView({ content, store, id }) {
     await store.save({ ...recording, state: State.STOPPED, location: null });
     location.hash = `#/review/${id}`;
   };
+  const stop = async () => {
+    leaving.abort();
+    await change();
+  };
+  if (recording.state !== State.UPLOADED) fill(page.actions, action(t`Cancel`, stop, "danger"));
   run(page, store, recording, leaving.signal).catch((error) => {
     if (!leaving.signal.aborted)
       page.failed(error, () => location.reload(), recording.state !== State.UPLOADED && change);
@@ -84,6 +78,7 @@ async function send(page, store, recording, signal) {
   const kind = recording.kind ?? Existing.REPLACE;
   const metadata = { filename: `${map}.zip`, map, kind, ...(camera && { camera }) };
   const job = await upload(file, { metadata, location: recording.location ?? null, hear, signal });
+  fill(page.actions); // from here on the job is what can be cancelled
   const uploaded = { ...recording, state: State.UPLOADED, job };
   await store.dropParts(uploaded);
   return uploaded;
@@ -139,11 +134,13 @@ class SendPage {
     this.bar.removeAttribute("value");
   }
 
-  jobChanged({ id, stage, progress, message, state }) {
+  jobChanged(job) {
+    const { id, stage, progress, state } = job;
     this.notice.hidden = true;
     if (!this.actions.children.length) this.actions.append(action(t`Cancel`, () => cancelJob(id), "danger"));
     this.bar.value = progress;
-    this.text.textContent = state === "queued" ? t`Waiting for a worker` : heard(message) || STAGES[stage];
+    this.text.textContent =
+      state === "queued" ? t`Waiting for a worker` : [doing(job), timeLeft(job)].filter(Boolean).join(" – ");
     const items = [...this.stages.children];
     const now = items.findIndex((item) => item.dataset.stage === stage);
     items.forEach((item, i) => {
@@ -173,7 +170,7 @@ class SendPage {
     const why = warnings.join(" ");
     const where = encodeURIComponent(map);
     this.title.textContent = doubtful ? t`The map is made, but do not rely on it` : t`The map is ready`;
-    this.text.textContent = whatToDo(doubtful ? Trust.NO : Trust.YES, mistakes, why) ?? "";
+    this.text.textContent = whatToDo(doubtful ? Trust.NO : Trust.YES, mistakes, why) ?? nextForGood();
     const said = [...mistakes, ...warnings.map((one) => inPlainWords(one).plain)].join(" ");
     if (said) this.tell({ message: said, hint: "" });
     if (!doubtful && said) this.notice.className = "notice warn";
