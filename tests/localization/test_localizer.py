@@ -15,8 +15,8 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, angles_between, pose_distances, pose_matrix
 from rholoc.localization import Cause, Dof, Localizer, Prior, Query, Reason
 from rholoc.localization.index.matches import Matches
-from rholoc.localization.localizer import SearchOptions
 from rholoc.localization.pose.seeds import place_of_prior
+from rholoc.localization.search import SearchOptions
 from rholoc.maps import Map
 
 

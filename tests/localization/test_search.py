@@ -23,18 +23,11 @@ from rholoc.localization import (
     Reason,
 )
 from rholoc.localization.index.matches import Matches
-from rholoc.localization.localizer import (
-    SearchOptions,
-    _Found,
-    _Search,
-    _Stopwatch,
-)
 from rholoc.localization.pose.ascent import Optimum
 from rholoc.localization.pose.focal import FocalEstimate
 from rholoc.localization.pose.pose_evidence import Support
-from rholoc.localization.pose.rematching import (
-    Verified,
-)
+from rholoc.localization.pose.rematching import Verified
+from rholoc.localization.search import Found, Search, SearchOptions, Stopwatch
 
 
 def found(
@@ -45,7 +38,7 @@ def found(
     exact: float = 1.0,
     focal: float = 1.0,
     value: float = 1.0,
-) -> _Found:
+) -> Found:
     """A candidate ``x`` metres along the map's x axis."""
     T = np.eye(4)
     T[0, 3] = x
@@ -55,12 +48,12 @@ def found(
     verified = Verified(optimum, Matches.none(), evidence, np.zeros((0, 2)), Matches.none(), Support(net, 0.0))
     estimate = FocalEstimate(500.0, 1.0, 0.0, focal)
     camera: Any = None
-    return _Found(verified, camera, lambda: estimate, Belief(recognized, exact), near_prior)
+    return Found(verified, camera, lambda: estimate, Belief(recognized, exact), near_prior)
 
 
-def search(*candidates: _Found | None, prior: Prior | None = None) -> _Search:
+def search(*candidates: Found | None, prior: Prior | None = None) -> Search:
     query: Any = SimpleNamespace(prior=prior)
-    begun = _Search(query, _Stopwatch(None))
+    begun = Search(query, Stopwatch(None))
     for candidate in candidates:
         begun.add(candidate)
     return begun

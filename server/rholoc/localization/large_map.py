@@ -21,8 +21,9 @@ from rholoc.geometry import FloatArray, IntArray, ranges
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED
 from rholoc.localization.index.map_index import MapIndex, chance_of_likeness
 from rholoc.localization.index.matches import Matches, NearestLandmarks
-from rholoc.localization.localizer import Localizer, SearchOptions, check_kind
+from rholoc.localization.localizer import Localizer, check_kind
 from rholoc.localization.pose.seeds import VIEWS_OF_LITTLE, groups_by_votes, views_by_prior
+from rholoc.localization.search import SearchOptions
 from rholoc.localization.types import Localization, Prior, Query
 from rholoc.maps import DensityKind, Map, MapPart, part_of
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cache, partial
 from itertools import islice
 
 import numpy as np
 
-from rholoc import telemetry
 from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
-from rholoc.geometry import UP, Camera, FloatArray, IntArray, Lens, Pose, angles_between, pose_distances
+from rholoc.geometry import UP, FloatArray, IntArray, Lens, Pose, angles_between, pose_distances
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED, belief_of
 from rholoc.localization.belief.map_uncertainty import gated, with_map_error
 from rholoc.localization.diagnosis import (
@@ -27,16 +25,16 @@ from rholoc.localization.diagnosis import (
     diagnose_picture,
     wrong_camera,
 )
-from rholoc.localization.index.map_error import worst_sigma
 from rholoc.localization.index.map_index import MapIndex
-from rholoc.localization.index.matches import Matches, NearestLandmarks
+from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import Optimum, ascend, upright
 from rholoc.localization.pose.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
-from rholoc.localization.pose.modes import are_distinct, is_seen_from_afar, poses_on_arcs, spread_of_modes
+from rholoc.localization.pose.modes import is_seen_from_afar, poses_on_arcs
 from rholoc.localization.pose.ransac import exceeds_chance, lo_ransac
 from rholoc.localization.pose.rematching import SEARCH_RADII_PX, Verified, evidence_of, verify
-from rholoc.localization.pose.rivals import are_rivals, rival_seeds, shares
+from rholoc.localization.pose.rivals import rival_seeds
 from rholoc.localization.pose.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
+from rholoc.localization.search import Found, Search, SearchOptions, Stopwatch
 from rholoc.localization.types import (
     MAX_ALTERNATIVES,
     MIN_WEIGHT,
@@ -55,210 +53,9 @@ _MIN_FEATURES = 8
 _FEW_FEATURES = 40
 _MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 _MAX_UPRIGHT_ROLL_RAD = np.deg2rad(15.0)
-_MAX_MISSING = 0.25  # of the nats for a pose: what may speak against it where the search ends with it
 _ROUNDS = 2  # of matching again around a pose that is not known exactly
 _DIAGNOSTIC_SAMPLES = 300  # of each focal length: a cause is only named where many matches agree
 _TRACKING_RADIUS_PX = 14.0  # around a prior: as far as a tracker's are off. Pairs, and time, grow with the square
-
-
-@dataclass(frozen=True)
-class SearchOptions:
-    """Effort of the search.
-
-    Attributes:
-        places: maximum number of places to search for a seed.
-        views_each: number of views with shared landmarks that make up a place.
-        ransac_samples: maximum and minimum number of LO-RANSAC samples per place.
-        ransac_tolerance_px: maximum reprojection error of an inlier of LO-RANSAC.
-        samples: number of minimal samples ranked by density in a place where LO-RANSAC is inconclusive.
-        seeds: number of best samples from which to ascend.
-        seed_tolerances_px: decreasing tolerances of that ascent.
-        conclusive: probability of the right place above which no further place is searched.
-        settled_sigma_m: a conclusive pose is final if its position's largest standard deviation is below this;
-            otherwise all features are matched again around it.
-        hopeless: probability of the right place below which a verified pose counts as hopeless.
-        hopeless_looks: number of hopeless poses, or of looks that found none, after which the search ends, because the
-            picture shows another place.
-        expected: probability of the right place above which the search ends after a close look at the prior's place.
-    """
-
-    places: int = 8
-    views_each: int = 10
-    ransac_samples: tuple[int, int] = (1000, 30)
-    ransac_tolerance_px: float = 12.0
-    samples: int = 150
-    seeds: int = 2
-    seed_tolerances_px: tuple[float, ...] = (24.0, 12.0, 6.0)
-    conclusive: float = 0.9
-    settled_sigma_m: float = 0.04
-    hopeless: float = 0.02
-    hopeless_looks: int = 5
-    expected: float = MIN_RECOGNIZED
-
-
-@dataclass
-class _Stopwatch:
-    """Milliseconds per stage, and the deadline."""
-
-    deadline_s: float | None
-    started: float = field(default_factory=time.perf_counter)
-    timings_ms: dict[str, float] = field(default_factory=dict)
-    _last: float = field(default_factory=time.perf_counter)
-
-    def lap(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.timings_ms[stage] = self.timings_ms.get(stage, 0.0) + 1e3 * (now - self._last)
-        telemetry.note(stage, now - self._last)
-        self._last = now
-
-    @property
-    def late(self) -> bool:
-        return self.deadline_s is not None and time.perf_counter() - self.started > self.deadline_s
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """A candidate pose.
-
-    Attributes:
-        verified: the pose and its evidence.
-        camera: camera it was found with.
-        check_focal: returns what the matches say about that camera's focal length; the first call takes as long as a
-            search of a place.
-        if_focal_right: belief in the pose, given that the focal length is right.
-        near_prior: whether the pose agrees with the prior.
-        share: factor 0 to 1 that rivals leave of the probability of the right place.
-        rivals: mutually exclusive poses, each with its probability of the right place, likeliest first.
-        of_modes: (6, 6) second moment of the modes in the pose's place; None if it is the only one.
-    """
-
-    verified: Verified
-    camera: Camera
-    check_focal: Callable[[], FocalEstimate]
-    if_focal_right: Belief
-    near_prior: bool
-    share: float = 1.0
-    rivals: tuple[tuple[float, _Found], ...] = ()
-    of_modes: FloatArray | None = None
-
-    @property
-    def focal(self) -> FocalEstimate:
-        """What the matches say about the camera's focal length."""
-        return self.check_focal()
-
-    @property
-    def belief(self) -> Belief:
-        """Belief in the pose."""
-        recognized = self.if_focal_right.recognized * self.focal.belief * self.share
-        return Belief(recognized, self.if_focal_right.exact * self.focal.exact)
-
-    @property
-    def recognized(self) -> float:
-        """Probability 0 to 1 that the pose is of the right place."""
-        return self.belief.recognized
-
-    @property
-    def sigma_m(self) -> float:
-        """Standard deviation of the position along its worst axis."""
-        return worst_sigma(self.verified.covariance[:3, :3])
-
-
-@dataclass
-class _Search:
-    """State of a search.
-
-    Attributes:
-        query: the frame.
-        watch: its time budget.
-        matches: number of features that match anywhere, or near the prior.
-        best: likeliest candidate that agrees with the prior.
-        elsewhere: likeliest candidate that does not.
-        reason: reason for a refusal, if no candidate is good enough.
-        place: place with the most votes.
-        everywhere: matches with the whole map.
-        nearest: nearest landmarks of each feature in the whole map.
-        is_sampled: whether ``nearest`` covers only a sample of the features.
-        found: all candidates.
-        fruitless: number of looks that found none.
-    """
-
-    query: Query
-    watch: _Stopwatch
-    matches: int = 0
-    best: _Found | None = None
-    elsewhere: _Found | None = None
-    reason: Reason = Reason.NO_AGREEMENT
-    place: Place | None = None
-    everywhere: Matches | None = None
-    nearest: NearestLandmarks | None = None
-    is_sampled: bool = False
-    found: list[_Found] = field(default_factory=list)
-    fruitless: int = 0
-
-    def add(self, found: _Found | None) -> None:
-        """Add a candidate."""
-        if found is None:
-            self.fruitless += 1
-            return
-        self.found.append(found)
-        if found.near_prior:
-            self.best = _likelier(self.best, found)
-        else:
-            self.elsewhere = _likelier(self.elsewhere, found)
-
-    def is_over(self, conclusive: float, max_sigma_m: float) -> bool:
-        """Whether some candidate is probable and exact enough, and nearly uncontested."""
-        candidates = [found for found in (self.best, self.elsewhere) if found is not None]
-        return any(
-            found.if_focal_right.recognized >= conclusive
-            and found.verified.support.missing <= _MAX_MISSING * found.verified.support.seen
-            and found.sigma_m <= max_sigma_m
-            for found in candidates
-        )
-
-    def is_settled(self, max_sigma_m: float) -> bool:
-        """Whether the position of the likeliest candidate is known exactly enough."""
-        likeliest = self.best or self.elsewhere
-        return likeliest is not None and likeliest.sigma_m <= max_sigma_m
-
-    def is_hopeless(self, options: SearchOptions) -> bool:
-        """Whether enough was looked at without any chance of the right place."""
-        likeliest = max((found.if_focal_right.recognized for found in self.found), default=0.0)
-        return len(self.found) + self.fruitless >= options.hopeless_looks and likeliest < options.hopeless
-
-    def is_as_expected(self, enough: float) -> bool:
-        """Whether some candidate agrees with the prior and is probable enough."""
-        if self.query.prior is None or self.best is None:
-            return False
-        return self.best.if_focal_right.recognized >= enough
-
-    def outcome(self, conclusive: float) -> _Found | None:
-        """Candidate to answer with. One that contradicts the prior wins only if it is sure and the other is not."""
-        best, elsewhere = self._contested(self.best), self._contested(self.elsewhere)
-        surely_elsewhere = elsewhere is not None and elsewhere.recognized >= conclusive
-        if best is not None and (best.recognized >= MIN_RECOGNIZED or not surely_elsewhere):
-            return best
-        return elsewhere if surely_elsewhere else best
-
-    def _contested(self, found: _Found | None) -> _Found | None:
-        """A candidate with its rivals and the other modes of its place; those of one near the prior must be near it."""
-        if found is None:
-            return None
-        modes, rivals = [found], [found]
-        for other in sorted(self.found, key=lambda one: -one.verified.support.net):
-            if not other.near_prior and found.near_prior:
-                continue
-            if not are_rivals(found.verified, other.verified):
-                if all(are_distinct(mode.verified, other.verified) for mode in modes):
-                    modes.append(other)
-            elif all(are_rivals(rival.verified, other.verified) for rival in rivals):
-                rivals.append(other)
-        share, places = _shares(rivals), [rival.recognized for rival in rivals]
-        others = zip((share * places)[1:].tolist(), rivals[1:], strict=True)
-        T = found.verified.optimum.T_map_camera
-        of_modes = spread_of_modes(T, [mode.verified for mode in modes], _shares(modes)) if len(modes) > 1 else None
-        ordered = sorted(others, key=lambda rival: -rival[0])
-        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=of_modes)
 
 
 class Localizer:
@@ -295,7 +92,7 @@ class Localizer:
         Raises:
             InvalidDescriptors: the features are not of the map's kind.
         """
-        watch = _Stopwatch(query.deadline_s)
+        watch = Stopwatch(query.deadline_s)
         self.check(query)
         search = self._thorough_search(query, watch)
         answer = self._answer(search)
@@ -310,7 +107,7 @@ class Localizer:
 
     def attempt(self, query: Query) -> Localization | None:
         """Answer from the features at hand. Returns None if they are inconclusive; never extracts more."""
-        search = self._sure_search(query, _Stopwatch(query.deadline_s))
+        search = self._sure_search(query, Stopwatch(query.deadline_s))
         answer = None if search is None else self._answer(search)
         return answer if answer is not None and answer.localized else None
 
@@ -320,7 +117,7 @@ class Localizer:
 
     def candidate(self, query: Query) -> tuple[Verified, Belief] | None:
         """Best pose found, however doubtful, and the belief in it. None if there is none."""
-        search = self._thorough_search(query, _Stopwatch(query.deadline_s))
+        search = self._thorough_search(query, Stopwatch(query.deadline_s))
         found = search.outcome(self.options.conclusive)
         return None if found is None else (found.verified, found.belief)
 
@@ -340,11 +137,11 @@ class Localizer:
             query = replace(query, dof=Dof.FREE)
         return query
 
-    def _thorough_search(self, query: Query, watch: _Stopwatch) -> _Search:
+    def _thorough_search(self, query: Query, watch: Stopwatch) -> Search:
         """Quick search, followed by a close one if the quick one is inconclusive."""
         return self._quick_search(query, watch) or self._search(self.adapted(_with_more_features(query, watch)), watch)
 
-    def _quick_search(self, query: Query, watch: _Stopwatch) -> _Search | None:
+    def _quick_search(self, query: Query, watch: Stopwatch) -> Search | None:
         """Quick search with the first features. Returns None if it is inconclusive and more features can be
         extracted.
         """
@@ -352,7 +149,7 @@ class Localizer:
             return None
         return self._sure_search(query, watch)
 
-    def _sure_search(self, query: Query, watch: _Stopwatch) -> _Search | None:
+    def _sure_search(self, query: Query, watch: Stopwatch) -> Search | None:
         """Search with the features at hand. Returns None if it is inconclusive."""
         search = self._search(self.adapted(query), watch)
         if not search.is_settled(self.options.settled_sigma_m):
@@ -360,9 +157,9 @@ class Localizer:
         found = search.outcome(self.options.conclusive)
         return None if found is None or found.recognized < self.options.conclusive else search
 
-    def _search(self, query: Query, watch: _Stopwatch) -> _Search:
+    def _search(self, query: Query, watch: Stopwatch) -> Search:
         """Search for candidates, then for their rivals; no close look if more features can be extracted."""
-        search = _Search(query, watch)
+        search = Search(query, watch)
         if len(query.features) < _MIN_FEATURES:
             search.reason = Reason.NO_FEATURES
             return search
@@ -374,7 +171,7 @@ class Localizer:
             self._look_for_rivals(search, rays)
         return search
 
-    def _look_around(self, search: _Search, rays: FloatArray) -> None:
+    def _look_around(self, search: Search, rays: FloatArray) -> None:
         """Search one place after the other, beginning at the prior, until a candidate is conclusive or hope is lost."""
         watch, options = search.watch, self.options
         for place in self._places(search):
@@ -391,7 +188,7 @@ class Localizer:
             if search.is_as_expected(options.expected):
                 return
 
-    def _match_again(self, search: _Search, rays: FloatArray) -> None:
+    def _match_again(self, search: Search, rays: FloatArray) -> None:
         """Match all features again around a pose that is not exact enough, and refine it."""
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN or query.more_features is not None:
@@ -409,7 +206,7 @@ class Localizer:
             if (search.best or search.elsewhere) is best:
                 return
 
-    def _look_along_arcs(self, search: _Search, rays: FloatArray) -> None:
+    def _look_along_arcs(self, search: Search, rays: FloatArray) -> None:
         """Search for other modes of the best candidate's place, if it is seen from afar."""
         query, best = search.query, search.best or search.elsewhere
         if best is None or best.if_focal_right.recognized < MIN_RECOGNIZED or query.more_features is not None:
@@ -424,7 +221,7 @@ class Localizer:
                 search.add(self._checked(verified, query, verified.wide))
             search.watch.lap("verify")
 
-    def _look_for_rivals(self, search: _Search, rays: FloatArray) -> None:
+    def _look_for_rivals(self, search: Search, rays: FloatArray) -> None:
         """Search for rivals of the best candidate; not needed if it agrees with a prior."""
         query, watch, best = search.query, search.watch, search.best or search.elsewhere
         if search.nearest is None or best is None or watch.late:
@@ -441,7 +238,7 @@ class Localizer:
             watch.lap("verify")
         watch.lap("seed")
 
-    def _look(self, place: Place, search: _Search, rays: FloatArray) -> Iterator[_Found | None]:
+    def _look(self, place: Place, search: Search, rays: FloatArray) -> Iterator[Found | None]:
         """Iterate over candidates from one place, cheapest search first."""
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN:
@@ -460,7 +257,7 @@ class Localizer:
             return
         yield from self._look_closely(place, query, rays, watch)
 
-    def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
+    def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: Stopwatch) -> Found | None:
         """Candidate from one LO-RANSAC over all matches, which suffices for most frames."""
         seed = self._ransac_seed(matches, query, rays)
         watch.lap("seed")
@@ -470,7 +267,7 @@ class Localizer:
         watch.lap("verify")
         return found
 
-    def _track(self, prior: Prior, query: Query, rays: FloatArray, watch: _Stopwatch) -> _Found | None:
+    def _track(self, prior: Prior, query: Query, rays: FloatArray, watch: Stopwatch) -> Found | None:
         """Candidate from one LO-RANSAC over matches near a prior, which suffices if few features are left.
 
         An ascent from the prior itself may end on a lower peak beside the right one.
@@ -480,7 +277,7 @@ class Localizer:
         watch.lap("match")
         return self._glance(near, query, rays, watch)
 
-    def _places(self, search: _Search) -> Iterator[Place]:
+    def _places(self, search: Search) -> Iterator[Place]:
         """Iterate over places to search: around the prior, then by votes of matches with the whole map."""
         query, options = search.query, self.options
         if query.prior is not None:
@@ -497,7 +294,7 @@ class Localizer:
             others = np.delete(others, sample)
         yield from islice(self._voted_places(search, others), options.places)
 
-    def _voted_places(self, search: _Search, features: IntArray) -> Iterator[Place]:
+    def _voted_places(self, search: Search, features: IntArray) -> Iterator[Place]:
         """Iterate over places by votes, after matching more of the query's ``features``."""
         query = search.query
         found = self.index.nearest_everywhere(query.features, features)
@@ -512,7 +309,7 @@ class Localizer:
         search.reason = Reason.NO_AGREEMENT
         yield from places_by_votes(self.index, search.everywhere, self.options.views_each, query.prior)
 
-    def _look_closely(self, place: Place, query: Query, rays: FloatArray, watch: _Stopwatch) -> Iterator[_Found | None]:
+    def _look_closely(self, place: Place, query: Query, rays: FloatArray, watch: Stopwatch) -> Iterator[Found | None]:
         """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
@@ -547,7 +344,7 @@ class Localizer:
         return found[0] if found is not None and exceeds_chance(found[1], len(ordered)) else None
 
     def _climb(
-        self, matches: Matches, evidence: Evidence, seeds: list[FloatArray], query: Query, watch: _Stopwatch
+        self, matches: Matches, evidence: Evidence, seeds: list[FloatArray], query: Query, watch: Stopwatch
     ) -> Optimum | None:
         tolerances_px = self.options.seed_tolerances_px
         optima = [ascend(self.map.densities, evidence, T, tolerances_px, query.dof) for T in seeds]
@@ -555,14 +352,14 @@ class Localizer:
         return max(optima, key=lambda optimum: optimum.value, default=None)
 
     def _verified(
-        self, optimum: Optimum | None, query: Query, rays: FloatArray, matches: Matches, watch: _Stopwatch
-    ) -> _Found | None:
+        self, optimum: Optimum | None, query: Query, rays: FloatArray, matches: Matches, watch: Stopwatch
+    ) -> Found | None:
         found = None if optimum is None else verify(self.index, query, rays, optimum.T_map_camera)
         checked = self._checked(found, query, matches)
         watch.lap("verify")
         return checked
 
-    def _look_with_any_focal(self, place: Place, query: Query, samples: int, watch: _Stopwatch) -> Iterator[_Found]:
+    def _look_with_any_focal(self, place: Place, query: Query, samples: int, watch: Stopwatch) -> Iterator[Found]:
         """As :meth:`_look_closely`, with the focal length estimated along with the pose."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
@@ -578,7 +375,7 @@ class Localizer:
             if _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
                 yield self._candidate(verified, refined, lambda: focal, belief_of(verified))
 
-    def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> _Found | None:
+    def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> Found | None:
         """Candidate from a verified pose; its matches check the camera's focal length. None if it is implausible."""
         if verified is None or matches is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
             return None
@@ -587,13 +384,11 @@ class Localizer:
             return self._candidate(verified, query, partial(FocalEstimate.unchecked, query.camera), belief)
         return self._candidate(verified, query, partial(check_focal, self.index, query, verified, matches), belief)
 
-    def _candidate(
-        self, verified: Verified, query: Query, check: Callable[[], FocalEstimate], belief: Belief
-    ) -> _Found:
+    def _candidate(self, verified: Verified, query: Query, check: Callable[[], FocalEstimate], belief: Belief) -> Found:
         near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)
-        return _Found(verified, query.camera, cache(check), belief, near_prior)
+        return Found(verified, query.camera, cache(check), belief, near_prior)
 
-    def _answer(self, search: _Search) -> Localization:
+    def _answer(self, search: Search) -> Localization:
         found = search.outcome(self.options.conclusive)
         if found is None:
             return Localization.refused(search.reason, search.matches, search.watch.timings_ms)
@@ -622,7 +417,7 @@ class Localizer:
         )
         return gated(with_map_error(self.index, answer, found.of_modes), self.min_recognized, query)
 
-    def _diagnose(self, search: _Search, answer: Localization) -> Diagnosis:
+    def _diagnose(self, search: Search, answer: Localization) -> Diagnosis:
         """Likeliest cause of a refusal: the request, the camera, or the picture."""
         query, watch = search.query, search.watch
         if answer.reason is Reason.DEADLINE or watch.late:
@@ -650,7 +445,7 @@ class Localizer:
         return diagnose_picture(query.image, self.map, len(query.features), _FEW_FEATURES, agreement)
 
 
-def _with_more_features(query: Query, watch: _Stopwatch) -> Query:
+def _with_more_features(query: Query, watch: Stopwatch) -> Query:
     """The query with all features that can be extracted."""
     if query.more_features is None:
         return query
@@ -673,24 +468,7 @@ def check_kind(features: FeatureSet, wanted: Extractor) -> None:
         )
 
 
-def _likelier(a: _Found | None, b: _Found) -> _Found:
-    """The likelier of two candidates: in one place by the product of densities, of two places by what supports each."""
-    if a is None:
-        return b
-    are_two = are_rivals(a.verified, b.verified)
-    of_a, of_b = (one.verified.support.net if are_two else one.verified.optimum.value for one in (a, b))
-    likely_a, likely_b = (one.if_focal_right.recognized >= MIN_RECOGNIZED for one in (a, b))
-    return a if (likely_a, of_a) >= (likely_b, of_b) else b
-
-
-def _shares(candidates: list[_Found]) -> FloatArray:
-    """Share (M,) of each of M poses that exclude one another."""
-    return shares(
-        np.array([one.recognized for one in candidates]), np.array([one.verified.support.net for one in candidates])
-    )
-
-
-def _contradicted(found: _Found, query: Query) -> Diagnosis:
+def _contradicted(found: Found, query: Query) -> Diagnosis:
     """Which of the request's constraints a sure pose breaks."""
     T = found.verified.optimum.T_map_camera
     if not _true_to_gravity(T, query.gravity):

@@ -1,0 +1,240 @@
+"""State of a search: its effort, its time, its candidates, and which of them is the answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from rholoc import telemetry
+from rholoc.geometry import Camera, FloatArray
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED
+from rholoc.localization.index.map_error import worst_sigma
+from rholoc.localization.index.matches import Matches, NearestLandmarks
+from rholoc.localization.pose.focal import FocalEstimate
+from rholoc.localization.pose.modes import are_distinct, spread_of_modes
+from rholoc.localization.pose.rematching import Verified
+from rholoc.localization.pose.rivals import are_rivals, shares
+from rholoc.localization.pose.seeds import Place
+from rholoc.localization.types import Belief, Query, Reason
+
+_MAX_MISSING = 0.25  # of the nats for a pose: what may speak against it where the search ends with it
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Effort of the search.
+
+    Attributes:
+        places: maximum number of places to search for a seed.
+        views_each: number of views with shared landmarks that make up a place.
+        ransac_samples: maximum and minimum number of LO-RANSAC samples per place.
+        ransac_tolerance_px: maximum reprojection error of an inlier of LO-RANSAC.
+        samples: number of minimal samples ranked by density in a place where LO-RANSAC is inconclusive.
+        seeds: number of best samples from which to ascend.
+        seed_tolerances_px: decreasing tolerances of that ascent.
+        conclusive: probability of the right place above which no further place is searched.
+        settled_sigma_m: a conclusive pose is final if its position's largest standard deviation is below this;
+            otherwise all features are matched again around it.
+        hopeless: probability of the right place below which a verified pose counts as hopeless.
+        hopeless_looks: number of hopeless poses, or of looks that found none, after which the search ends, because the
+            picture shows another place.
+        expected: probability of the right place above which the search ends after a close look at the prior's place.
+    """
+
+    places: int = 8
+    views_each: int = 10
+    ransac_samples: tuple[int, int] = (1000, 30)
+    ransac_tolerance_px: float = 12.0
+    samples: int = 150
+    seeds: int = 2
+    seed_tolerances_px: tuple[float, ...] = (24.0, 12.0, 6.0)
+    conclusive: float = 0.9
+    settled_sigma_m: float = 0.04
+    hopeless: float = 0.02
+    hopeless_looks: int = 5
+    expected: float = MIN_RECOGNIZED
+
+
+@dataclass
+class Stopwatch:
+    """Milliseconds per stage, and the deadline."""
+
+    deadline_s: float | None
+    started: float = field(default_factory=time.perf_counter)
+    timings_ms: dict[str, float] = field(default_factory=dict)
+    _last: float = field(default_factory=time.perf_counter)
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.timings_ms[stage] = self.timings_ms.get(stage, 0.0) + 1e3 * (now - self._last)
+        telemetry.note(stage, now - self._last)
+        self._last = now
+
+    @property
+    def late(self) -> bool:
+        return self.deadline_s is not None and time.perf_counter() - self.started > self.deadline_s
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A candidate pose.
+
+    Attributes:
+        verified: the pose and its evidence.
+        camera: camera it was found with.
+        check_focal: returns what the matches say about that camera's focal length; the first call takes as long as a
+            search of a place.
+        if_focal_right: belief in the pose, given that the focal length is right.
+        near_prior: whether the pose agrees with the prior.
+        share: factor 0 to 1 that rivals leave of the probability of the right place.
+        rivals: mutually exclusive poses, each with its probability of the right place, likeliest first.
+        of_modes: (6, 6) second moment of the modes in the pose's place; None if it is the only one.
+    """
+
+    verified: Verified
+    camera: Camera
+    check_focal: Callable[[], FocalEstimate]
+    if_focal_right: Belief
+    near_prior: bool
+    share: float = 1.0
+    rivals: tuple[tuple[float, Found], ...] = ()
+    of_modes: FloatArray | None = None
+
+    @property
+    def focal(self) -> FocalEstimate:
+        """What the matches say about the camera's focal length."""
+        return self.check_focal()
+
+    @property
+    def belief(self) -> Belief:
+        """Belief in the pose."""
+        recognized = self.if_focal_right.recognized * self.focal.belief * self.share
+        return Belief(recognized, self.if_focal_right.exact * self.focal.exact)
+
+    @property
+    def recognized(self) -> float:
+        """Probability 0 to 1 that the pose is of the right place."""
+        return self.belief.recognized
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard deviation of the position along its worst axis."""
+        return worst_sigma(self.verified.covariance[:3, :3])
+
+
+@dataclass
+class Search:
+    """State of a search.
+
+    Attributes:
+        query: the frame.
+        watch: its time budget.
+        matches: number of features that match anywhere, or near the prior.
+        best: likeliest candidate that agrees with the prior.
+        elsewhere: likeliest candidate that does not.
+        reason: reason for a refusal, if no candidate is good enough.
+        place: place with the most votes.
+        everywhere: matches with the whole map.
+        nearest: nearest landmarks of each feature in the whole map.
+        is_sampled: whether ``nearest`` covers only a sample of the features.
+        found: all candidates.
+        fruitless: number of looks that found none.
+    """
+
+    query: Query
+    watch: Stopwatch
+    matches: int = 0
+    best: Found | None = None
+    elsewhere: Found | None = None
+    reason: Reason = Reason.NO_AGREEMENT
+    place: Place | None = None
+    everywhere: Matches | None = None
+    nearest: NearestLandmarks | None = None
+    is_sampled: bool = False
+    found: list[Found] = field(default_factory=list)
+    fruitless: int = 0
+
+    def add(self, found: Found | None) -> None:
+        """Add a candidate."""
+        if found is None:
+            self.fruitless += 1
+            return
+        self.found.append(found)
+        if found.near_prior:
+            self.best = _likelier(self.best, found)
+        else:
+            self.elsewhere = _likelier(self.elsewhere, found)
+
+    def is_over(self, conclusive: float, max_sigma_m: float) -> bool:
+        """Whether some candidate is probable and exact enough, and nearly uncontested."""
+        candidates = [found for found in (self.best, self.elsewhere) if found is not None]
+        return any(
+            found.if_focal_right.recognized >= conclusive
+            and found.verified.support.missing <= _MAX_MISSING * found.verified.support.seen
+            and found.sigma_m <= max_sigma_m
+            for found in candidates
+        )
+
+    def is_settled(self, max_sigma_m: float) -> bool:
+        """Whether the position of the likeliest candidate is known exactly enough."""
+        likeliest = self.best or self.elsewhere
+        return likeliest is not None and likeliest.sigma_m <= max_sigma_m
+
+    def is_hopeless(self, options: SearchOptions) -> bool:
+        """Whether enough was looked at without any chance of the right place."""
+        likeliest = max((found.if_focal_right.recognized for found in self.found), default=0.0)
+        return len(self.found) + self.fruitless >= options.hopeless_looks and likeliest < options.hopeless
+
+    def is_as_expected(self, enough: float) -> bool:
+        """Whether some candidate agrees with the prior and is probable enough."""
+        if self.query.prior is None or self.best is None:
+            return False
+        return self.best.if_focal_right.recognized >= enough
+
+    def outcome(self, conclusive: float) -> Found | None:
+        """Candidate to answer with. One that contradicts the prior wins only if it is sure and the other is not."""
+        best, elsewhere = self._contested(self.best), self._contested(self.elsewhere)
+        surely_elsewhere = elsewhere is not None and elsewhere.recognized >= conclusive
+        if best is not None and (best.recognized >= MIN_RECOGNIZED or not surely_elsewhere):
+            return best
+        return elsewhere if surely_elsewhere else best
+
+    def _contested(self, found: Found | None) -> Found | None:
+        """A candidate with its rivals and the other modes of its place; those of one near the prior must be near it."""
+        if found is None:
+            return None
+        modes, rivals = [found], [found]
+        for other in sorted(self.found, key=lambda one: -one.verified.support.net):
+            if not other.near_prior and found.near_prior:
+                continue
+            if not are_rivals(found.verified, other.verified):
+                if all(are_distinct(mode.verified, other.verified) for mode in modes):
+                    modes.append(other)
+            elif all(are_rivals(rival.verified, other.verified) for rival in rivals):
+                rivals.append(other)
+        share, places = _shares(rivals), [rival.recognized for rival in rivals]
+        others = zip((share * places)[1:].tolist(), rivals[1:], strict=True)
+        T = found.verified.optimum.T_map_camera
+        of_modes = spread_of_modes(T, [mode.verified for mode in modes], _shares(modes)) if len(modes) > 1 else None
+        ordered = sorted(others, key=lambda rival: -rival[0])
+        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=of_modes)
+
+
+def _likelier(a: Found | None, b: Found) -> Found:
+    """The likelier of two candidates: in one place by the product of densities, of two places by what supports each."""
+    if a is None:
+        return b
+    are_two = are_rivals(a.verified, b.verified)
+    of_a, of_b = (one.verified.support.net if are_two else one.verified.optimum.value for one in (a, b))
+    likely_a, likely_b = (one.if_focal_right.recognized >= MIN_RECOGNIZED for one in (a, b))
+    return a if (likely_a, of_a) >= (likely_b, of_b) else b
+
+
+def _shares(candidates: list[Found]) -> FloatArray:
+    """Share (M,) of each of M poses that exclude one another."""
+    return shares(
+        np.array([one.recognized for one in candidates]), np.array([one.verified.support.net for one in candidates])
+    )
