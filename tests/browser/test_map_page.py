@@ -175,6 +175,23 @@ def test_a_recording_for_a_map_that_exists_learns_or_replaces_only_when_asked(
         expect(page.get_by_role("heading", level=1)).to_have_text(re.compile(r"Map room-\d"))
 
 
+def test_a_name_proposed_before_it_is_known_which_are_taken_is_proposed_anew(
+    desk_browser, running, opened, settled, tmp_path
+):
+    (tmp_path / "room.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"\1" * 5000)
+    with opened(desk_browser, running.url, "recordings") as page:
+        settled(page)
+        held = []
+        page.route(re.compile(r"/v1/maps$"), lambda route: held.append(route))
+        page.reload()
+        page.get_by_label("Recording", exact=True).set_input_files(tmp_path / "room.mp4")
+        name = page.get_by_label("Name of the map")
+        expect(name).to_have_value("room")
+        for route in held:
+            route.continue_()
+        expect(name).to_have_value(re.compile(r"^room-\d$"))
+
+
 def test_where_it_works_is_pointed_at_and_walked_by_keyboard(desk_browser, running, opened, settled):
     with opened(desk_browser, running.url, "maps/room") as page:
         canvas = settled(page).locator("canvas.coverage")

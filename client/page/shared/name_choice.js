@@ -51,8 +51,11 @@ export function nameChoice({ names = [], learns = true, value = "", kind = null,
     for (const { radio } of radios) radio.required = exists;
   }
 
+  let proposed = null; // until somebody types another name
+
   /** Propose a name that no map has. */
   function suggest(wanted) {
+    proposed = wanted;
     const root = wanted.replace(/-\d+$/, "");
     let free = wanted;
     for (let number = 2; names.includes(free); number++) free = `${root}-${number}`;
@@ -62,6 +65,7 @@ export function nameChoice({ names = [], learns = true, value = "", kind = null,
   }
 
   name.addEventListener("input", () => {
+    proposed = null;
     show();
     changed();
   });
@@ -84,7 +88,8 @@ export function nameChoice({ names = [], learns = true, value = "", kind = null,
     suggest,
     know(all) {
       names = all;
-      show();
+      if (proposed === null) show();
+      else suggest(proposed); // before it was known which names are taken
     },
   };
 }
