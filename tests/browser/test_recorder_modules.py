@@ -16,6 +16,7 @@ import pytest
 from playwright.sync_api import Browser, Page
 from scipy.spatial.transform import Rotation
 
+from rholoc.errors import InvalidRecording
 from rholoc.recordings import read_recording
 from rholoc.recordings.camera_file import read_camera_json
 from rholoc.recordings.tables.frames_table import read_frames_csv
@@ -123,10 +124,14 @@ RECORD = """async ([type, milliseconds]) => {
 )
 def test_frame_times_are_those_that_the_reader_finds(run, page, tmp_path, kind):
     video = tmp_path / ("video." + kind.split(";")[0])
+    expected = np.zeros(0)
     for milliseconds in (2_500, 10_000, 40_000):  # software encoders drop most frames of a busy machine
         data = base64.b64decode(page.evaluate(RECORD, [f"video/{kind}", milliseconds]))
         video.write_bytes(data)
-        expected = read_recording(video).frames.times
+        try:
+            expected = read_recording(video).frames.times
+        except InvalidRecording:  # not one frame
+            continue
         if len(expected) >= 2:
             break
     assert len(expected) >= 2
