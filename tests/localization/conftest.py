@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rholoc.density import Evidence
 from rholoc.features import Metric
+from rholoc.geometry import Pose
 from rholoc.localization import Localizer
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.ascent import Optimum
+from rholoc.localization.pose.pose_evidence import Support
+from rholoc.localization.pose.rematching import Verified
 from rholoc.mapping.build.landmarks import representative_rows, select_stable, triangulate
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
@@ -45,3 +52,18 @@ def room_map(point_room: Any) -> Map:
 def localizer(room_map: Map) -> Localizer:
     """Its localizer."""
     return Localizer(room_map)
+
+
+@pytest.fixture(scope="session")
+def verified_at() -> Callable[..., Verified]:
+    """Makes verified poses without matches: of a pose, its support and the value of its density."""
+    nothing = np.zeros(0, np.int64)
+    evidence = Evidence.of(nothing, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), 500.0)
+
+    def at(pose: Pose, support: Support | None = None, value: float = 1.0) -> Verified:
+        optimum = Optimum(pose.T_map_camera, value, np.zeros(0))
+        return Verified(
+            optimum, Matches.none(), evidence, np.zeros((0, 2)), Matches.none(), support or Support(100.0, 0.0)
+        )
+
+    return at

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,10 +14,6 @@ from rholoc.localization.belief.map_uncertainty import with_map_error
 from rholoc.localization.pose.modes import are_distinct, is_seen_from_afar, poses_on_arcs, spread_of_modes
 from rholoc.localization.pose.pose_evidence import Support
 from rholoc.localization.pose.rematching import verify
-
-
-def at(pose: Pose, support: Support | None = None) -> Any:
-    return SimpleNamespace(optimum=SimpleNamespace(T_map_camera=pose.T_map_camera), support=support)
 
 
 def test_poses_on_arcs_keep_what_is_seen_in_the_middle_and_at_its_distance(point_room: Any) -> None:
@@ -41,11 +36,13 @@ def test_poses_on_arcs_keep_what_is_seen_in_the_middle_and_at_its_distance(point
 
 
 @pytest.mark.parametrize(("found", "afar"), [(24, True), (26, False)])
-def test_a_frame_that_finds_few_of_the_expected_landmarks_is_taken_from_afar(found: int, afar: bool) -> None:
-    assert is_seen_from_afar(at(Pose(np.eye(4)), Support(9, 1, found, 100))) is afar
+def test_a_frame_that_finds_few_of_the_expected_landmarks_is_taken_from_afar(
+    verified_at: Any, found: int, afar: bool
+) -> None:
+    assert is_seen_from_afar(verified_at(Pose(np.eye(4)), Support(9, 1, found, 100))) is afar
 
 
-def test_the_spread_of_modes_is_that_of_samples_of_them() -> None:
+def test_the_spread_of_modes_is_that_of_samples_of_them(verified_at: Any) -> None:
     rng = np.random.default_rng(0)
     poses = [Pose.from_heading(rng.normal(0, 0.1, 3), np.array([1.0, 0, 0]) + rng.normal(0, 0.01, 3)) for _ in range(4)]
     weights = np.array([0.4, 0.3, 0.2, 0.1])
@@ -57,10 +54,10 @@ def test_the_spread_of_modes_is_that_of_samples_of_them() -> None:
             for one in poses
         ]
     )[drawn]
-    found = spread_of_modes(T, [at(one) for one in poses], weights)
+    found = spread_of_modes(T, [verified_at(one) for one in poses], weights)
     np.testing.assert_allclose(found, moves.T @ moves / len(moves), atol=3e-4)
-    assert are_distinct(at(poses[0]), at(poses[1]))
-    assert not are_distinct(at(poses[0]), at(poses[0]))
+    assert are_distinct(verified_at(poses[0]), verified_at(poses[1]))
+    assert not are_distinct(verified_at(poses[0]), verified_at(poses[0]))
 
 
 def test_an_answer_with_two_modes_is_less_exact_but_as_surely_of_the_place(point_room: Any) -> None:

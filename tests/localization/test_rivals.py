@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -104,11 +103,10 @@ def test_one_true_place_is_divided_among_all_poses_and_what_is_hardly_a_place_ta
 @pytest.mark.parametrize(
     ("apart_m", "turned_deg", "rivals"), [(0.49, 19.0, False), (0.51, 0.0, True), (0.0, 21.0, True), (0.0, 0.0, False)]
 )
-def test_poses_that_differ_in_place_or_heading_are_rivals(apart_m: float, turned_deg: float, rivals: bool) -> None:
-    def verified(pose: Pose) -> Any:
-        return SimpleNamespace(optimum=SimpleNamespace(T_map_camera=pose.T_map_camera))
-
+def test_poses_that_differ_in_place_or_heading_are_rivals(
+    verified_at: Any, apart_m: float, turned_deg: float, rivals: bool
+) -> None:
     turned = np.deg2rad(turned_deg)
     one = Pose.from_heading(np.zeros(3), np.array([1.0, 0, 0]), 0.0)
     other = Pose.from_heading(np.array([0, apart_m, 0]), np.array([np.cos(turned), np.sin(turned), 0]), 0.0)
-    assert are_rivals(verified(one), verified(other)) is rivals
+    assert are_rivals(verified_at(one), verified_at(other)) is rivals

@@ -194,21 +194,21 @@ class Localizer:
         if query.intrinsics is Intrinsics.UNKNOWN or query.more_features is not None:
             return
         for _ in range(_ROUNDS):
-            best = search.best or search.elsewhere
+            best = search.likeliest
             if best is None or best.if_focal_right.recognized < MIN_RECOGNIZED:
                 return
-            if best.sigma_m <= self.options.settled_sigma_m or watch.late:
+            if search.is_settled(self.options.settled_sigma_m) or watch.late:
                 return
             T = best.verified.optimum.T_map_camera
             wide, _ = self.index.match_near(query.features, query.camera, T, SEARCH_RADII_PX[0])
             search.add(self._checked(verify(self.index, query, rays, T, wide=wide), query, wide))
             watch.lap("verify")
-            if (search.best or search.elsewhere) is best:
+            if search.likeliest is best:
                 return
 
     def _look_along_arcs(self, search: Search, rays: FloatArray) -> None:
         """Search for other modes of the best candidate's place, if it is seen from afar."""
-        query, best = search.query, search.best or search.elsewhere
+        query, best = search.query, search.likeliest
         if best is None or best.if_focal_right.recognized < MIN_RECOGNIZED or query.more_features is not None:
             return
         if query.intrinsics is Intrinsics.UNKNOWN or not is_seen_from_afar(best.verified):
@@ -216,14 +216,11 @@ class Localizer:
         for T_map_camera in poses_on_arcs(self.index, best.verified):
             if search.watch.late:
                 return
-            verified = verify(self.index, query, rays, T_map_camera) if _plausible(T_map_camera, query) else None
-            if verified is not None:
-                search.add(self._checked(verified, query, verified.wide))
-            search.watch.lap("verify")
+            search.add(self._candidate_at(T_map_camera, query, rays, search.watch))
 
     def _look_for_rivals(self, search: Search, rays: FloatArray) -> None:
         """Search for rivals of the best candidate; not needed if it agrees with a prior."""
-        query, watch, best = search.query, search.watch, search.best or search.elsewhere
+        query, watch, best = search.query, search.watch, search.likeliest
         if search.nearest is None or best is None or watch.late:
             return
         if best.recognized < min(self.min_recognized, MIN_RECOGNIZED):
@@ -233,9 +230,7 @@ class Localizer:
             rays = best.camera.rays(query.features.pixels)
         for seed in rival_seeds(self.index, search.nearest, query, rays, best.verified):
             watch.lap("seed")
-            verified = verify(self.index, query, rays, seed) if _plausible(seed, query) else None
-            search.add(self._checked(verified, query, None if verified is None else verified.wide))
-            watch.lap("verify")
+            search.add(self._candidate_at(seed, query, rays, watch))
         watch.lap("seed")
 
     def _look(self, place: Place, search: Search, rays: FloatArray) -> Iterator[Found | None]:
@@ -261,11 +256,7 @@ class Localizer:
         """Candidate from one LO-RANSAC over all matches, which suffices for most frames."""
         seed = self._ransac_seed(matches, query, rays)
         watch.lap("seed")
-        if seed is None or not _plausible(seed, query):
-            return None
-        found = self._checked(verify(self.index, query, rays, seed), query, matches)
-        watch.lap("verify")
-        return found
+        return None if seed is None else self._candidate_at(seed, query, rays, watch, matches)
 
     def _track(self, prior: Prior, query: Query, rays: FloatArray, watch: Stopwatch) -> Found | None:
         """Candidate from one LO-RANSAC over matches near a prior, which suffices if few features are left.
@@ -319,10 +310,9 @@ class Localizer:
             yield None
             return
         evidence = evidence_of(self.index, matches, rays, query.camera)
-        optimum = None
-        if _plausible(seed, query):
-            optimum = self._climb(matches, evidence, [seed], query, watch)
-            yield self._verified(optimum, query, rays, matches, watch)
+        optimum = self._climb(matches, evidence, [seed], query, watch) if _plausible(seed, query) else None
+        if optimum is not None:
+            yield self._candidate_at(optimum.T_map_camera, query, rays, watch, matches)
         samples = minimal_samples(
             evidence, matches.chances, matches.detections, self.options.samples, 4 * self.options.seeds
         )
@@ -330,7 +320,7 @@ class Localizer:
         watch.lap("seed")
         other = self._climb(matches, evidence, seeds, query, watch)
         if other is not None and (optimum is None or other.value > optimum.value):
-            yield self._verified(other, query, rays, matches, watch)
+            yield self._candidate_at(other.T_map_camera, query, rays, watch, matches)
 
     def _ransac_seed(self, matches: Matches, query: Query, rays: FloatArray) -> FloatArray | None:
         ordered = matches.likeliest_first()
@@ -351,13 +341,19 @@ class Localizer:
         watch.lap("ascend")
         return max(optima, key=lambda optimum: optimum.value, default=None)
 
-    def _verified(
-        self, optimum: Optimum | None, query: Query, rays: FloatArray, matches: Matches, watch: Stopwatch
+    def _candidate_at(
+        self, T_map_camera: FloatArray, query: Query, rays: FloatArray, watch: Stopwatch, matches: Matches | None = None
     ) -> Found | None:
-        found = None if optimum is None else verify(self.index, query, rays, optimum.T_map_camera)
-        checked = self._checked(found, query, matches)
+        """Candidate around a pose (4, 4); None if it is implausible or nothing agrees with it.
+
+        Args:
+            matches: those that check the camera's focal length; by default those found around the pose.
+        """
+        if not _plausible(T_map_camera, query):
+            return None
+        found = self._checked(verify(self.index, query, rays, T_map_camera), query, matches)
         watch.lap("verify")
-        return checked
+        return found
 
     def _look_with_any_focal(self, place: Place, query: Query, samples: int, watch: Stopwatch) -> Iterator[Found]:
         """As :meth:`_look_closely`, with the focal length estimated along with the pose."""
@@ -377,11 +373,12 @@ class Localizer:
 
     def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> Found | None:
         """Candidate from a verified pose; its matches check the camera's focal length. None if it is implausible."""
-        if verified is None or matches is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
+        if verified is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
             return None
         belief = belief_of(verified)
         if belief.recognized < self.options.hopeless:
             return self._candidate(verified, query, partial(FocalEstimate.unchecked, query.camera), belief)
+        matches = verified.wide if matches is None else matches
         return self._candidate(verified, query, partial(check_focal, self.index, query, verified, matches), belief)
 
     def _candidate(self, verified: Verified, query: Query, check: Callable[[], FocalEstimate], belief: Belief) -> Found:

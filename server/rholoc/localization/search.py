@@ -157,6 +157,11 @@ class Search:
     found: list[Found] = field(default_factory=list)
     fruitless: int = 0
 
+    @property
+    def likeliest(self) -> Found | None:
+        """Likeliest candidate; one that agrees with the prior comes first."""
+        return self.best or self.elsewhere
+
     def add(self, found: Found | None) -> None:
         """Add a candidate."""
         if found is None:
@@ -180,8 +185,7 @@ class Search:
 
     def is_settled(self, max_sigma_m: float) -> bool:
         """Whether the position of the likeliest candidate is known exactly enough."""
-        likeliest = self.best or self.elsewhere
-        return likeliest is not None and likeliest.sigma_m <= max_sigma_m
+        return self.likeliest is not None and self.likeliest.sigma_m <= max_sigma_m
 
     def is_hopeless(self, options: SearchOptions) -> bool:
         """Whether enough was looked at without any chance of the right place."""
@@ -215,12 +219,11 @@ class Search:
                     modes.append(other)
             elif all(are_rivals(rival.verified, other.verified) for rival in rivals):
                 rivals.append(other)
-        share, places = _shares(rivals), [rival.recognized for rival in rivals]
+        places = [rival.recognized for rival in rivals]
+        share = _shares(rivals, places)
         others = zip((share * places)[1:].tolist(), rivals[1:], strict=True)
-        T = found.verified.optimum.T_map_camera
-        of_modes = spread_of_modes(T, [mode.verified for mode in modes], _shares(modes)) if len(modes) > 1 else None
         ordered = sorted(others, key=lambda rival: -rival[0])
-        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=of_modes)
+        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=_spread(modes))
 
 
 def _likelier(a: Found | None, b: Found) -> Found:
@@ -233,8 +236,17 @@ def _likelier(a: Found | None, b: Found) -> Found:
     return a if (likely_a, of_a) >= (likely_b, of_b) else b
 
 
-def _shares(candidates: list[Found]) -> FloatArray:
-    """Share (M,) of each of M poses that exclude one another."""
-    return shares(
-        np.array([one.recognized for one in candidates]), np.array([one.verified.support.net for one in candidates])
-    )
+def _shares(candidates: list[Found], places: list[float]) -> FloatArray:
+    """Share (M,) of each of M poses that exclude one another, given each one's probability of the right place."""
+    return shares(np.array(places), np.array([one.verified.support.net for one in candidates]))
+
+
+def _spread(modes: list[Found]) -> FloatArray | None:
+    """Second moment (6, 6) of the modes of one place about the first; None if there is one only.
+
+    They share a focal length, so that nothing is asked of it.
+    """
+    if len(modes) == 1:
+        return None
+    weights = _shares(modes, [mode.if_focal_right.recognized for mode in modes])
+    return spread_of_modes(modes[0].verified.optimum.T_map_camera, [mode.verified for mode in modes], weights)

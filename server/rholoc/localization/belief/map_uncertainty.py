@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from rholoc.geometry import FloatArray
 from rholoc.localization.diagnosis import too_inexact
 from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, rms_position_error, widening_factor, worst_sigma
@@ -36,17 +38,13 @@ def with_map_error(index: MapIndex, answer: Localization, of_modes: FloatArray |
     answer = replace(answer, map_trusted=trusted, belief=belief)
     if answer.pose is None or answer.covariance is None or not index.map.info.metric:
         return answer
+    own, others = answer.covariance, np.zeros((6, 6)) if of_modes is None else of_modes
     of_map = index.map_covariance(answer.inlier_features, answer.pose.position, _VIEWS_HERE)
-    if of_map is None:
-        return answer if of_modes is None else _widened(answer, answer.covariance, of_modes)
-    known = replace(
-        answer,
-        alternatives=tuple(
-            replace(one, covariance=_LEFT_OF_OWN * one.covariance + of_map) for one in answer.alternatives
-        ),
-        expected_error_m=rms_position_error(of_map),
-    )
-    return _widened(known, _LEFT_OF_OWN * answer.covariance, of_map if of_modes is None else of_map + of_modes)
+    if of_map is not None:
+        alternatives = (replace(one, covariance=_LEFT_OF_OWN * one.covariance + of_map) for one in answer.alternatives)
+        answer = replace(answer, alternatives=tuple(alternatives), expected_error_m=rms_position_error(of_map))
+        own, others = _LEFT_OF_OWN * own, others + of_map
+    return _widened(answer, own, others) if others.any() else answer
 
 
 def _widened(answer: Localization, own: FloatArray, others: FloatArray) -> Localization:

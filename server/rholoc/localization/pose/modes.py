@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, pose_distances
+from rholoc.geometry import FloatArray
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.pose.rematching import Verified
 
@@ -44,8 +44,7 @@ def poses_on_arcs(index: MapIndex, verified: Verified) -> Iterator[FloatArray]:
 
 def are_distinct(a: Verified, b: Verified) -> bool:
     """Whether two poses are different modes, and not one mode that was found twice."""
-    apart_m, turned_rad = pose_distances(a.optimum.T_map_camera, b.optimum.T_map_camera)
-    return bool(apart_m > _DISTINCT_M or turned_rad > _DISTINCT_RAD)
+    return a.is_apart(b, _DISTINCT_M, _DISTINCT_RAD)
 
 
 def spread_of_modes(T_map_camera: FloatArray, modes: Sequence[Verified], weights: FloatArray) -> FloatArray:

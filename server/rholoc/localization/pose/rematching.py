@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rholoc.density import Evidence
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.lazy import lazy
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
@@ -54,6 +54,11 @@ class Verified:
     def inliers(self) -> int:
         """Number of matches that agree with the pose."""
         return int((self.optimum.density > 0).sum())
+
+    def is_apart(self, other: Verified, more_than_m: float, more_than_rad: float) -> bool:
+        """Whether another pose is farther away than one bound, or turned by more than the other."""
+        apart_m, turned_rad = pose_distances(self.optimum.T_map_camera, other.optimum.T_map_camera)
+        return bool(apart_m > more_than_m or turned_rad > more_than_rad)
 
 
 def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Camera) -> Evidence:

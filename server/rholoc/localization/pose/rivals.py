@@ -12,7 +12,7 @@ from itertools import islice
 
 import numpy as np
 
-from rholoc.geometry import FloatArray, pose_distances
+from rholoc.geometry import FloatArray
 from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
@@ -73,8 +73,7 @@ def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified)
 
 def are_rivals(a: Verified, b: Verified) -> bool:
     """Whether two poses are of different places, and so exclude each other."""
-    apart_m, turned_rad = pose_distances(a.optimum.T_map_camera, b.optimum.T_map_camera)
-    return bool(apart_m > PLACE_M or turned_rad > PLACE_RAD)
+    return a.is_apart(b, PLACE_M, PLACE_RAD)
 
 
 def shares(places: FloatArray, nets: FloatArray) -> FloatArray:
