@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -9,9 +11,10 @@ import pytest
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose
-from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
+from rholoc.localization import Dof, Localization, Localizer, Query, SeveralFrames, localize_together
 from rholoc.localization.pose.rematching import verify
 from rholoc.localization.pose.rivals import are_rivals, shares
+from rholoc_client.tracking import Answer, Track
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +54,51 @@ def test_several_frames_of_it_are_not_answered_as_if_there_were_no_other(twin_ro
     frames = tuple(Query(twin_room.see(truth, 80 + i), twin_room.camera, Dof.FREE) for i, truth in enumerate(truths))
     asked = SeveralFrames(frames, np.array([truth.T_map_camera for truth in truths]))
     assert localize_together(localizer, asked).first.recognized < 0.9
+
+
+def _told(answer: Localization) -> Answer | None:
+    """An answer as a track takes it in."""
+    modes = [Answer(one.pose.T_map_camera, one.covariance, one.weight) for one in answer.alternatives]
+    if answer.pose is not None and answer.covariance is not None:
+        modes.insert(0, Answer(answer.pose.T_map_camera, answer.covariance, answer.recognized))
+    return replace(modes[0], alternatives=tuple(modes[1:]), localized=answer.localized) if modes else None
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_walk_past_a_poster_tells_which_half_of_a_room_it_is_and_claims_nothing_wrong_before(
+    twin_room: Any, seed: int
+) -> None:
+    rng = np.random.default_rng(7)
+    poster = np.column_stack([rng.uniform(-1.8, -0.4, 60), np.full(60, -2.5), rng.uniform(0.8, 2.2, 60)])
+    points, descriptors = (
+        np.vstack([twin_room.points, poster]),
+        np.vstack([twin_room.descriptors, rng.integers(0, 256, (60, 32), dtype=np.uint8)]),
+    )
+    room = type(twin_room)(points, descriptors, twin_room.camera)
+    localizer = Localizer(room.map_of(_around(np.linspace(0, 2 * np.pi, 100), 1.0), "poster"))
+    turns = np.linspace(-0.3, 1.6 * np.pi, 150)
+    walk = _around(turns, 1 + np.random.default_rng(seed).uniform(-0.1, 0.1))
+    track, T_odom_camera = Track(), np.eye(4)
+    for i, (before, now) in enumerate(pairwise(walk)):
+        step = np.linalg.inv(before.T_map_camera) @ now.T_map_camera
+        step[:3, 3] *= 1.02
+        T_odom_camera = T_odom_camera @ step
+        track.frame(i / 10, T_odom_camera)
+        if track.wants_answer:
+            track.ask()
+            query = Query(room.see(now, 1000 * seed + i), room.camera, Dof.FREE)
+            track.answered(_told(localizer.localize(query)))
+        said = track.now()
+        if said.pose is not None:
+            assert np.linalg.norm(said.pose.position - now.position) < 0.1
+    assert said.pose is not None
+    assert said.reset_counter == 0
+
+
+def _around(turns: np.ndarray, radius_m: float) -> list[Pose]:
+    """Poses on a circle that look outwards."""
+    outwards = [np.array([np.cos(t), np.sin(t), 0.0]) for t in turns]
+    return [Pose.from_heading(radius_m * out + (0, 0, 1.4), out - (0, 0, 0.05)) for out in outwards]
 
 
 def _in_a_crowd(seen: FeatureSet, kept: np.ndarray, seed: int) -> FeatureSet:

@@ -13,6 +13,7 @@ import pytest
 from rholoc.density import Evidence
 from rholoc.geometry import Pose
 from rholoc.localization import (
+    MIN_RECOGNIZED,
     Belief,
     Cause,
     Dof,
@@ -76,7 +77,7 @@ def test_a_search_is_hopeless_once_five_looks_found_hardly_the_right_place_or_no
         (0.3, 0.89, "best"),
         (0.3, 0.9, "elsewhere"),
         (0.49, 0.95, "elsewhere"),
-        (0.5, 0.95, "best"),
+        (MIN_RECOGNIZED, 0.95, "best"),
         (None, 0.95, "elsewhere"),
         (None, 0.5, None),
     ],

@@ -112,7 +112,9 @@ class FollowedTrack:
         if answer is None:
             self.unanswered()
             return
-        if self._motion is None or matches is None:
+        if self._motion is None or matches is None or not answer.localized:
+            if self._motion is not None:
+                self._motion.unanswered()
             self._track.answered(answer)
             return
         way = self._motion.answered(answer.T_map_camera, matches.pixels, matches.landmarks)

@@ -31,7 +31,12 @@ from rholoc_client.tracking.rigid import (
 
 _GATE = 22.5  # of χ² with six degrees of freedom: a right answer is beyond it once in a thousand times
 _UNTENABLE = 6  # after so many answers that contradict a track, and each other, it is given up
-_SURE = 0.8  # the probability of the right place from which one answer begins a track; below, it takes two
+_SURE = 0.8  # the probability of the right place from which a track begins
+_MISSED = 0.01  # the probability that an answer names other places although it sees the right one
+_UNFORESEEN = 0.05  # the least probability that the camera is where no answer has put it yet
+_LIKELY = 0.1  # the probability from which a place that an answer names confirms a track that is there
+_SAYS_NOTHING = 0.5  # the probability of no place that it names from which an answer is of no use
+_HYPOTHESES, _MIN_WEIGHT = 8, 0.01  # how many are kept, and the least probability of one
 _MIN_SIGMA_M, _MIN_SIGMA_RAD = 0.005, math.radians(0.2)  # of an answer: no map is more accurate
 _MAX_READINGS = 20_000  # of an IMU that wait for a frame
 _PATIENT_FAILURES = 6
@@ -119,20 +124,38 @@ class Answer:
         covariance: (6, 6), metres and radians.
         recognized: 0..1, the probability of the right place.
         metric: whether the map's unit of length is the metre.
+        alternatives: other poses that the frame may have been taken from, each with its own probability.
+        localized: whether the service relies on the pose; where it does not, the pose is the likeliest of several.
     """
 
     T_map_camera: FloatArray
     covariance: FloatArray
     recognized: float
     metric: bool = True
+    alternatives: tuple[Answer, ...] = ()
+    localized: bool = True
 
     @classmethod
     def of(cls, answer: Localization) -> Answer | None:
-        """The client's answer; None where there is no pose, or no covariance."""
-        if not answer.localized or answer.pose is None or answer.covariance is None:
+        """The client's answer; None where there is no pose with a covariance, not even among the alternatives."""
+        metric = answer.scale == "metric"
+        modes = [
+            cls(rigid(one.pose.T_map_camera), in_radians(one.covariance), one.weight, metric)
+            for one in answer.alternatives
+            if one.covariance is not None
+        ]
+        if answer.localized and answer.pose is not None and answer.covariance is not None:
+            modes.insert(
+                0, cls(rigid(answer.pose.T_map_camera), in_radians(answer.covariance), answer.recognized, metric)
+            )
+        if not modes:
             return None
-        covariance = in_radians(answer.covariance)
-        return cls(rigid(answer.pose.T_map_camera), covariance, answer.recognized, answer.scale == "metric")
+        return replace(modes[0], alternatives=tuple(modes[1:]), localized=answer.localized)
+
+    @property
+    def modes(self) -> tuple[Answer, ...]:
+        """The pose and its alternatives, which exclude one another."""
+        return (self, *self.alternatives)
 
     @property
     def inflated_covariance(self) -> FloatArray:
@@ -143,10 +166,11 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class _Hypothesis:
-    """A belief, and the number of answers that it is based on."""
+    """A belief, the number of answers that it is based on, and its probability."""
 
     belief: PoseBelief | InertialBelief
     answers: int
+    weight: float
 
     def advanced(self, motion: Step | ImuReading) -> _Hypothesis:
         if isinstance(self.belief, InertialBelief):
@@ -157,7 +181,8 @@ class _Hypothesis:
         return squared_distance(self.belief, answer.T_map_camera, answer.inflated_covariance) < _GATE
 
     def corrected(self, answer: Answer) -> _Hypothesis:
-        return _Hypothesis(self.belief.corrected(answer.T_map_camera, answer.inflated_covariance), self.answers + 1)
+        belief = self.belief.corrected(answer.T_map_camera, answer.inflated_covariance)
+        return replace(self, belief=belief, answers=self.answers + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,13 +192,12 @@ class Question:
     Attributes:
         time_s: of the frame.
         prior: where its pose is expected, or None.
-        main, rival: the hypotheses.
+        hypotheses: as of the track.
     """
 
     time_s: float
     prior: Prior | None
-    main: _Hypothesis | None
-    rival: _Hypothesis | None
+    hypotheses: tuple[_Hypothesis, ...]
 
 
 @dataclass
@@ -219,13 +243,17 @@ class _Standing:
 class Track:
     """The pose of one camera over time.
 
+    Until one place is sure, every place that answers name is a hypothesis: odometry carries all of them on, and the
+    next answer makes those that agree with it likelier. Of two rooms that look alike, the right one wins by walking,
+    and nothing is claimed before. From then on, answers correct the hypothesis that won; one rival is kept beside it,
+    in case they turn out to contradict it.
+
     Times are seconds on any one clock, which must go forward.
     """
 
     def __init__(self, options: TrackOptions | None = None) -> None:
         self.options = options or TrackOptions()
-        self._main: _Hypothesis | None = None
-        self._rival: _Hypothesis | None = None
+        self._hypotheses: tuple[_Hypothesis, ...] = ()
         self._time_s: float | None = None
         self._T_odom_camera: FloatArray | None = None
         self._has_odometry = False
@@ -293,9 +321,10 @@ class Track:
             raise InvalidTrack("There is no frame yet.")
         since_s = None if standing.last_answer_s is None else time_s - standing.last_answer_s
         counted = (standing.reset_counter, since_s, standing.used, standing.rejected)
-        if self._main is None or not standing.settled:
+        main = self._main
+        if main is None or not standing.settled:
             return Tracked(time_s, TrackStatus.SEARCHING, None, None, None, None, *counted)
-        belief = replace(self._main.belief, T_map_camera=moved(self._main.belief.T_map_camera, self._offset))
+        belief = replace(main.belief, T_map_camera=moved(main.belief.T_map_camera, self._offset))
         status = TrackStatus.LOST if self._is_lost(belief) else TrackStatus.TRACKING
         T_map_odom = covariance = None
         if self._T_odom_camera is not None:
@@ -339,7 +368,7 @@ class Track:
         """Record that the last frame is being asked about; one question at a time."""
         assert self._time_s is not None
         assert self._question is None
-        self._question = Question(self._time_s, self._prior(), self._main, self._rival)
+        self._question = Question(self._time_s, self._prior(), self._hypotheses)
         self._since = []
         self._pace.asked(self._time_s)
         return self._question
@@ -372,54 +401,94 @@ class Track:
         if not answer.metric and (self._has_odometry or self._imu_s is not None):
             self._question = None
             raise InvalidTrack("The map's scale is unknown, so odometry in metres cannot be used with it.")
-        before = None if self._main is None else moved(self._main.belief.T_map_camera, self._offset)
+        main = self._main if self._standing.settled else None
+        before = None if main is None else moved(main.belief.T_map_camera, self._offset)
         steps: list[Step | ImuReading] = self._since if since is None else [*since]
         if since is not None:
             self._T_odom_camera = T_odom_camera
             self._has_odometry = self._has_odometry or T_odom_camera is not None
-        main, rival, of_use = self._judged(question, answer)
+        judged = self._judged if self._standing.settled else self._weighed
+        hypotheses, of_use = judged(question, answer)
         self._question = None
-        self._main, self._rival = _replayed(main, steps), _replayed(rival, steps)
+        for step in steps:
+            hypotheses = tuple(one.advanced(step) for one in hypotheses)
+        self._hypotheses = hypotheses
         self._pace.came(of_use, time_s)
         self._blend_in(before)
 
-    def _judged(self, question: Question, answer: Answer) -> tuple[_Hypothesis | None, _Hypothesis | None, bool]:
+    @property
+    def _main(self) -> _Hypothesis | None:
+        """The likeliest hypothesis; the one that the track follows, once it is settled."""
+        return self._hypotheses[0] if self._hypotheses else None
+
+    def _weighed(self, question: Question, answer: Answer) -> tuple[tuple[_Hypothesis, ...], bool]:
+        """The hypotheses after an answer, at the question's time, likeliest first, while none is sure.
+
+        By Bayes: an answer names each of its places with a probability, and with the rest of it says nothing.
+        """
+        says_nothing = max(0.0, 1.0 - sum(one.recognized for one in answer.modes))
+        unknown = max(_UNFORESEEN, 1.0 - sum(one.weight for one in question.hypotheses))
+        left, found = list(answer.modes), []
+        for one in question.hypotheses:
+            if self._is_lost(one.belief):
+                continue
+            mode = next((mode for mode in left if one.agrees(mode)), None)
+            likelihood = says_nothing + max(_MISSED, 0.0 if mode is None else mode.recognized)
+            found.append(replace(one if mode is None else one.corrected(mode), weight=one.weight * likelihood))
+            if mode is not None:
+                left.remove(mode)
+        found += [replace(self._hypothesis(mode), weight=unknown * mode.recognized) for mode in left]
+        total = sum(one.weight for one in found) + unknown * says_nothing
+        likely = sorted((replace(one, weight=one.weight / total) for one in found), key=lambda one: -one.weight)
+        kept = tuple(one for one in likely if one.weight >= _MIN_WEIGHT)[:_HYPOTHESES]
+        if not kept:
+            return (), False
+        main = kept[0]
+        knows_motion = self._has_odometry and not isinstance(main.belief, InertialBelief)
+        if main.weight >= _SURE and (knows_motion or main.answers >= 2):
+            self._standing.settled, kept = True, (main,)
+        of_use = says_nothing < _SAYS_NOTHING
+        if of_use:
+            self._follow(main, question.time_s)
+        return kept, of_use
+
+    def _judged(self, question: Question, answer: Answer) -> tuple[tuple[_Hypothesis, ...], bool]:
         """The hypotheses after an answer, at the question's time, and whether the answer was useful."""
-        standing, main, rival = self._standing, question.main, question.rival
-        if main is not None and main.agrees(answer):
-            return self._followed(main.corrected(answer), question.time_s, answer), None, True
-        fresh = self._hypothesis(answer)
-        rival = rival.corrected(answer) if rival is not None and rival.agrees(answer) else fresh
-        if main is None:
-            return self._followed(fresh, question.time_s, answer), None, True
+        standing = self._standing
+        main, rival = (*question.hypotheses, None)[:2]
+        assert main is not None
+        expected = next((one for one in answer.modes if one.recognized >= _LIKELY and main.agrees(one)), None)
+        if expected is not None:
+            followed = main.corrected(expected)
+            self._follow(followed, question.time_s)
+            return (followed,), True
+        if not answer.localized:
+            return question.hypotheses, False
+        rival = rival.corrected(answer) if rival is not None and rival.agrees(answer) else self._hypothesis(answer)
         lost = self._is_lost(main.belief) and answer.recognized >= _SURE
         untenable = standing.contradicted + 1 >= _UNTENABLE
         if lost or untenable or rival.answers > min(main.answers, 2):
-            was_settled = standing.settled
-            followed = self._followed(rival, question.time_s, answer)
-            standing.reset_counter += was_settled
+            self._follow(rival, question.time_s)
+            standing.reset_counter += 1
             self._offset = np.full(6, np.nan)  # earlier poses are void
-            return followed, None, True
+            return (rival,), True
         standing.rejected += 1
         standing.contradicted += 1
-        return main, rival, False
+        return (main, rival), False
 
-    def _followed(self, main: _Hypothesis, time_s: float, answer: Answer) -> _Hypothesis:
+    def _follow(self, main: _Hypothesis, time_s: float) -> None:
         """Record an answer that the track accepts."""
         standing = self._standing
         standing.last_answer_s, standing.contradicted = time_s, 0
         standing.used += 1
         standing.variance_m2 = float(np.trace(main.belief.covariance[:3, :3]))
-        knows_motion = self._has_odometry and not isinstance(main.belief, InertialBelief)
-        sure = answer.recognized >= _SURE and knows_motion
-        standing.settled = standing.settled or main.answers >= 2 or sure
-        return main
 
     def _hypothesis(self, answer: Answer) -> _Hypothesis:
         if self._imu_s is not None and not self._has_odometry:
             inertial = InertialBelief.at(answer.T_map_camera, answer.inflated_covariance, self.options.imu)
-            return _Hypothesis(inertial, 1)
-        return _Hypothesis(PoseBelief.at(answer.T_map_camera, answer.inflated_covariance, self.options.odometry), 1)
+            return _Hypothesis(inertial, 1, answer.recognized)
+        belief = PoseBelief.at(answer.T_map_camera, answer.inflated_covariance, self.options.odometry)
+        return _Hypothesis(belief, 1, answer.recognized)
 
     def _blend_in(self, before: FloatArray | None) -> None:
         """Apply a correction over time if it is small, else at once."""
@@ -441,8 +510,7 @@ class Track:
         motions: list[Step | ImuReading] = [Step(duration_s, T_before_now)]
         motions += self._read(self._time_s, self._time_s + duration_s)
         for motion in motions:
-            self._main = None if self._main is None else self._main.advanced(motion)
-            self._rival = None if self._rival is None else self._rival.advanced(motion)
+            self._hypotheses = tuple(one.advanced(motion) for one in self._hypotheses)
         if self._question is not None:
             self._since += motions
 
@@ -469,7 +537,7 @@ class Track:
         standing = self._standing
         standing.reset_counter += standing.settled
         standing.settled, standing.contradicted = False, 0
-        self._main = self._rival = self._question = None
+        self._hypotheses, self._question = (), None
         self._since, self._offset = [], np.zeros(6)
 
     def _is_lost(self, belief: Belief) -> bool:
@@ -486,13 +554,6 @@ class Track:
         sigmas = np.sqrt(np.diag(belief.covariance))
         pose = _pose_of(belief.T_map_camera)
         return pose.as_prior(0.3 + 3 * float(sigmas[:3].max()), 10 + 3 * math.degrees(float(sigmas[3:].max())))
-
-
-def _replayed(hypothesis: _Hypothesis | None, motions: list[Step | ImuReading]) -> _Hypothesis | None:
-    if hypothesis is not None:
-        for motion in motions:
-            hypothesis = hypothesis.advanced(motion)
-    return hypothesis
 
 
 def _check_time(time_s: float, last_s: float | None, what: str) -> None:

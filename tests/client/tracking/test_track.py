@@ -227,6 +227,57 @@ def test_two_doubtful_answers_begin_a_track_where_one_does_not() -> None:
     assert first > asked[1]
 
 
+TWIN = pose(rotation(np.array([0.0, 0.0, math.pi])), np.array([8.0, 1.0, 0.0]))
+OTHER_TWIN = pose(np.eye(3), np.array([0.0, 9.0, 3.0]))
+
+
+def undecided(T: FloatArray, rng: np.random.Generator, twin: FloatArray) -> Answer:
+    """An answer of two places that look alike; either may be named first."""
+    sigmas = np.sqrt(np.diag(EXACT))
+    poses = [moved(one, sigmas * rng.normal(size=6)) for one in (T, twin @ T)]
+    first, second = (Answer(poses[i], EXACT, 0.49, localized=False) for i in rng.permutation(2))
+    return Answer(first.T_map_camera, EXACT, 0.49, True, (second,), False)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_of_two_rooms_that_look_alike_the_right_one_wins_by_walking_and_nothing_is_claimed_before(seed: int) -> None:
+    rng, truth = np.random.default_rng(seed), walk(20)
+    sound, door = right(rng), 240  # after 8 s
+    said, asked = follow(
+        Track(),
+        truth,
+        odometry(truth, rng),
+        lambda i, T: undecided(T, rng, TWIN) if i < door else sound(i, T),
+    )
+    first = next(i for i, one in enumerate(said) if one.pose is not None)
+    assert door <= first <= next(frame for frame in asked if frame >= door) + 3
+    assert errors_m(said, truth).max() < 0.1
+    assert said[-1].reset_counter == 0
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_two_places_that_look_like_others_are_told_apart_by_the_way_between_them(seed: int) -> None:
+    """No single frame is ever localized; only one start leads by odometry to a place that the later frames show."""
+    rng, truth = np.random.default_rng(seed), walk(20)
+    said, _ = follow(
+        Track(),
+        truth,
+        odometry(truth, rng),
+        lambda i, T: undecided(T, rng, TWIN if i < 240 else OTHER_TWIN),
+    )
+    assert all(one.pose is None for one in said[:240])
+    assert said[-1].pose is not None
+    assert errors_m(said, truth).max() < 0.1
+
+
+def test_frames_of_another_room_begin_no_track_however_alike_they_are() -> None:
+    rng, truth = np.random.default_rng(0), walk(20)
+    somewhere = [moved(truth[0], rng.normal(size=6) * (3, 3, 0.3, 1, 1, 1)) for _ in truth]
+    said, asked = follow(Track(), truth, truth, lambda i, _: Answer(somewhere[i], EXACT, 0.3, localized=False))
+    assert all(one.status is TrackStatus.SEARCHING for one in said)
+    assert len(asked) < 20  # they become rarer
+
+
 def test_an_answer_about_the_past_corrects_the_present() -> None:
     """The camera turned a quarter since it asked: the answer's place is of then, not of now."""
     truth = walk(3)

@@ -36,8 +36,8 @@ _MAX_AGAINST = math.log(2)  # of the log odds: what colours that disagree cost
 _SIGMA_OCTAVES = (-2.0, 1.0)  # over the reference: a sigma beyond says no more
 _PATCH_NATS = (-0.5, 1.2)
 
-MIN_RECOGNIZED = 0.5
-"""Poses that are less probably of the right place are withheld."""
+MIN_RECOGNIZED = 0.6
+"""Poses that are less probably of the right place are withheld: each of two places that look alike has a half."""
 
 
 @dataclass(frozen=True)
