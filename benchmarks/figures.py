@@ -7,7 +7,8 @@ machine and the seeds; without it they are compared with that file, and the exit
 than its noise. Documents quote a figure as ``98 %<!-- kitchen.hard.within_2cm_percent -->``; ``--write`` puts the
 measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out.
 
-The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), afar (frames 30 cm and farther from
+The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), few (maps of a
+few photos), afar (frames 30 cm and farther from
 the map's views), wide (frames of the kitchen's ends in maps of the rest), strangers (pictures of other rooms), pictures
 (a set without times), corridor (pictures and depth without the poses that came with them), desk (a set without poses),
 request (what a frame costs), throughput (frames a second of more clients and servers).
@@ -41,11 +42,11 @@ import load
 import rooms
 from measuring import SHARED_DATA
 from rholoc.evaluation.errors import trajectory_errors
-from rholoc.geometry import Camera, FloatArray, align_poses, pose_distances
+from rholoc.geometry import Camera, FloatArray, IntArray, align_poses, angles_between, pose_distances
 from rholoc.localization import Localizer, Query
 from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD
 from rholoc.mapping import DEFAULT_FEATURES
-from rholoc.recordings import read_recording
+from rholoc.recordings import Recording, read_recording
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 from rholoc_lab.evaluation.compare import CompareOptions, SplitResult, compare
 from rholoc_lab.evaluation.splits import QuerySet
@@ -59,6 +60,8 @@ FRAME_PERCENT, AGAIN_CM, AGAIN_RATIO = 2.0, 0.1, 0.25
 SEED = 0
 REGION_95 = 7.81  # of χ² with three degrees of freedom
 LOAD_S = 6.0
+METHODS = {"ray": "", "poselib, everywhere": "ransac_"}
+FEW_WITHIN_M, FEW_WITHIN_RAD, FEW_ASKED = 1.0, np.deg2rad(45.0), 40
 
 
 @dataclass(frozen=True)
@@ -116,10 +119,9 @@ def kitchen(_: Path) -> Figures:
     ]
     mapped = read_recording(KITCHEN, rooms.KITCHEN_CAMERA, "400:1000")
     compared = compare([mapped], queries, CompareOptions(tensor=False, retrieval=False))
-    methods = {"ray": "", "poselib, everywhere": "ransac_"}
     figures = {}
     for split in compared.splits:
-        for method, prefix in methods.items():
+        for method, prefix in METHODS.items():
             figures |= {f"kitchen.{split.label}.{prefix}{name}": one for name, one in _of_method(split, method).items()}
     return figures | {"kitchen.map_mb": Figure(round(compared.splits[0].methods[0].map_bytes / 1e6, 2), 0.05, False)}
 
@@ -133,6 +135,42 @@ def _of_method(split: SplitResult, method: str) -> Figures:
         "median_cm": length_cm(100 * float(np.median(errors.position_m))),
         "median_deg": Figure(round(float(np.degrees(np.median(errors.rotation_rad))), 2), 0.05, False),
     }
+
+
+def few(_: Path) -> Figures:
+    """Frames near maps of a few photos with poses, beside geometry alone on the same features."""
+    walk = read_recording(KITCHEN, rooms.KITCHEN_CAMERA, "400:1000")
+    scan = read_recording(SHARED_DATA / "corridor_lidar" / "scan")
+    figures: Figures = {}
+    for name, recording, rows in (
+        ("kitchen_of_5", walk, np.linspace(0, len(walk.frames.times) - 1, 5)),
+        ("kitchen_of_10", walk, np.linspace(0, len(walk.frames.times) - 1, 10)),
+        ("corridor", scan, np.arange(0, len(scan.frames.times), 4)),
+    ):
+        photos = rows.astype(int)
+        asked = _near(recording, photos)
+        query = QuerySet(name, recording, asked[:: max(1, len(asked) // FEW_ASKED)])
+        options = CompareOptions(tensor=False, retrieval=False)
+        split = compare([rooms.chosen(recording, photos)], [query], options).splits[0]
+        figures[f"few.{name}.photos"] = Figure(len(photos), 0, True)
+        for method, prefix in METHODS.items():
+            errors = next(one for one in split.methods if one.name == method).errors
+            figures[f"few.{name}.{prefix}within_10cm_percent"] = share(errors.within(0.10, 5.0), 2)
+            wrong = errors.localized & ~errors.within(PLACE_M, np.inf)
+            figures[f"few.{name}.{prefix}wrong_percent"] = Figure(
+                round(100 * float(wrong.mean()), 1), FRAME_PERCENT, False
+            )
+    return figures
+
+
+def _near(recording: Recording, photos: IntArray) -> IntArray:
+    """The rows of frames within a metre and 45° of a photo, but for the photos."""
+    assert recording.poses is not None
+    T = recording.poses.T_map_camera
+    apart_m = np.linalg.norm(T[:, None, :3, 3] - T[photos, :3, 3], axis=2)
+    turned_rad = angles_between(T[:, None, :3, 2], T[photos, :3, 2])
+    near = ((apart_m < FEW_WITHIN_M) & (turned_rad < FEW_WITHIN_RAD)).any(axis=1)
+    return np.setdiff1d(np.flatnonzero(near & recording.poses.known), photos)
 
 
 def afar(cache: Path) -> Figures:
@@ -311,6 +349,7 @@ def _gain(servers: int, cores: int) -> Figure:
 PARTS: dict[str, Callable[[Path], Figures]] = {
     "demo": demo,
     "kitchen": kitchen,
+    "few": few,
     "afar": afar,
     "wide": wide,
     "strangers": strangers,
@@ -333,11 +372,11 @@ def read_results() -> Figures:
     return found
 
 
-def write_results(part: str, figures: Figures, command: str | None = None, seed: int = SEED) -> None:
-    """Write the file of a part; ``command`` is what measured it, by default this script."""
+def write_results(part: str, figures: Figures, command: str, seed: int = SEED) -> None:
+    """Write the file of a part; ``command`` is what measured it."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
     described = {
-        "command": command or f"python benchmarks/figures.py {part} --write",
+        "command": command,
         "commit": commit.stdout.strip(),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
@@ -376,22 +415,24 @@ def with_figures(text: str, figures: Figures) -> str:
     return QUOTED.sub(measured, text)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", help=f"default: {', '.join(PARTS)}")
+def run(description: str | None, parts: dict[str, Callable[[Path], Figures]]) -> None:
+    """The command of a benchmark that measures parts: print what each gives beside its file, or write it there."""
+    script = Path(sys.argv[0]).name
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", help=f"default: {', '.join(parts)}")
     parser.add_argument("--write", action="store_true", help="what is measured is what documents quote from now on")
     parser.add_argument("--cache", type=Path, help="where simulated walks and maps are kept")
     asked = parser.parse_args()
-    if unknown := set(asked.parts) - set(PARTS):
+    if unknown := set(asked.parts) - set(parts):
         parser.error(f"there is no part {', '.join(sorted(unknown))}")
     cv2.setNumThreads(1)
     before, worse = read_results(), []
     with tempfile.TemporaryDirectory() as name:
         cache = asked.cache or Path(name)
         cache.mkdir(parents=True, exist_ok=True)
-        for part in asked.parts or PARTS:
+        for part in asked.parts or parts:
             begun = time.monotonic()
-            figures = PARTS[part](cache)
+            figures = parts[part](cache)
             print(f"{part}, {time.monotonic() - begun:.0f} s")
             for title, one in figures.items():
                 known = before.get(title)
@@ -400,7 +441,7 @@ def main() -> None:
                 if known is not None and one.worse_by(known) > 0:
                     worse.append(f"{title}: {one.value:g}, {was}")
             if asked.write:
-                write_results(part, figures)
+                write_results(part, figures, f"python benchmarks/{script} {part} --write")
     if asked.write:
         quote_anew()
     elif worse:
@@ -408,4 +449,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, PARTS)

@@ -36,13 +36,13 @@ from rholoc.localization import Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import GivenPoses, MemoryFrames, Recording, read_recording
 from rholoc.recordings.frames.steady_frames import SteadyFrames
-from rholoc.recordings.selection import SelectedFrames
 from rholoc.simulation import Light
 from rholoc.simulation.light import light_scene
 from rholoc.simulation.recording import PHONE_CAMERA
 from rholoc.simulation.render import Renderer
 from rholoc.simulation.sensor import develop, expose, meter
 from rholoc_lab.simulation.sites import Site, make_site, make_site_walk
+from rooms import chosen
 
 T265 = (0.0008, 0.031, -0.03, 0.005)  # coefficients of a RealSense's fisheyes
 EUROC = SHARED_DATA / "euroc_v101"
@@ -82,14 +82,6 @@ def with_lens(recording: Recording, lens: Lens) -> Recording:
         seen_by = Camera.panorama(2 * height, height)
     cameras = (camera,) * len(recording.frames.times)
     return replace(recording, frames=SteadyFrames(recording.frames, cameras, seen_by), camera=seen_by)
-
-
-def chosen(recording: Recording, rows: IntArray) -> Recording:
-    """Some of the frames."""
-    poses = recording.poses
-    assert poses is not None
-    poses = replace(poses, known=poses.known[rows], T_map_camera=poses.T_map_camera[rows])
-    return replace(recording, frames=SelectedFrames(recording.frames, rows), poses=poses, frame_intrinsics=None)
 
 
 def euroc(lens: Lens, seed: int) -> tuple[Recording, Recording]:

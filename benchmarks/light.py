@@ -10,17 +10,17 @@ into the documents.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
 import tempfile
 from collections import defaultdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from figures import FRAME_PERCENT, Figure, Figures, quote_anew, write_results
+from figures import FRAME_PERCENT, Figure, Figures, run
 from measuring import SHARED_DATA
 
 UNITS = {
@@ -54,7 +54,7 @@ def named(where: str, figures: dict[str, float | None]) -> Figures:
     return {f"{where}.{UNITS[name]}": figure(name, value) for name, value in known.items()}
 
 
-def pairs() -> Figures:
+def pairs(_: Path) -> Figures:
     """Real pictures of one scene by two lights."""
     found: Figures = {}
     for one in compared("--lighting-pairs", SHARED_DATA / "lighting_pairs"):
@@ -62,7 +62,7 @@ def pairs() -> Figures:
     return found
 
 
-def lights() -> Figures:
+def lights(_: Path) -> Figures:
     """Two walks through the test site in each of three lights."""
     groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
     with tempfile.TemporaryDirectory() as folder:
@@ -80,20 +80,5 @@ def lights() -> Figures:
 PARTS = {"pairs": pairs, "lights": lights}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", help=f"default: {', '.join(PARTS)}")
-    parser.add_argument("--write", action="store_true", help="put the figures into the documents")
-    asked = parser.parse_args()
-    for part in asked.parts or PARTS:
-        found = PARTS[part]()
-        for title, one in found.items():
-            print(f"{title:50} {one.value:g}", flush=True)
-        if asked.write:
-            write_results(part, found, f"python benchmarks/light.py {part} --write")
-    if asked.write:
-        quote_anew()
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, PARTS)

@@ -11,7 +11,6 @@ figures go to benchmarks/results, and from there into the documents.
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import tempfile
 import time
@@ -22,7 +21,7 @@ import cv2
 import numpy as np
 import pycolmap
 
-from figures import FRAME_PERCENT, Figure, Figures, length_cm, quote_anew, share, shuffled_pictures, write_results
+from figures import FRAME_PERCENT, Figure, Figures, length_cm, run, share, shuffled_pictures
 from rholoc.geometry import ByteArray, FloatArray, align_poses
 from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk, render_view
 from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow
@@ -104,7 +103,7 @@ def pairs() -> Iterator[tuple[ByteArray, ByteArray, FloatArray]]:
         yield render_view(scene, PHONE_CAMERA, before, seed=1), render_view(scene, PHONE_CAMERA, after, seed=2), flow
 
 
-def flows() -> Figures:
+def flows(_: Path) -> Figures:
     """How exact the flows are, and what they cost beside Farnebäck's."""
     errors: dict[str, list[FloatArray]] = {name: [] for name in METHODS}
     seconds: dict[str, float] = dict.fromkeys(METHODS, 0.0)
@@ -128,7 +127,7 @@ def flows() -> Figures:
     return found
 
 
-def colmap() -> Figures:
+def colmap(_: Path) -> Figures:
     """COLMAP on every tenth picture of the kitchen, shuffled, without times, poses or intrinsics."""
     with tempfile.TemporaryDirectory() as name:
         folder, pictures = Path(name), Path(name) / "pictures"
@@ -156,21 +155,5 @@ def colmap() -> Figures:
 PARTS = {"flows": flows, "colmap": colmap}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", help=f"default: {', '.join(PARTS)}")
-    parser.add_argument("--write", action="store_true", help="put the figures into the documents")
-    asked = parser.parse_args()
-    cv2.setNumThreads(1)
-    for part in asked.parts or PARTS:
-        figures = PARTS[part]()
-        for title, one in figures.items():
-            print(f"{title:40} {one.value:g}", flush=True)
-        if asked.write:
-            write_results(part, figures, f"python benchmarks/others.py {part} --write")
-    if asked.write:
-        quote_anew()
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, PARTS)

@@ -91,7 +91,7 @@ def half(name: str, which: int, kept: Path) -> Room:
     """
     walk = _keyframes(name, kept)
     first = np.arange(len(walk.frames.times)) < len(walk.frames.times) // 2
-    parts = [_chosen(walk, np.flatnonzero(some)) for some in (first, ~first)]
+    parts = [chosen(walk, np.flatnonzero(some)) for some in (first, ~first)]
     mapped, asked = parts[which], parts[1 - which]
     return Room(mapped, thinned(asked, HALVES_ASKED))
 
@@ -108,8 +108,8 @@ def apart(name: str, end: int, kept: Path) -> Room:
     axis *= np.sign(axis[np.abs(axis).argmax()])
     along_m = positions @ axis * (1, -1)[end]
     last_m = float(np.quantile(along_m, APART_SHARE))
-    asked = _chosen(walk, np.flatnonzero(along_m < last_m))
-    return Room(_chosen(walk, np.flatnonzero(along_m > last_m + APART_M)), thinned(asked, APART_ASKED))
+    asked = chosen(walk, np.flatnonzero(along_m < last_m))
+    return Room(chosen(walk, np.flatnonzero(along_m > last_m + APART_M)), thinned(asked, APART_ASKED))
 
 
 def _whole_walk(name: str, kept: Path) -> Recording:
@@ -119,7 +119,7 @@ def _whole_walk(name: str, kept: Path) -> Recording:
     options = {"camera": KITCHEN_CAMERA, "frames": "100:1000"} if name == "redkitchen" else {}
     recording = read_recording(SHARED_DATA / name, **options)
     assert recording.poses is not None
-    return _chosen(recording, np.flatnonzero(recording.poses.known))
+    return chosen(recording, np.flatnonzero(recording.poses.known))
 
 
 def _keyframes(name: str, kept: Path) -> Recording:
@@ -150,10 +150,10 @@ def _posed(recording: Recording, rows: np.ndarray, T_map_camera: FloatArray, cam
 
 def thinned(recording: Recording, count: int) -> Recording:
     """About ``count`` frames of a posed recording."""
-    return _chosen(recording, np.arange(len(recording.frames.times))[:: max(1, len(recording.frames.times) // count)])
+    return chosen(recording, np.arange(len(recording.frames.times))[:: max(1, len(recording.frames.times) // count)])
 
 
-def _chosen(recording: Recording, rows: np.ndarray) -> Recording:
+def chosen(recording: Recording, rows: np.ndarray) -> Recording:
     """Some frames of a posed recording."""
     assert recording.poses is not None
     poses = GivenPoses(recording.poses.known[rows], recording.poses.T_map_camera[rows])

@@ -49,8 +49,8 @@ def test_measured_numbers_replace_quoted_ones():
 
 
 def test_a_figure_that_became_worse_ends_the_command(monkeypatch, capsys):
-    monkeypatch.setattr(figures, "PARTS", {"kitchen": lambda _: {"kitchen.map_mb": Figure(50.0, 0.0, False)}})
+    parts = {"kitchen": lambda _: {"kitchen.map_mb": Figure(50.0, 0.0, False)}}
     monkeypatch.setattr(sys, "argv", ["figures.py", "kitchen"])
     with pytest.raises(SystemExit, match=r"kitchen\.map_mb"):
-        figures.main()
+        figures.run(None, parts)
     assert "was" in capsys.readouterr().out

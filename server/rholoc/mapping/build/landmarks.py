@@ -22,6 +22,7 @@ _OUTLIER_PX = 5.0
 _SEARCH_RADIUS_PX = 5.0
 _MIN_DEPTH = 1e-3  # in the map's unit; nearer than this a ray's distance says nothing
 _MIN_VIEWS = 3
+_ENOUGH = 100  # landmarks of a view; where fewer are seen by three views, as in sets of photos, two views suffice
 _MAX_RELATIVE_SIGMA = 0.1  # of the largest standard deviation against the distance it is seen from
 _MERGE_PX = 3.0
 _MERGE_CHI2 = 4.0
@@ -150,7 +151,8 @@ def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArra
 
     A landmark stays if it is among the ``per_view`` best of any view, so the map grows with the space it covers, not
     with the duration of the walk. With several walks, the best are those with the highest probability of being seen by
-    a further walk; after that, those seen most often.
+    a further walk; after that, those seen most often. Landmarks that only two views saw stay where some view has fewer
+    than 100 better ones.
 
     Args:
         views: K views.
@@ -160,7 +162,7 @@ def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArra
     """
     rows, counts = landmarks.observed_rows, landmarks.view_counts
     labels, view = landmarks.labels[rows], views.view_of[rows]
-    stable = (counts >= _MIN_VIEWS) & (relative_sigmas(views, landmarks) < _MAX_RELATIVE_SIGMA)
+    stable = (counts >= 2) & (relative_sigmas(views, landmarks) < _MAX_RELATIVE_SIGMA)
     labels, view = labels[stable[labels]], view[stable[labels]]
     persistence: FloatArray = np.zeros(len(landmarks))
     if walks is not None and walks.max(initial=0) > 0:
@@ -168,7 +170,8 @@ def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArra
     order = np.lexsort((labels, -counts[labels], -persistence[labels], view))
     rank = np.arange(len(order)) - np.searchsorted(view[order], view[order])
     kept = np.zeros(len(landmarks), dtype=bool)
-    kept[labels[order][rank < per_view]] = True
+    most = np.where(counts[labels[order]] >= _MIN_VIEWS, per_view, min(per_view, _ENOUGH))
+    kept[labels[order][rank < most]] = True
     return kept
 
 

@@ -38,7 +38,7 @@ from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
 DEFAULT_FEATURES = "sift48"
 _FEATURES_PER_VIEW = 400
 _EXTENSION_ROUNDS = 2
-_MIN_VIEWS = 5
+_MIN_VIEWS = 3
 _MIN_FEATURES = 60
 
 
