@@ -62,7 +62,7 @@ COMMANDS = dict(commands())
 
 def section(path: tuple[str, ...]) -> str:
     """The reference's section on a command."""
-    match = re.search(rf"^### `rholoc {' '.join(path)}\b.*?(?=^##|\Z)", REFERENCE, re.MULTILINE | re.DOTALL)
+    match = re.search(rf"^### `rholoc {' '.join(path)}(?![\w-]).*?(?=^##|\Z)", REFERENCE, re.MULTILINE | re.DOTALL)
     assert match, f"server/COMMANDS.md has no section on rholoc {' '.join(path)}"
     return match[0]
 
@@ -91,7 +91,7 @@ def test_no_option_is_documented_that_does_not_exist(path: tuple[str, ...]) -> N
 
 
 def test_no_command_is_documented_that_does_not_exist() -> None:
-    documented = re.findall(r"^### `rholoc ([a-z ]+)", REFERENCE, re.MULTILINE)
+    documented = re.findall(r"^### `rholoc ([a-z -]+)", REFERENCE, re.MULTILINE)
     assert {tuple(name.split()) for name in documented} == set(COMMANDS)
 
 
