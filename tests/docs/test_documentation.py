@@ -28,6 +28,7 @@ PAGES = [
         "CHANGELOG.md",
         "CONTRIBUTING.md",
         "docs/howto.md",
+        "docs/robots.md",
         "docs/library.md",
         "docs/method.md",
         "docs/experiments.md",
@@ -95,7 +96,9 @@ def test_no_command_is_documented_that_does_not_exist() -> None:
     assert {tuple(name.split()) for name in documented} == set(COMMANDS)
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/howto.md", "docs/paper.md", "server/COMMANDS.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", "docs/howto.md", "docs/robots.md", "docs/paper.md", "server/COMMANDS.md"]
+)
 def test_commands_that_are_shown_parse(name: str) -> None:
     lines = [line for line in shell_lines((ROOT / name).read_text(encoding="utf-8")) if line.startswith("rholoc ")]
     assert lines

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,13 +53,21 @@ def track(
     topic: options.Topics = None,
     camera: options.Camera = None,
     mount: options.Mount = options.MOUNT,
+    mavlink: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Send ODOMETRY to a flight controller, by UDP.")
+    ] = None,
+    mqtt: Annotated[
+        str | None, typer.Option(metavar="mqtt://HOST/TOPIC", help="Publish poses with VDA 5050's fields.")
+    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Follow a camera through a map: a pose for every frame, none while the place is not recognized."""
     from rholoc.localization import localizer_of
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings.frames.live_camera import is_live, opened_camera
-    from rholoc.tracking import BagOfTrack, PoseBag, TableOfTrack, Tally, follow
+    from rholoc.tracking import BagOfTrack, InBackground, PoseBag, TableOfTrack, Tally, follow, paced
+    from rholoc.tracking.mavlink import MavlinkSender
+    from rholoc.tracking.mqtt import MqttSender
 
     T_base_camera = options.mounting(mount)
     bags = [path for path in out or [] if is_bag_target(path)]
@@ -74,7 +82,13 @@ def track(
             followed = _live(stack.enter_context(opened_camera(source)), camera, localizer.map.info)
         else:
             followed = _recorded(Path(source), motion, frames, topic, camera, localizer.map.info)
+            if mavlink is not None or mqtt is not None:
+                followed = replace(followed, moments=paced(followed.moments), answering=InBackground())
         users += [BagOfTrack(stack.enter_context(PoseBag(path, T_base_camera))) for path in bags]
+        if mavlink is not None:
+            users.append(stack.enter_context(MavlinkSender(mavlink, T_base_camera, localizer.map.info.earth)))
+        if mqtt is not None:
+            users.append(stack.enter_context(MqttSender(mqtt, map_file.stem, T_base_camera)))
         for path in tables:  # written at the end, however it comes
             stack.callback(lambda target: write_trajectory_csv(target, table.table()), path)
         advance = stack.enter_context(frame_progress("tracking", followed.count))
