@@ -149,6 +149,7 @@ def localize_frames(
     deadline_ms: float | None,
     max_sigma_m: float | None = None,
     max_sigma_deg: float | None = None,
+    geopose: str | None = None,
 ) -> Call[Localization]:
     """Localize several frames together."""
     files: dict[str, Any] = {}
@@ -170,6 +171,7 @@ def localize_frames(
         "sigma_deg": sigma_deg,
         "max_sigma_m": max_sigma_m,
         "max_sigma_deg": max_sigma_deg,
+        "geopose": geopose,
     }
     body = json.dumps({**_without_none({**options, **uncertainty}), "frames": sent}).encode()
     path, params, work_s = f"{_localize_path(maps)}/frames", _several(maps), _work_s(deadline_ms)
@@ -209,6 +211,7 @@ def localize_options(
     with_matches: bool = False,
     max_sigma_m: float | None = None,
     max_sigma_deg: float | None = None,
+    geopose: str | None = None,
 ) -> dict[str, Any]:
     """The options of a localization as the service takes them, without those that are None."""
     given = {
@@ -221,6 +224,7 @@ def localize_options(
         "with_matches": with_matches or None,
         "max_sigma_m": max_sigma_m,
         "max_sigma_deg": max_sigma_deg,
+        "geopose": geopose,
     }
     return _without_none(given)
 

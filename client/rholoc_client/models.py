@@ -293,6 +293,7 @@ class Localization:
         near: its named points within 2 m of the camera, the nearest first.
         site: the pose in the frame of the map's site; None where it belongs to none.
         alternatives: at most four other poses that the frame may have been taken from, the likeliest first.
+        geopose: the camera on Earth as OGC GeoPose, where it was asked for and the map's place is known.
     """
 
     localized: bool
@@ -320,6 +321,7 @@ class Localization:
     near: tuple[str, ...] = ()
     site: SitePose | None = None
     alternatives: tuple[Alternative, ...] = ()
+    geopose: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -475,6 +477,7 @@ def parse_localization(answer: Mapping[str, Any]) -> Localization:
             Alternative(one["weight"], parse_pose(one["pose"]), _matrix(one["covariance"]))
             for one in answer["alternatives"]
         ),
+        geopose=answer.get("geopose"),
     )
 
 

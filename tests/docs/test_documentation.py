@@ -28,6 +28,7 @@ PAGES = [
         "CHANGELOG.md",
         "CONTRIBUTING.md",
         "docs/howto.md",
+        "docs/robots.md",
         "docs/library.md",
         "docs/method.md",
         "docs/experiments.md",
@@ -62,7 +63,7 @@ COMMANDS = dict(commands())
 
 def section(path: tuple[str, ...]) -> str:
     """The reference's section on a command."""
-    match = re.search(rf"^### `rholoc {' '.join(path)}\b.*?(?=^##|\Z)", REFERENCE, re.MULTILINE | re.DOTALL)
+    match = re.search(rf"^### `rholoc {' '.join(path)}(?![\w-]).*?(?=^##|\Z)", REFERENCE, re.MULTILINE | re.DOTALL)
     assert match, f"server/COMMANDS.md has no section on rholoc {' '.join(path)}"
     return match[0]
 
@@ -91,11 +92,13 @@ def test_no_option_is_documented_that_does_not_exist(path: tuple[str, ...]) -> N
 
 
 def test_no_command_is_documented_that_does_not_exist() -> None:
-    documented = re.findall(r"^### `rholoc ([a-z ]+)", REFERENCE, re.MULTILINE)
+    documented = re.findall(r"^### `rholoc ([a-z -]+)", REFERENCE, re.MULTILINE)
     assert {tuple(name.split()) for name in documented} == set(COMMANDS)
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/howto.md", "docs/paper.md", "server/COMMANDS.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", "docs/howto.md", "docs/robots.md", "docs/paper.md", "server/COMMANDS.md"]
+)
 def test_commands_that_are_shown_parse(name: str) -> None:
     lines = [line for line in shell_lines((ROOT / name).read_text(encoding="utf-8")) if line.startswith("rholoc ")]
     assert lines

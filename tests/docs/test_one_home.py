@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[2] / "server" / "rholoc"
+OPENING_VIDEOS = {"recordings/frames/live_camera.py", "recordings/frames/video.py"}
 
 
 @pytest.mark.parametrize(
@@ -25,7 +26,7 @@ PACKAGE = Path(__file__).parents[2] / "server" / "rholoc"
             r"\bPopen\(|\bget_context\(|create_subprocess_|\bos\.(kill|killpg|fork)\(|subprocess\.run\(|psutil\.Process\(",
             {"processes/async_program.py", "processes/child.py", "processes/program.py", "processes/tree.py"},
         ),
-        ("opening videos", r"\bcv2\.VideoCapture\(", {"recordings/frames/video.py"}),
+        ("opening videos and cameras", r"\bcv2\.VideoCapture\(", OPENING_VIDEOS),
     ],
 )
 def test_it_has_one_home(what: str, pattern: str, homes: set[str]) -> None:

@@ -135,3 +135,23 @@ def test_how_well_a_waypoint_was_measured_is_written_where_it_is_not_as_usual(tm
     write_waypoints_csv(tmp_path / "w.csv", waypoints)
     found = read_waypoints_csv(tmp_path / "w.csv", FRAMES)
     assert [(one.position, one.sigma_m) for one in found] == [(one.position, one.sigma_m) for one in waypoints]
+
+
+def test_waypoints_on_earth_are_metres_around_the_first(tmp_path: Path) -> None:
+    text = "name,frame,lat,lon,h\nA,100,52.52,13.405,74\nB,110,52.5201,13.405,74\nC,140,52.52,13.4051,75.5\n"
+    a, b, c = read_waypoints_csv(written(tmp_path, text), FRAMES)
+    assert a.position == pytest.approx((0, 0, 0), abs=1e-6)
+    assert b.position == pytest.approx((0, 11.127, 0), abs=2e-3)
+    assert c.position == pytest.approx((6.788, 0, 1.5), abs=2e-3)
+    assert c.earth is not None
+    assert (c.earth.latitude_deg, c.earth.longitude_deg, c.earth.height_m) == (52.52, 13.4051, 75.5)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [("C,140,95,13.405,74", "no place on Earth"), ("C,140,53.52,13.405,74", "over 10 km"), ("C,140,52.5,,74", "lon")],
+)
+def test_waypoints_that_are_not_on_earth_are_refused(tmp_path: Path, row: str, words: str) -> None:
+    text = f"name,frame,lat,lon,h\nA,100,52.52,13.405,74\nB,110,52.5201,13.405,74\n{row}\n"
+    with pytest.raises(InvalidWaypoints, match=words):
+        read_waypoints_csv(written(tmp_path, text), FRAMES)

@@ -154,6 +154,7 @@ const KINDS = {
   walk: t`piece of the walk removed`,
   names: t`names`,
   "floor-plan": t`floor plan`,
+  earth: t`place on Earth`,
   labels: t`site, floor, tags`,
 };
 

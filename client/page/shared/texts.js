@@ -669,6 +669,7 @@ export const GERMAN = {
   "It is kept with the map.": "Er wird mit der Karte gespeichert.",
   "The floor plan": "Der Grundriss",
   "floor plan": "Grundriss",
+  "place on Earth": "Ort auf der Erde",
   "Remove the plan": "Grundriss entfernen",
   "Width of the plan, m": "Breite des Grundrisses, m",
   "Without it, the map's own scale counts.": "Ohne sie gilt der Maßstab der Karte.",

@@ -99,6 +99,7 @@ class AsyncClient:
         max_sigma_deg: float | None = None,
         intrinsics: str | None = None,
         with_matches: bool = False,
+        geopose: str | None = None,
     ) -> Localization:
         """Where a picture was taken. "No pose" is an answer: look at ``localized``.
 
@@ -117,9 +118,10 @@ class AsyncClient:
             max_sigma_deg: the rotation's, likewise.
             intrinsics: "unknown" if the camera is not known; the answer's ``camera`` is then the estimated one.
             with_matches: whether the answer's ``agreeing`` lists the matches that agree with the pose.
+            geopose: "quaternion", "ypr" or "advanced": encoding of the answer's ``geopose``, the camera on Earth.
         """
         options = localize_options(
-            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
+            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg, geopose
         )
         return await self._send(_calls.localize_image(maps, image, options))
 
@@ -135,6 +137,7 @@ class AsyncClient:
         deadline_ms: float | None = None,
         max_sigma_m: float | None = None,
         max_sigma_deg: float | None = None,
+        geopose: str | None = None,
     ) -> Localization:
         """Where several frames were taken, whose poses relative to each other are known: one answer for all.
 
@@ -150,10 +153,11 @@ class AsyncClient:
             max_sigma_m: the position's greatest standard deviation along any axis that is of use to you; a pose that is
                 less exact is withheld.
             max_sigma_deg: the rotation's, likewise.
+            geopose: as of :meth:`localize`.
         """
         return await self._send(
             _calls.localize_frames(
-                maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms, max_sigma_m, max_sigma_deg
+                maps, frames, camera, dof, sigma_m, sigma_deg, deadline_ms, max_sigma_m, max_sigma_deg, geopose
             )
         )
 
@@ -181,10 +185,11 @@ class AsyncClient:
         max_sigma_deg: float | None = None,
         intrinsics: str | None = None,
         with_matches: bool = False,
+        geopose: str | None = None,
     ) -> Localization:
         """Where a picture was taken, from its features alone. Arguments as of :meth:`localize`."""
         options = localize_options(
-            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg
+            camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg, geopose
         )
         return await self._send(_calls.localize_features(maps, features, options))
 

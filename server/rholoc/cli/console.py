@@ -104,8 +104,8 @@ def fraction_progress(what: str) -> Iterator[Callable[[float], None]]:
 
 
 @contextmanager
-def frame_progress(what: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar that counts frames, one per call; nothing if standard error is not a terminal."""
+def frame_progress(what: str, total: int | None) -> Iterator[Callable[[], None]]:
+    """A bar that counts frames, one per call, of ``total`` if that is known; only on a terminal."""
     with _progress("{task.description}", MofNCompleteColumn()) as progress:
         task = progress.add_task(what, total=total, message="")
         yield lambda: progress.advance(task)

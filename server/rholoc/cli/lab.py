@@ -11,7 +11,7 @@ from typer.core import TyperGroup
 from rholoc.errors import InvalidInput
 
 _ENTRY_POINT = "rholoc.commands"
-_NAMES = frozenset({"compare", "density", "evaluate", "flow", "paper", "simulate", "track"})
+_NAMES = frozenset({"compare", "density", "evaluate", "evaluate-track", "flow", "paper", "simulate"})
 
 
 def add_lab(*groups: typer.Typer) -> None:

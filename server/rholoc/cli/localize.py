@@ -16,12 +16,12 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice
-from rholoc.cli.targets import check_target
+from rholoc.cli.targets import is_bag_target
 from rholoc.errors import InvalidCamera
 
 if TYPE_CHECKING:
     import rholoc_client
-    from rholoc.geometry import ByteArray, Camera
+    from rholoc.geometry import ByteArray, Camera, FloatArray
     from rholoc.localization import AnyLocalizer, Localization
     from rholoc.maps import MapInfo, TrajectoryTable
     from rholoc.recordings import FrameSource, Recording
@@ -32,12 +32,11 @@ _BATCH = 16  # frames decoded ahead: enough to keep the threads busy, and few en
 
 def localize(
     map_file: options.MapFile,
-    source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, or a recording's folder.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="CSV", help="Where the trajectory goes.")] = Path(
-        "trajectory.csv"
-    ),
+    source: options.Source,
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="CSV|MCAP", help="Where the trajectory goes: Table 6, or a ROS 2 bag."),
+    ] = Path("trajectory.csv"),
     frames: options.Frames = None,
     topic: options.Topics = None,
     camera: Annotated[
@@ -60,6 +59,7 @@ def localize(
     max_sigma_deg: Annotated[
         float | None, typer.Option(min=0.0, help="Poses whose rotation has a greater standard deviation are withheld.")
     ] = None,
+    mount: options.Mount = options.MOUNT,
     as_json: options.Json = False,
 ) -> None:
     """Localize frames in a map and write the trajectory (Table 6). Frames without a pose get no row."""
@@ -68,7 +68,7 @@ def localize(
     from rholoc.recordings import read_recording
 
     degrees_of_freedom = options.dof(dof)
-    check_target(out, "the trajectory")
+    is_bag = is_bag_target(out)
     map_ = load_map(map_file)
     known = Intrinsics.UNKNOWN if camera == Intrinsics.UNKNOWN else Intrinsics.GIVEN
     given = None if known is Intrinsics.UNKNOWN else options.named_camera(camera)
@@ -90,7 +90,10 @@ def localize(
             frame_s.append(taken_s)
             advance()
     duration_s = time.perf_counter() - start_s
-    write_trajectory_csv(out, trajectory_table(recording.frames, range(count), answers))
+    if is_bag:
+        _write_bag(out, recording.frames.times, answers, options.mounting(mount))
+    else:
+        write_trajectory_csv(out, trajectory_table(recording.frames, range(count), answers))
     figures = {
         "frames": count,
         "localized": sum(answer.localized for answer in answers),
@@ -121,9 +124,14 @@ def _guessed(recording: Recording) -> Camera:
 
 def recording_camera(recording: Recording, info: MapInfo) -> Camera:
     """The frames' camera: given, the recording's own, or the map's if the frames have the same size."""
-    if recording.camera is not None:
-        return recording.camera
-    if recording.frames.size != (info.camera.width, info.camera.height):
+    return camera_of(recording.camera, recording.frames.size, info)
+
+
+def camera_of(camera: Camera | None, size: tuple[int, int], info: MapInfo) -> Camera:
+    """The camera of frames of ``size`` pixels: the known one, or the map's if the frames have the same size."""
+    if camera is not None:
+        return camera
+    if size != (info.camera.width, info.camera.height):
         raise InvalidCamera("The camera of these frames is not known.", "Give it with --camera fx,fy,cx,cy.")
     print_notice("No camera given: the frames are taken to be of the camera that recorded the map.")
     return info.camera
@@ -147,6 +155,17 @@ def _localize_frames(
     with ThreadPoolExecutor(_THREADS) as pool:
         while batch := list(islice(images, _BATCH)):
             yield from pool.map(answer, batch)
+
+
+def _write_bag(path: Path, times: FloatArray, answers: Sequence[Localization], T_base_camera: FloatArray) -> None:
+    """Write the answers to a bag of ROS 2."""
+    from rholoc.tracking import PoseBag
+
+    with PoseBag(path, T_base_camera) as bag:
+        for time_s, answer in zip(times.tolist(), answers, strict=True):
+            bag.belief(time_s, answer.recognized, answer.confidence)
+            if answer.localized and answer.pose is not None:
+                bag.pose(time_s, answer.pose.T_map_camera, answer.covariance)
 
 
 def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | int]]:

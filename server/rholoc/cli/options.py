@@ -11,6 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from rholoc.geometry import Camera as GeometryCamera
+    from rholoc.geometry import FloatArray
     from rholoc.localization import Dof
 
 _Choice = TypeVar("_Choice", bound=StrEnum)
@@ -52,6 +53,22 @@ Topics = Annotated[
         "--topic", metavar="NAME", help="Of a bag, a topic to take where there are several of a kind; repeatable."
     ),
 ]
+Mount = Annotated[
+    str,
+    typer.Option(
+        metavar="X,Y,Z,ROLL,PITCH,YAW",
+        help="The camera on the robot, in metres and degrees; x forward, y left, z up; zeros look forward.",
+    ),
+]
+MOUNT = "0,0,0,0,0,0"
+MotionOption = Annotated[
+    str | None,
+    typer.Option(
+        "--motion",
+        metavar="odometry|imu|pictures",
+        help="What the tracker knows of motion; default: odometry where it is given, else pictures.",
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, help="Another seed is another room; the same one the same recording.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map file (.rho).")]
@@ -69,6 +86,23 @@ def named_camera(text: str | None) -> GeometryCamera | str | None:
     from rholoc.library import CameraLibrary
 
     return CameraLibrary(Path(os.environ.get(MAPS_VARIABLE, DEFAULT_MAPS))).named_in(text)
+
+
+def mounting(text: str) -> FloatArray:
+    """T_base_camera (4, 4) that ``--mount`` says."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from rholoc.geometry import R_FORWARD_OPTICAL, pose_matrix
+
+    try:
+        x, y, z, roll, pitch, yaw = (float(part) for part in text.split(","))
+        if not np.isfinite((x, y, z, roll, pitch, yaw)).all():
+            raise ValueError
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not x,y,z,roll,pitch,yaw.", param_hint="--mount") from None
+    R_base_forward = Rotation.from_euler("ZYX", (yaw, pitch, roll), degrees=True).as_matrix()
+    return pose_matrix(R_base_forward @ R_FORWARD_OPTICAL, np.array([x, y, z]))
 
 
 def dof(text: str) -> Dof:

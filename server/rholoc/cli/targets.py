@@ -21,3 +21,16 @@ def check_target(path: Path, what: str) -> Path:
     if not os.access(path.parent, os.W_OK):
         raise InvalidInput(f"The folder {path.parent} cannot be written to.", "Choose another, or allow it.")
     return path
+
+
+def is_bag_target(path: Path) -> bool:
+    """Whether poses that are written to a path are a bag of ROS 2 (``.mcap``), not a table, after checking the path.
+
+    Raises:
+        InvalidInput: as :func:`check_target`, or it is a bag of another kind.
+    """
+    check_target(path, "the poses")
+    suffix = path.suffix.lower()
+    if suffix in (".bag", ".db3"):
+        raise InvalidInput(f"Bags are written as .mcap, not as {suffix}.", f"Name it {path.stem}.mcap.")
+    return suffix == ".mcap"

@@ -15,8 +15,10 @@ from rholoc.geometry.camera import CAMERA_WRITTEN, Camera, on_plane
 from rholoc.geometry.lenses import Lens
 from rholoc.geometry.patches import mean_patches, patch_appearance, patch_vectors
 from rholoc.geometry.pose import (
+    R_FORWARD_OPTICAL,
     Pose,
     PosedCameras,
+    interpolated_poses,
     is_rotation,
     pose_matrix,
     poses_from_rows,
@@ -27,6 +29,7 @@ from rholoc.geometry.vectors import UP, basis_across, cross
 
 __all__ = [
     "CAMERA_WRITTEN",
+    "R_FORWARD_OPTICAL",
     "UP",
     "BoolArray",
     "ByteArray",
@@ -43,6 +46,7 @@ __all__ = [
     "basis_across",
     "cross",
     "direction_angles",
+    "interpolated_poses",
     "is_rotation",
     "kabsch",
     "mean_patches",

@@ -48,6 +48,11 @@ def place_at(enu: FloatArray, origin: EarthPlace) -> EarthPlace:
     return EarthPlace(math.degrees(latitude), math.degrees(math.atan2(y, x)), height)
 
 
+def R_enu_enu(place: EarthPlace, origin: EarthPlace) -> FloatArray:
+    """Rotation (3, 3) from east, north, up at ``origin`` to those at ``place``: they differ by Earth's curvature."""
+    return np.asarray(_R_ecef_enu(place).T @ _R_ecef_enu(origin))
+
+
 def _normal_m(latitude: float) -> float:
     """The length of the ellipsoid's normal down to its axis."""
     return _A_M / math.sqrt(1 - _E2 * math.sin(latitude) ** 2)

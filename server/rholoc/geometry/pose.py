@@ -6,9 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from rholoc.geometry.arrays import FloatArray
+
+R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Rotation of a camera (x right, y down, z forward) in a body with x forward, y left and z up (REP 103)."""
 
 _VERTICAL = 1e-9  # a heading this close to the vertical has no horizontal direction of its own
 
@@ -36,6 +39,12 @@ def rows_from_poses(T_map_camera: FloatArray) -> FloatArray:
         return np.zeros((0, 7))
     quaternions = Rotation.from_matrix(T_map_camera[:, :3, :3]).as_quat(canonical=True)
     return np.column_stack([T_map_camera[:, :3, 3], quaternions])
+
+
+def interpolated_poses(times: FloatArray, T: FloatArray, at: FloatArray) -> FloatArray:
+    """Poses (M, 4, 4) at the times ``at`` (M,), between poses ``T`` (N, 4, 4) at increasing ``times`` (N,), N ≥ 2."""
+    R = Slerp(times, Rotation.from_matrix(T[:, :3, :3]))(at).as_matrix()
+    return pose_matrix(R, np.column_stack([np.interp(at, times, axis) for axis in T[:, :3, 3].T]))
 
 
 def is_rotation(R: FloatArray, tolerance: float = 1e-3) -> bool:

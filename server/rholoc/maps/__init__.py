@@ -47,7 +47,17 @@ from rholoc.maps.names import (
 )
 from rholoc.maps.naming import check_map_name
 from rholoc.maps.part import MapPart, part_of
-from rholoc.maps.sites import MAX_MAPS, FramePose, LinkOrigin, Site, SiteLink, SiteMap, SiteOnEarth, check_site
+from rholoc.maps.sites import (
+    MAX_MAPS,
+    FramePose,
+    LinkOrigin,
+    Site,
+    SiteLink,
+    SiteMap,
+    SiteOnEarth,
+    check_earth,
+    check_site,
+)
 from rholoc.maps.trust import Trust, consistency_m, expected_error_m, trust_of
 from rholoc.maps.validation import check_usable, validate_map
 
@@ -85,6 +95,7 @@ __all__ = [
     "TrajectoryTable",
     "Trust",
     "areas_at",
+    "check_earth",
     "check_labels",
     "check_map_name",
     "check_memory",

@@ -19,6 +19,7 @@ class CorrectionKind(StrEnum):
     WALK = "walk"  # a piece of a walk removed
     NAMES = "names"  # names of points and areas
     FLOOR_PLAN = "floor-plan"  # the floor plan that the map keeps
+    EARTH = "earth"  # the pose on Earth
     LABELS = "labels"  # site, floor and tags of the map
 
 

@@ -12,6 +12,7 @@ from rholoc.geometry import Camera
 from rholoc.maps.corrections import Correction
 from rholoc.maps.floor_plan import FloorPlan
 from rholoc.maps.names import MapLabels, MapNames
+from rholoc.maps.sites import SiteOnEarth, check_earth
 from rholoc.reports import MapReport, report_from_json, report_to_json
 
 _MAX_LENGTH = 2**24
@@ -77,6 +78,7 @@ class MapInfo:
         names: of points and areas.
         labels: site, floor and tags.
         plan: its floor plan, if any.
+        earth: pose of its frame on Earth, if known.
         corrections: by people since it was built, by version.
         report: figures from its construction.
     """
@@ -94,6 +96,7 @@ class MapInfo:
     names: MapNames = field(default_factory=MapNames)
     labels: MapLabels = field(default_factory=MapLabels)
     plan: FloorPlan | None = None
+    earth: SiteOnEarth | None = None
     corrections: tuple[Correction, ...] = ()
     report: MapReport = field(default_factory=MapReport)
 
@@ -114,6 +117,8 @@ def info_from_json(text: str) -> MapInfo:
         if len(text) > _MAX_LENGTH:
             raise ValueError(f"it is longer than {_MAX_LENGTH} characters")
         info = report_from_json(MapInfo, json.loads(text, parse_constant=_finite, parse_float=_finite))
+        if info.earth is not None:
+            check_earth(info.earth)
         for name in ("id", "created", "features"):
             value = getattr(info, name)
             if not 0 < len(value) <= _MAX_WORD or not value.isprintable():

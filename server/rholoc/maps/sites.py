@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from rholoc.errors import InvalidInput
-from rholoc.geometry import FloatArray, Pose
-from rholoc.geometry.earth import EarthPlace, enu_of, place_at
+from rholoc.geometry import UP, FloatArray, Pose, Similarity, angles_between, upright_umeyama
+from rholoc.geometry.earth import EarthPlace, R_enu_enu, enu_of, place_at
 from rholoc.maps.naming import check_map_name
 
 MAX_MAPS = 2000
@@ -20,6 +21,8 @@ _MAX_LINKS = 10_000
 _MAX_FLOOR = 100
 _UNIT_TOLERANCE = 1e-2
 _MAX_M, _MAX_HEIGHT_M = 1e6, 1e5
+_MIN_APART_M, _SCALE_TOLERANCE = 0.5, 0.05  # of points that give a direction
+_UPRIGHT_RAD = math.radians(1.0)
 _NEGATIVE = -1e-6  # relative to the largest: minimum eigenvalue, negative by rounding
 
 
@@ -99,7 +102,7 @@ class SiteLink:
 
 @dataclass(frozen=True)
 class SiteOnEarth:
-    """Pose of a site's frame on Earth; its z axis is up.
+    """Pose of a site's or a map's frame on Earth; its z axis is up.
 
     Attributes:
         latitude_deg, longitude_deg, height_m: of its origin, WGS 84.
@@ -111,16 +114,71 @@ class SiteOnEarth:
     height_m: float = 0.0
     heading_deg: float = 0.0
 
+    @classmethod
+    def through(
+        cls, points: FloatArray, places: Sequence[EarthPlace], heading_deg: float | None = None
+    ) -> tuple[SiteOnEarth, float]:
+        """Least-squares pose on Earth of a frame with z up, of which points are known.
+
+        Args:
+            points: (N, 3) of the frame [m]; one with a heading, else two or more that are not above each other.
+            places: the same points on Earth.
+            heading_deg: of the y axis, clockwise from true north; default: by the points.
+
+        Returns:
+            The pose, and the root mean square distance between points and places [m].
+
+        Raises:
+            InvalidInput: there are too few points, they coincide, or their distances are other than on Earth.
+        """
+        if len(points) != len(places) or len(points) < (2 if heading_deg is None else 1):
+            raise InvalidInput("A place on Earth needs two points, or one and a heading.", "Give another point.")
+        enu = np.array([enu_of(place, places[0]) for place in places])
+        spread_m, spread_enu_m = (float(np.ptp(one[:, :2], axis=0).max()) for one in (points, enu))
+        if heading_deg is None:
+            if min(spread_m, spread_enu_m) < _MIN_APART_M:
+                message = f"The points lie within {_MIN_APART_M:g} m seen from above: they give no direction."
+                raise InvalidInput(message, "Give points that are further apart, or one and a heading.")
+            turn = upright_umeyama(points, enu)
+            if abs(turn.scale - 1) > _SCALE_TOLERANCE:
+                message = f"On Earth the points are {turn.scale:.3g} times as far apart as in the map."
+                raise InvalidInput(message, "Check them, and the map's scale.")
+            heading_deg = math.degrees(math.atan2(*turn.rotation[:2, 1])) % 360
+        turned = cls(places[0].latitude_deg, places[0].longitude_deg, places[0].height_m, heading_deg)
+        there = np.array([turned.enu(point) for point in points])
+        origin = place_at((enu - there).mean(axis=0), places[0])
+        found = cls(origin.latitude_deg, origin.longitude_deg, origin.height_m, heading_deg)
+        missed = [enu_of(found.place(point), place) for point, place in zip(points, places, strict=True)]
+        return found, float(np.sqrt(np.mean(np.sum(np.square(missed), axis=1))))
+
     @property
     def origin(self) -> EarthPlace:
         """Place of the site's origin."""
         return EarthPlace(self.latitude_deg, self.longitude_deg, self.height_m)
 
+    @property
+    def R_enu_site(self) -> FloatArray:
+        """(3, 3) from the site's axes to east, north and up at its origin."""
+        turn = math.radians(self.heading_deg)
+        c, s = math.cos(turn), math.sin(turn)
+        return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    def moved(self, similarity: Similarity) -> SiteOnEarth | None:
+        """The pose of a frame after ``similarity`` moved its points; None if its z axis is no longer up."""
+        back = similarity.rotation.T
+        heading_deg = self.heading_deg_of(back[:, 1])
+        if heading_deg is None or angles_between(back[:, 2], UP) > _UPRIGHT_RAD:
+            return None
+        there = self.place(-back @ similarity.translation / similarity.scale)
+        return SiteOnEarth(there.latitude_deg, there.longitude_deg, there.height_m, heading_deg)
+
+    def R_enu_of(self, R_site_body: FloatArray, place: EarthPlace) -> FloatArray:
+        """(3, 3) from a body's axes to east, north and up at the body's own place."""
+        return np.asarray(R_enu_enu(place, self.origin) @ self.R_enu_site @ R_site_body)
+
     def enu(self, vector: FloatArray) -> FloatArray:
         """A vector (3,) of the site's frame as east, north, up."""
-        turn = math.radians(self.heading_deg)
-        x, y, z = vector
-        return np.array([x * math.cos(turn) + y * math.sin(turn), y * math.cos(turn) - x * math.sin(turn), z])
+        return np.asarray(self.R_enu_site @ vector)
 
     def place(self, position: FloatArray) -> EarthPlace:
         """Place on Earth of a position (3,) in the site's frame [m]."""
@@ -198,7 +256,7 @@ def check_site(site: Site) -> Site:
         if not (0 < link.sigma_m <= _MAX_M and 0 < link.sigma_deg <= 180):
             raise InvalidInput(f"{what} has sigmas that are not possible.", "Give metres and degrees above 0.")
     if site.earth is not None:
-        _check_earth(site.earth)
+        check_earth(site.earth)
     return site
 
 
@@ -222,11 +280,17 @@ def _check_covariance(rows: tuple[tuple[float, ...], ...], name: str) -> None:
     raise InvalidInput(f"The covariance of the map {name} is not one.", "Give 6×6 numbers, symmetric, none negative.")
 
 
-def _check_earth(earth: SiteOnEarth) -> None:
+def check_earth(earth: SiteOnEarth) -> SiteOnEarth:
+    """Return the pose on Earth, checked.
+
+    Raises:
+        InvalidInput: a number is not finite, or out of range.
+    """
     values = (earth.latitude_deg, earth.longitude_deg, earth.height_m, earth.heading_deg)
     possible = all(math.isfinite(value) for value in values) and abs(earth.height_m) <= _MAX_HEIGHT_M
     if not possible or abs(earth.latitude_deg) > 90 or abs(earth.longitude_deg) > 180 or abs(earth.heading_deg) > 360:
         raise InvalidInput(
-            "The site's place on Earth is not possible.",
+            "The place on Earth is not possible.",
             "Give a latitude of -90 to 90°, a longitude of -180 to 180°, a heading of -360 to 360°.",
         )
+    return earth

@@ -8,6 +8,7 @@ from rholoc.recordings.frames.image_decoding import decode_image, read_image
 from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.frames.video import MAX_FRAME_PIXELS, frame_pixels_limited
 from rholoc.recordings.reader import read_recording
+from rholoc.recordings.readers._lenses import camera_of_model
 from rholoc.recordings.recording import (
     GRAVITY,
     FrameSource,
@@ -54,6 +55,7 @@ __all__ = [
     "WarningKind",
     "Waypoint",
     "advise",
+    "camera_of_model",
     "check_archive",
     "check_file_name",
     "check_file_start",

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
+from rholoc.geometry.earth import EarthPlace
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.reports import RecordingWarning
 
@@ -98,13 +99,15 @@ class Waypoint:
     """A measured point of the walk: the camera's position at a time, metres in the map frame.
 
     If only the waypoints' order is known, their times are NaN: the camera then paused at each. ``sigma_m`` is the
-    standard deviation of each coordinate.
+    standard deviation of each coordinate. ``earth`` is the same point on Earth; positions are then metres to the east,
+    to the north and up of the first waypoint.
     """
 
     name: str
     time: float
     position: tuple[float, float, float]
     sigma_m: float = 0.02
+    earth: EarthPlace | None = None
 
 
 @dataclass(frozen=True)

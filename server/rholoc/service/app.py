@@ -69,6 +69,7 @@ from rholoc.service.maps.map_watch import MapWatch
 from rholoc.service.maps.renderings import Renderings
 from rholoc.service.operate.health_readings import Readings
 from rholoc.service.routes import ROUTERS
+from rholoc.service.routes.frames.geopose import OscpRequest
 from rholoc.service.routes.frames.reading import READ_BY_HAND
 from rholoc.service.settings import Settings
 from rholoc.service.state import Operation, State
@@ -124,7 +125,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     for kind in (RholocError, ValidationError, RequestValidationError, HTTPException, OSError, SQLAlchemyError):
         app.add_exception_handler(kind, _answer_error)
     app.user_middleware.extend(_middlewares(app, settings, metrics, keys, audit, lanes))
-    install(app, READ_BY_HAND)
+    install(app, (*READ_BY_HAND, OscpRequest))
     return app
 
 

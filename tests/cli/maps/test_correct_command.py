@@ -96,3 +96,44 @@ def test_a_direction_needs_an_upright_map(rholoc: Run, hall: Path) -> None:
     map_ = load_map(hall)
     save_map(replace(map_, info=replace(map_.info, upright=False)), hall)
     assert "not upright" in rholoc("correct", "wall", hall, "--direction", "1,0,0")[2]
+
+
+def test_a_map_is_placed_on_earth_and_keeps_its_place_when_its_frame_moves(rholoc: Run, hall: Path) -> None:
+    places = ("--point", "0,0,0=52.52,13.405,74", "--point=-8,0,0=52.52,13.40488208,74")
+    status, out, err = rholoc("correct", "earth", hall, *places, "--json")
+    assert (status, err) == (0, "")
+    assert json.loads(out)["residual_m"] < 0.01
+    placed = load_map(hall).info.earth
+    assert placed is not None
+    assert placed.heading_deg % 360 == pytest.approx(0, abs=0.1) or placed.heading_deg == pytest.approx(360, abs=0.1)
+    point = np.array([1.0, 2.0, 0.5])
+    there = placed.place(point)
+    assert rholoc("correct", "origin", hall, "--at", "1,2,0.5")[0] == 0
+    moved = load_map(hall).info.earth
+    assert moved is not None
+    assert (moved.latitude_deg, moved.longitude_deg) == pytest.approx((there.latitude_deg, there.longitude_deg))
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (["0,0,0=52.52,13.405,74"], "two points"),
+        (["0,0,0=95,13.405,74", "1,0,0=52,13,74"], "not possible"),
+        (["0,0,0=52.52,13.405", "1,0,0=52,13,74"], "not 3 coordinates"),
+        (["0,0,0=52.52,13.405,74", "8,0,0=52.53,13.405,74"], "times as far apart"),
+    ],
+)
+def test_places_that_cannot_be_are_refused(rholoc: Run, hall: Path, points: list[str], words: str) -> None:
+    before = hall.read_bytes()
+    status, _, err = rholoc("correct", "earth", hall, *(part for point in points for part in ("--point", point)))
+    assert status == 1
+    assert words in err
+    assert hall.read_bytes() == before
+
+
+def test_a_map_without_metres_has_no_place_on_earth(rholoc: Run, hall: Path) -> None:
+    map_ = load_map(hall)
+    save_map(replace(map_, info=replace(map_.info, metric=False)), hall)
+    status, _, err = rholoc("correct", "earth", hall, "--point", "0,0,0=52.52,13.405,74", "--heading", "0")
+    assert status == 1
+    assert "Correct its scale first" in err

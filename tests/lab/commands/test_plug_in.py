@@ -12,7 +12,7 @@ from rholoc.cli import app
 Run = Callable[..., tuple[int, str, str]]
 
 
-@pytest.mark.parametrize("name", ["compare", "evaluate", "paper", "simulate", "track"])
+@pytest.mark.parametrize("name", ["compare", "evaluate", "paper", "simulate", "evaluate-track"])
 def test_commands_of_the_lab_are_offered(name: str) -> None:
     assert name in typer.main.get_command(app).commands
 

@@ -14,7 +14,8 @@ from rholoc.localization import Localizer
 from rholoc.maps import save_map
 from rholoc.recordings import GivenPoses, Imu, Recording
 from rholoc.recordings.frames.memory_frames import MemoryFrames
-from rholoc_lab.evaluation.tracking import Motion, Outage, drifting_odometry, run_tracker
+from rholoc.tracking import Motion
+from rholoc_lab.evaluation.tracking import Outage, drifting_odometry, run_tracker
 
 FRAMES = 30
 
@@ -91,7 +92,7 @@ def test_what_cannot_be_tracked_is_said(command, tmp_path, picture_world, option
     (tmp_path / "frames").mkdir()
     for number in range(2):
         (tmp_path / "frames" / f"{number}.png").write_bytes(picture_world.png())
-    status, _, errors = command("track", tmp_path / "room.rho", tmp_path / "frames", *options)
+    status, _, errors = command("evaluate-track", tmp_path / "room.rho", tmp_path / "frames", *options)
     assert status
     assert words in errors
 
@@ -101,7 +102,7 @@ def test_the_command_prints_every_frame_and_draws(command, tmp_path, picture_wor
     (tmp_path / "frames").mkdir()
     for number in range(4):
         (tmp_path / "frames" / f"{number}.png").write_bytes(picture_world.png())
-    asked = ["track", tmp_path / "room.rho", tmp_path / "frames", "--latency", "10", "--json"]
+    asked = ["evaluate-track", tmp_path / "room.rho", tmp_path / "frames", "--latency", "10", "--json"]
     status, printed, errors = command(*asked, "--plot", tmp_path / "track.png", "-o", tmp_path / "track.csv")
     assert status == 0, errors
     figures = json.loads(printed)

@@ -3,33 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rholoc.errors import InvalidInput, InvalidRecording
-from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, pose_distances
-from rholoc.localization import AnyLocalizer, Localization, Prior, Query
-from rholoc.recordings import Imu, Recording
-from rholoc_client.errors import InvalidTrack
-from rholoc_client.models import Camera as ClientCamera
-from rholoc_client.tracking import Answer, AnsweredMatches, FollowedTrack, Tracked, TrackOptions, TrackStatus
+from rholoc.geometry import Camera, FloatArray, pose_distances
+from rholoc.localization import AnyLocalizer, Localization, Query
+from rholoc.recordings import Recording
+from rholoc.tracking import Answered, Motion, Tally, film_times, follow, recorded_moments
+from rholoc_client.tracking import Tracked, TrackOptions, TrackStatus
 from rholoc_client.tracking.rigid import inverse
 
 _HEADING_DRIFT_DEG_M = 0.5  # of simulated odometry, typical of visual-inertial odometry
 _WANDER = 0.05  # of the drift's direction, per step
-
-
-class Motion(StrEnum):
-    """A tracker's source of motion between answers."""
-
-    ODOMETRY = "odometry"  # poses in a frame of their own
-    IMU = "imu"  # acceleration and rotation rate
-    PICTURES = "pictures"  # nothing else
 
 
 @dataclass(frozen=True)
@@ -48,18 +37,20 @@ class TrackRun:
         times: (N,) seconds.
         tracked: its output at each frame.
         position_m, rotation_rad: (N,) errors against the truth; NaN without a pose or truth.
+        sigma_m: (N,) expected RMS position error of each pose, NaN without a pose.
         asked: rows of the frames sent to the localizer.
         answer_s: time of each answer.
-        frame_s: (N,) computing time of the tracker at each frame.
+        tally: counts of its steps.
     """
 
     times: FloatArray
     tracked: tuple[Tracked, ...]
     position_m: FloatArray
     rotation_rad: FloatArray
+    sigma_m: FloatArray
     asked: tuple[int, ...]
     answer_s: tuple[float, ...]
-    frame_s: FloatArray
+    tally: Tally
 
     @property
     def T_map_camera(self) -> FloatArray:
@@ -67,39 +58,19 @@ class TrackRun:
         nothing = np.full((4, 4), np.nan)
         return np.array([nothing if one.pose is None else one.pose.T_map_camera for one in self.tracked])
 
-    @property
-    def sigma_m(self) -> FloatArray:
-        """(N,) expected RMS position error of each pose, NaN without a pose."""
-        return np.array(
-            [
-                np.nan if one.covariance is None else np.sqrt(np.trace(np.array(one.covariance)[:3, :3]))
-                for one in self.tracked
-            ]
-        )
-
     def figures(self) -> dict[str, float | int | None]:
         """Summary figures; errors are over the frames with a pose and known truth."""
         known = np.isfinite(self.position_m)
         tracking = np.array([one.status is TrackStatus.TRACKING for one in self.tracked])
         error_cm = 100 * self.position_m[known & tracking]
-        seconds = float(self.times[-1] - self.times[0])
         return {
-            "frames": len(self.tracked),
-            "seconds": round(seconds, 2),
-            "searching": sum(one.status is TrackStatus.SEARCHING for one in self.tracked),
-            "lost": sum(one.status is TrackStatus.LOST for one in self.tracked),
-            "asked": len(self.asked),
-            "asked_per_s": round(len(self.asked) / max(seconds, 1e-9), 2),
-            "answers_used": self.tracked[-1].answers,
-            "answers_rejected": self.tracked[-1].rejected,
-            "resets": self.tracked[-1].reset_counter,
+            **self.tally.figures(),
             "median_cm": _figure(error_cm, 0.5),
             "p90_cm": _figure(error_cm, 0.9),
             "worst_cm": _figure(error_cm, 1.0),
             "worst_deg": _figure(np.degrees(self.rotation_rad[known & tracking]), 1.0),
             "within_5cm": _share(error_cm <= 5),
             "within_10cm": _share(error_cm <= 10),
-            "tracker_ms_per_frame": round(1e3 * float(np.median(self.frame_s)), 2),
             "answer_ms": round(1e3 * float(np.median(self.answer_s)), 1) if self.answer_s else None,
         }
 
@@ -155,122 +126,49 @@ def run_tracker(
         InvalidRecording: ``Motion.IMU`` without an IMU, with unknown mounting, or without gravity.
         InvalidInput: odometry has no poses, or the map is not metric.
     """
-    try:
-        return _run(
-            _Run(localizer, camera, motion, options or TrackOptions(), latency_s, outages),
-            recording, motion, odometry, truth, advance,
-        )  # fmt: skip
-    except InvalidTrack as error:
-        raise InvalidInput(str(error), "Check the recording's times, and the odometry.") from error
-
-
-def _run(
-    run: _Run,
-    recording: Recording,
-    motion: Motion,
-    odometry: FloatArray | None,
-    truth: FloatArray | None,
-    advance: Callable[[], None],
-) -> TrackRun:
-    run.warm_up(next(recording.frames.images([0])))
-    times = recording.frames.times
-    readings = _readings(recording.imu) if motion is Motion.IMU else iter(())
-    reading = next(readings, None)
-    tracked, frame_s = [], []
-    for row, image in enumerate(recording.frames.images(range(len(times)))):
-        while reading is not None and reading[0] <= times[row]:
-            run.track.imu(*reading)
-            reading = next(readings, None)
-        T_odom_camera = None if odometry is None or np.isnan(odometry[row]).any() else odometry[row]
-        said, taken_s = run.frame(row, float(times[row] - times[0]), float(times[row]), image, T_odom_camera)
-        tracked.append(said)
-        frame_s.append(taken_s)
+    answering = _Delayed(latency_s, outages)
+    localizer.localize(Query.of_picture(next(recording.frames.images([0])), localizer.extractor, camera))  # warm up
+    moments = recorded_moments(recording, motion, odometry)
+    tally, asked, sigma_m, tracked = Tally(), [], [], []
+    for row, step in enumerate(follow(localizer, camera, motion, moments, answering, options)):
+        tally.take(step)
+        asked += [row] * step.asked
+        sigma_m.append(step.sigma_m)
+        tracked.append(step.tracked)
         advance()
-    position_m, rotation_rad = np.full((2, len(times)), np.nan)
+    position_m, rotation_rad = np.full((2, len(tracked)), np.nan)
     for row, said in enumerate(tracked):
         if said.pose is not None and truth is not None and np.isfinite(truth[row]).all():
             position_m[row], rotation_rad[row] = pose_distances(np.array(said.pose.T_map_camera), truth[row])
     return TrackRun(
-        times, tuple(tracked), position_m, rotation_rad, tuple(run.asked), tuple(run.answer_s), np.array(frame_s)
-    )
+        film_times(recording), tuple(tracked), position_m, rotation_rad, np.array(sigma_m), tuple(asked),
+        tuple(answering.answer_s), tally,
+    )  # fmt: skip
 
 
-class _Run:
-    """A tracker, and the localizer with delayed answers."""
+class _Delayed:
+    """Answers that arrive a latency after their frame; none in an outage."""
 
-    def __init__(
-        self,
-        localizer: AnyLocalizer,
-        camera: Camera,
-        motion: Motion,
-        options: TrackOptions,
-        latency_s: float | None,
-        outages: tuple[Outage, ...],
-    ) -> None:
-        self._localizer, self._camera, self._latency_s, self._outages = localizer, camera, latency_s, outages
-        self._follows = motion is Motion.PICTURES
-        self.track = FollowedTrack(options, ClientCamera(**camera.to_dict()) if self._follows else None)
-        self.asked: list[int] = []
+    def __init__(self, latency_s: float | None, outages: tuple[Outage, ...]) -> None:
+        self._latency_s, self._outages = latency_s, outages
+        self._first_s: float | None = None
+        self._pending: tuple[float, Answered] | None = None
         self.answer_s: list[float] = []
-        self._pending: tuple[float, Localization | None] | None = None
 
-    def frame(
-        self, row: int, since_first_s: float, time_s: float, image: ByteArray, T_odom_camera: FloatArray | None
-    ) -> tuple[Tracked, float]:
-        """The tracker's output at a frame, and its computing time [s]."""
+    def ask(self, time_s: float, answer: Callable[[], Localization]) -> None:
         begun = time.perf_counter()
-        if self._pending is not None and self._pending[0] <= time_s:
-            self._take(self._pending[1])
-            self._pending = None
-        said = self.track.frame(time_s, T_odom_camera, image if self._follows else None)
-        taken_s = time.perf_counter() - begun
-        if self._pending is None and self.track.wants_answer:
-            question = self.track.ask()
-            prior = None
-            if question.prior is not None:
-                sent = question.prior
-                assert sent.quaternion_xyzw is not None
-                pose = Pose.from_quaternion(np.array(sent.position), np.array(sent.quaternion_xyzw))
-                prior = Prior(pose, sent.radius_m, float(np.radians(sent.radius_deg)))
-            self.asked.append(row)
-            asked = time.perf_counter()
-            out = any(outage.start_s <= since_first_s < outage.stop_s for outage in self._outages)
-            answer = None if out else self._answer(image, prior)
-            self.answer_s.append(time.perf_counter() - asked)
-            self._pending = (time_s + (self.answer_s[-1] if self._latency_s is None else self._latency_s), answer)
-        return said, taken_s
+        since_first_s = time_s - (time_s if self._first_s is None else self._first_s)
+        out = any(outage.start_s <= since_first_s < outage.stop_s for outage in self._outages)
+        answered = Answered(time_s, None if out else answer())
+        self.answer_s.append(time.perf_counter() - begun)
+        self._pending = time_s + (self.answer_s[-1] if self._latency_s is None else self._latency_s), answered
 
-    def warm_up(self, image: ByteArray) -> None:
-        """Build the map's index, which a running service has already."""
-        self._answer(image, None)
-
-    def _answer(self, image: ByteArray, prior: Prior | None) -> Localization:
-        localizer = self._localizer
-        return localizer.localize(Query.of_picture(image, localizer.extractor, self._camera, prior=prior))
-
-    def _take(self, answer: Localization | None) -> None:
-        if answer is None or answer.pose is None or answer.covariance is None:
-            self.track.unanswered()
-            return
-        map_ = self._localizer.map
-        matches = AnsweredMatches(
-            answer.inlier_pixels.tolist(), map_.landmarks.positions[answer.inlier_features].tolist()
-        )
-        said = Answer(answer.pose.T_map_camera, answer.covariance, answer.recognized, map_.info.metric)
-        self.track.answered(said, matches)
-
-
-def _readings(imu: Imu | None) -> Iterator[tuple[float, FloatArray, FloatArray]]:
-    """Times, accelerations and rates in the camera's axes."""
-    if imu is None:
-        raise InvalidRecording("The recording has no IMU.", "Use --motion pictures.")
-    if imu.R_camera_imu is None or not imu.includes_gravity:
-        raise InvalidRecording(
-            "The IMU's axes in the camera are not known, or it leaves gravity out.",
-            "Give R_camera_imu in camera.json, or use --motion pictures.",
-        )
-    acceleration, rate = imu.acceleration @ imu.R_camera_imu.T, imu.angular_velocity @ imu.R_camera_imu.T
-    yield from zip(imu.times.tolist(), acceleration, rate, strict=True)
+    def arrived(self, time_s: float) -> Answered | None:
+        self._first_s = time_s if self._first_s is None else self._first_s
+        if self._pending is None or self._pending[0] > time_s:
+            return None
+        (_, answered), self._pending = self._pending, None
+        return answered
 
 
 def _figure(values: FloatArray, quantile: float) -> float | None:

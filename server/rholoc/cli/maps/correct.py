@@ -179,6 +179,32 @@ def names(
 
 
 @app.command()
+def earth(
+    map_file: options.MapFile,
+    point: Annotated[
+        list[str],
+        typer.Option(metavar="X,Y,Z=LAT,LON,H", help="A point of the map and its place, WGS 84, degrees, m; repeat."),
+    ],
+    heading: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Of the map's y axis from true north, clockwise; default: by two points."),
+    ] = None,
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Place the map on Earth by two points or more, or by one and a heading; its frame stays."""
+    import numpy as np
+
+    from rholoc.geometry.earth import EarthPlace
+    from rholoc.mapping import set_earth
+
+    sides = [one.partition("=") for one in point]
+    points = np.array([_vector(left, 3) for left, _, _ in sides])
+    places = [EarthPlace(*_vector(right, 3).tolist()) for _, _, right in sides]
+    _correct(map_file, out, as_json, lambda map_: set_earth(map_, points, places, heading))
+
+
+@app.command()
 def labels(
     map_file: options.MapFile,
     site: Annotated[str | None, typer.Option(help="Such as a building; default: as it was.")] = None,

@@ -13,6 +13,7 @@ from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.features import Extractor, FeatureSet, get_extractor, widened
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
+from rholoc.geometry.earth import enu_of
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import DEFAULT_DEGREE, fit_densities
 from rholoc.mapping.build.depth_cloud import depth_cloud
@@ -30,7 +31,7 @@ from rholoc.mapping.build.self_report import HeldOut, map_report
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.mapping.build.view_choice import choose_views
 from rholoc.mapping.build.view_covariance import storable_covariances
-from rholoc.maps import Cloud, DensityKind, Map, MapInfo, MapWaypoint, Source
+from rholoc.maps import Cloud, DensityKind, Map, MapInfo, MapWaypoint, SiteOnEarth, Source
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Look, Recording, Waypoint
 from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
@@ -92,6 +93,7 @@ def build_map(
     extractor = get_extractor(options.features)
     if options.degree not in DEGREES:
         raise InvalidInput(f"A density of degree {options.degree} cannot be fitted.", "Use 1, 2 or 3.")
+    recordings = _in_one_frame(recordings)
     walks = [_walk(recording, extractor, options, progress) for recording in recordings]
     _check_common_frame(walks)
     views, held_out, looks, pictures = _look(walks, options, progress)
@@ -244,9 +246,36 @@ def _assemble(
         camera=walks[0].trajectory.camera,
         sources=tuple(_source(walk, options) for walk in walks),
         waypoints=tuple(_waypoint(waypoint, walk) for walk in walks for waypoint in walk.recording.waypoints),
+        earth=_earth([waypoint for walk in walks for waypoint in walk.recording.waypoints]),
     )
     map_ = assemble(info, views, landmarks, walk_of_view, extractor.metric)
     return with_landmarks(replace(map_, views=replace(map_.views, covariances=_view_covariances(walks))))
+
+
+def _in_one_frame(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings with all waypoints that are on Earth in metres around the first one of all."""
+    places = [waypoint.earth for recording in recordings for waypoint in recording.waypoints if waypoint.earth]
+    return [
+        replace(
+            recording,
+            waypoints=tuple(
+                replace(waypoint, position=tuple(enu_of(waypoint.earth, places[0]).tolist()))
+                if waypoint.earth
+                else waypoint
+                for waypoint in recording.waypoints
+            ),
+        )
+        for recording in recordings
+    ]
+
+
+def _earth(waypoints: Sequence[Waypoint]) -> SiteOnEarth | None:
+    """Pose on Earth of a map whose frame its waypoints fixed; None if they are not on Earth."""
+    places = [waypoint.earth for waypoint in waypoints if waypoint.earth is not None]
+    if not places or len(places) < len(waypoints):
+        return None
+    positions = np.array([waypoint.position for waypoint in waypoints])
+    return SiteOnEarth.through(positions, places)[0]
 
 
 def _view_covariances(walks: Sequence[_Walk]) -> FloatArray | None:

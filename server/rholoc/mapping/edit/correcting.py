@@ -5,11 +5,13 @@ Each function returns the map's next version, with the correction recorded in ``
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import FloatArray, Similarity
+from rholoc.geometry.earth import EarthPlace
 from rholoc.mapping.edit import frame_from_people as frames
 from rholoc.mapping.edit.cutting import in_region, without_landmarks, without_views
 from rholoc.mapping.edit.moving import move_map
@@ -22,6 +24,8 @@ from rholoc.maps import (
     MapInfo,
     MapLabels,
     MapNames,
+    SiteOnEarth,
+    check_earth,
     check_labels,
     check_names,
     check_plan,
@@ -153,6 +157,22 @@ def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
     kept = None if plan is None else check_plan(content, plan)
     planned = replace(map_, info=replace(map_.info, plan=kept), plan=content if kept else b"")
     return replace(planned, info=noted(planned.info, _correction(map_.info, CorrectionKind.FLOOR_PLAN)))
+
+
+def set_earth(map_: Map, points: FloatArray, places: Sequence[EarthPlace], heading_deg: float | None) -> Map:
+    """Place the map on Earth by points (N, 3) [m] and their places, or by one and the heading of y from true north.
+
+    Raises:
+        InvalidInput: as :meth:`SiteOnEarth.through`, or a number is out of range.
+        Conflict: the map is not upright, or not metric.
+    """
+    if not _upright(map_).info.metric:
+        raise Conflict("The map's unit of length is not the metre.", "Correct its scale first.")
+    for place in places:
+        check_earth(SiteOnEarth(place.latitude_deg, place.longitude_deg, place.height_m, heading_deg or 0.0))
+    earth, missed_m = SiteOnEarth.through(points, places, heading_deg)
+    correction = replace(_correction(map_.info, CorrectionKind.EARTH), residual_m=missed_m)
+    return replace(map_, info=noted(replace(map_.info, earth=earth), correction))
 
 
 def set_labels(map_: Map, labels: MapLabels) -> Map:

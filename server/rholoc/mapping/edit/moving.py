@@ -86,7 +86,10 @@ def _moved_info(info: MapInfo, similarity: Similarity) -> MapInfo:
     )
     names = moved_names(info.names, similarity)
     plan = None if info.plan is None else info.plan.moved(similarity)
-    return replace(info, waypoints=waypoints, names=names, plan=plan, report=_scaled_report(info.report, scale))
+    earth = None if info.earth is None else info.earth.moved(similarity)
+    return replace(
+        info, waypoints=waypoints, names=names, plan=plan, earth=earth, report=_scaled_report(info.report, scale)
+    )
 
 
 def _scaled_report(report: MapReport, scale: float) -> MapReport:

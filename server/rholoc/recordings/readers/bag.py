@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rholoc.errors import InvalidRecording, InvalidTrajectory
-from rholoc.geometry import Camera, pose_matrix
+from rholoc.geometry import R_FORWARD_OPTICAL, Camera, pose_matrix
 from rholoc.recordings.frames.bag import BAG_SUFFIXES, COMPRESSED_IMAGE, IMAGE, BagFrames, opened_bag, picture_size
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, advancing_rows, normalise_imu
 from rholoc.recordings.readers._ros import Mounting, camera_of_info, pose_of, stamp_ns, vector
@@ -49,7 +49,6 @@ _POSES = (
 _TF = "tf2_msgs/msg/TFMessage"
 _DEPTH = ("16UC1", "32FC1")
 _TOLD = 20  # messages of an IMU's topic, to find out its measurements
-_R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 _S_PER_NS = 1e-9
 _MAX_NAMED = 3
 
@@ -279,7 +278,7 @@ def _poses(
         T.append(pose_of(message, connection.topic))
     T_body_camera = mounted.between(body, camera_frame) if body else None
     if T_body_camera is None:
-        R = np.eye(3) if not body or body.endswith("optical_frame") else _R_FORWARD_OPTICAL
+        R = np.eye(3) if not body or body.endswith("optical_frame") else R_FORWARD_OPTICAL
         T_body_camera = pose_matrix(R, np.zeros(3))
     order = np.unique(np.array(times), return_index=True)[1]
     table = PoseTable(np.array(times)[order], np.array(T)[order] @ T_body_camera)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -12,9 +13,11 @@ import numpy as np
 
 from rholoc.errors import InvalidWaypoints
 from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry.earth import EarthPlace, enu_of
 from rholoc.recordings.recording import Waypoint
 from rholoc.recordings.tables.csv_table import parse_number, read_rows, require_columns, shortened
 
+EARTH_COLUMNS = ("lat", "lon", "h")
 MIN_WAYPOINTS = 3
 MAX_WAYPOINTS = 1000
 MAX_NAME_LENGTH = 100
@@ -22,10 +25,11 @@ DEFAULT_SIGMA_M = 0.02
 MIN_SIGMA_M, MAX_SIGMA_M = 0.001, 1.0
 MIN_SPREAD_RATIO = 0.02  # spread across the best-fitting line over spread along it
 
+_MAX_APART_M = 10_000.0
 _NAMES_SHOWN = 5
 _COLUMNS_HINT = (
     "The first row must be name,time,x,y,z or name,frame,x,y,z: seconds or a frame's number, metres; or name,x,y,z, "
-    "the rows in the order of the walk, where the camera paused at each."
+    "the rows in the order of the walk, where the camera paused at each; or lat,lon,h instead of x,y,z."
 )
 
 
@@ -51,6 +55,8 @@ class FrameTimes(Protocol):
 def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
     """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``, or ``name,x,y,z`` in their order.
 
+    With ``lat,lon,h`` (WGS 84, degrees and metres) instead of ``x,y,z`` they are placed on Earth.
+
     A further column ``sigma`` is the standard deviation of each in metres; 0.02 if it is absent or empty.
 
     They may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
@@ -62,15 +68,18 @@ def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
     """
     header, rows = read_rows(path, InvalidWaypoints, MAX_WAYPOINTS)
     moment = next((column for column in ("time", "frame") if column in header), None)
-    if moment is None and not {"name", "x", "y", "z"} <= set(header):
+    coordinates = EARTH_COLUMNS if "lat" in header else ("x", "y", "z")
+    if moment is None and not {"name", *coordinates} <= set(header):
         raise InvalidWaypoints(f"{path.name} has other columns: '{shortened(','.join(header))}'.", _COLUMNS_HINT)
     if moment != "frame" and not frames.timed:
         raise InvalidWaypoints(
             f"{path.name} does not say in which picture each waypoint is, and the pictures have no times.",
             "Use the columns name,frame,x,y,z, or add frames.csv with the pictures' times.",
         )
-    require_columns(path, header, ("name", *([moment] if moment else []), "x", "y", "z"), InvalidWaypoints)
-    waypoints = tuple(_waypoint(row, line, moment, path, frames) for line, row in enumerate(rows, start=2))
+    require_columns(path, header, ("name", *([moment] if moment else []), *coordinates), InvalidWaypoints)
+    waypoints = tuple(_waypoint(row, line, moment, coordinates, path, frames) for line, row in enumerate(rows, start=2))
+    if coordinates == EARTH_COLUMNS:
+        waypoints = _on_earth(waypoints)
     _require_enough(waypoints)
     counted = Counter(waypoint.name for waypoint in waypoints)
     repeated = sorted(name for name, count in counted.items() if count > 1)
@@ -126,7 +135,23 @@ def _require_enough(waypoints: Sequence[Waypoint]) -> None:
         )
 
 
-def _waypoint(row: dict[str, str], line: int, moment: str | None, path: Path, frames: FrameTimes) -> Waypoint:
+def _on_earth(waypoints: Sequence[Waypoint]) -> tuple[Waypoint, ...]:
+    """Waypoints whose positions are latitude, longitude and height, in metres around the first one."""
+    places = [EarthPlace(*waypoint.position) for waypoint in waypoints]
+    if any(abs(place.latitude_deg) > 90 or abs(place.longitude_deg) > 180 for place in places):
+        raise InvalidWaypoints("A waypoint has no place on Earth.", "Give lat of -90 to 90°, lon of -180 to 180°.")
+    placed = []
+    for waypoint, place in zip(waypoints, places, strict=True):
+        east, north, up = enu_of(place, places[0]).tolist()
+        if max(map(abs, (east, north, up))) > _MAX_APART_M:
+            raise InvalidWaypoints(f"Waypoint {waypoint.name} is over 10 km from the first.", "Check lat and lon.")
+        placed.append(replace(waypoint, position=(east, north, up), earth=place))
+    return tuple(placed)
+
+
+def _waypoint(
+    row: dict[str, str], line: int, moment: str | None, coordinates: Sequence[str], path: Path, frames: FrameTimes
+) -> Waypoint:
     name = row["name"]
     if not name:
         raise InvalidWaypoints(f"{path.name}, row {line}: the waypoint has no name.")
@@ -135,7 +160,7 @@ def _waypoint(row: dict[str, str], line: int, moment: str | None, path: Path, fr
             f"{path.name}, row {line}: '{shortened(name)}' is not a valid waypoint name.",
             f"Use at most {MAX_NAME_LENGTH} printable characters.",
         )
-    x, y, z = (parse_number(row[column], path, line, column, InvalidWaypoints) for column in ("x", "y", "z"))
+    x, y, z = (parse_number(row[column], path, line, column, InvalidWaypoints) for column in coordinates)
     sigma_m = _sigma_m(row, line, path)
     if moment is None:
         return Waypoint(name, float("nan"), (x, y, z), sigma_m)

@@ -12,6 +12,7 @@ from rholoc.library import MapLibrary, SiteLibrary
 from rholoc.localization import AnyLocalizer, MapFinder
 from rholoc.service.caller import ASKER
 from rholoc.service.frames.answers import LocalizationOut, PlacesOut, late_answer
+from rholoc.service.frames.geoposes import GeoPoseKind
 from rholoc.service.frames.landscape import LandscapeOut, landscape_of
 from rholoc.service.frames.learning import Learner
 from rholoc.service.frames.live import Live
@@ -20,7 +21,7 @@ from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame
 from rholoc.service.frames.several_frames import Frames, localize_frames
 from rholoc.service.frames.single_frame import likeliest_places, localize_frame
-from rholoc.service.frames.site_answers import in_site
+from rholoc.service.frames.site_answers import on_earth
 from rholoc.service.http.metrics import Metrics
 from rholoc.service.http.stopwatch import Stopwatch, frame_deadline_s
 from rholoc.service.settings import Settings
@@ -93,6 +94,7 @@ class Answerer:
             frame_deadline_s(frame.options.deadline_ms, self.settings),
             frame.effort,
             None if prior is None else prior.position,
+            frame.options.geopose,
         )
 
     async def localize_together(self, frames: Frames, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
@@ -104,6 +106,7 @@ class Answerer:
             clock,
             deadline_s,
             Effort.LARGE,
+            geopose=frames.query.geopose,
         )
 
     async def places(self, frame: Frame, maps: MapChoice, clock: Stopwatch, most: int) -> PlacesOut:
@@ -129,13 +132,20 @@ class Answerer:
         deadline_s: float,
         effort: Effort,
         expected: Sequence[float] | None = None,
+        geopose: GeoPoseKind | None = None,
     ) -> LocalizationOut:
         """Answer of ``localize`` in a thread; a refusal at the deadline. ``expected`` is the prior's position."""
+
+        def work(localizers: LocalizerSource) -> LocalizationOut:
+            answer = localize(localizers)
+            own = None if geopose is None or not answer.localized else localizers.get(answer.map).map.info.earth
+            return on_earth(answer, self.sites, maps.site, own, geopose)
+
         await self.check_known(maps.names if maps.named else ())
         try:
             async with asyncio.timeout(deadline_s - clock.elapsed_s):
                 answer = await self._compute(
-                    lambda localizers: in_site(localize(localizers), self.sites, maps.site),
+                    work,
                     effort,
                     maps.named,
                     lambda answer: answer.localized,

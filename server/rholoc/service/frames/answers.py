@@ -10,6 +10,7 @@ from pydantic import Field
 from rholoc.geometry import FloatArray, Pose
 from rholoc.localization import TOO_LITTLE_TIME, AnyLocalizer, Cause, Localization, Reason
 from rholoc.maps import areas_at, points_near, trust_of
+from rholoc.service.frames.geoposes import GeoPoseOut
 from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.trajectory import Scale
@@ -138,6 +139,11 @@ class LocalizationOut(AnswerModel):
     )
     site: SitePoseOut | None = Field(
         default=None, description="the pose in the frame of the map's site; null without one"
+    )
+    geopose: GeoPoseOut | None = Field(
+        default=None,
+        description="the camera on Earth as OGC GeoPose 1.0, where `geopose` asks for it and the map or its site has a "
+        "place on Earth; the body's axes are x forward, y left, z up",
     )
     timings_ms: dict[str, float] = Field(
         description="milliseconds: queue, load (of a map that was not in memory), decode, extract, match, seed, "

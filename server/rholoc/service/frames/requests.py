@@ -8,6 +8,7 @@ from pydantic import FailFast, Field
 
 from rholoc.features import Channel
 from rholoc.localization import Dof, Intrinsics
+from rholoc.service.frames.geoposes import GeoPoseKind
 from rholoc.service.http.models import CameraIn, Number, Quaternion, RequestModel, Vector3
 
 DeadlineMs = Annotated[float | None, Field(gt=0, le=600_000, description="how long the answer may take")]
@@ -21,6 +22,12 @@ MaxSigmaM = Annotated[
 ]
 MaxSigmaDeg = Annotated[
     float | None, Field(gt=0, le=180, description="the rotation's, degrees; a less exact pose is withheld")
+]
+
+
+GeoPose = Annotated[
+    GeoPoseKind | None,
+    Field(description="the answer has a GeoPose, if the map or its site has a place on Earth"),
 ]
 
 
@@ -62,6 +69,7 @@ class LocalizeOptions(RequestModel):
     with_matches: bool = Field(
         default=False, description="whether the answer lists the matches that agree with the pose"
     )
+    geopose: GeoPose = None
 
 
 class FirstError(FailFast):
@@ -121,3 +129,4 @@ class FramesQuery(RequestModel):
     deadline_ms: DeadlineMs = None
     max_sigma_m: MaxSigmaM = None
     max_sigma_deg: MaxSigmaDeg = None
+    geopose: GeoPose = None

@@ -2,39 +2,78 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from rholoc.errors import InvalidInput, NotFound
-from rholoc.geometry import Pose
+from rholoc.geometry import FloatArray, Pose
 from rholoc.library import SiteLibrary
 from rholoc.mapping import pose_in_site
-from rholoc.maps import Site, SiteMap
+from rholoc.maps import Site, SiteMap, SiteOnEarth
 from rholoc.service.frames.answers import EarthOut, LocalizationOut, SitePoseOut
+from rholoc.service.frames.geoposes import GeoPoseKind, geopose_of
 
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 
 
-def in_site(answer: LocalizationOut, sites: SiteLibrary, asked: str | None = None) -> LocalizationOut:
-    """Add the pose in the frame of the site ``asked``, by default of the first site with the map."""
+@dataclass(frozen=True, eq=False)
+class _InSite:
+    """A camera's pose in a site: T_site_camera (4, 4), and its covariance (6, 6) [m, rad] or None."""
+
+    name: str
+    site: Site
+    member: SiteMap
+    T_site_camera: FloatArray
+    covariance: FloatArray | None
+
+
+def on_earth(
+    answer: LocalizationOut,
+    sites: SiteLibrary,
+    asked: str | None,
+    own: SiteOnEarth | None,
+    kind: GeoPoseKind | None,
+) -> LocalizationOut:
+    """Add the pose in the frame of a site, and a GeoPose.
+
+    Args:
+        answer: of a map.
+        sites: the sites.
+        asked: the site asked for; default: the first one with the map.
+        own: the map's own pose on Earth, or None: then the site's is used.
+        kind: encoding of the GeoPose; None: none was asked for.
+    """
+    if answer.pose is None:
+        return answer
+    found = _in_site(answer, sites, asked)
+    update: dict[str, object] = {} if found is None else {"site": _pose_out(found)}
+    if kind is not None and own is not None:
+        update["geopose"] = geopose_of(np.array(answer.pose.T_map_camera), own, kind)
+    elif kind is not None and found is not None and found.site.earth is not None:
+        update["geopose"] = geopose_of(found.T_site_camera, found.site.earth, kind)
+    return answer.model_copy(update=update) if update else answer
+
+
+def _in_site(answer: LocalizationOut, sites: SiteLibrary, asked: str | None) -> _InSite | None:
     name = asked or sites.site_of(answer.map)
     if answer.pose is None or name is None:
-        return answer
+        return None
     try:
         site = sites.get(name)
     except (NotFound, InvalidInput):  # deleted meanwhile
-        return answer
+        return None
     member = site.member(answer.map)
     if member is None or member.pose is None:
-        return answer
-    return answer.model_copy(update={"site": _pose_out(name, site, member, answer)})
-
-
-def _pose_out(name: str, site: Site, member: SiteMap, answer: LocalizationOut) -> SitePoseOut:
-    assert answer.pose is not None
-    scale = np.outer(_DEGREES, _DEGREES)
-    known = None if answer.covariance is None else np.array(answer.covariance) / scale
+        return None
+    known = None if answer.covariance is None else np.array(answer.covariance) / np.outer(_DEGREES, _DEGREES)
     T_site_camera, covariance = pose_in_site(member, np.array(answer.pose.T_map_camera), known)
-    pose, earth = Pose(T_site_camera), None
+    return _InSite(name, site, member, T_site_camera, covariance)
+
+
+def _pose_out(found: _InSite) -> SitePoseOut:
+    site, covariance = found.site, found.covariance
+    pose, earth = Pose(found.T_site_camera), None
     if site.earth is not None:
         there = site.earth.place(pose.position)
         heading_deg = site.earth.heading_deg_of(pose.heading)
@@ -45,12 +84,12 @@ def _pose_out(name: str, site: Site, member: SiteMap, answer: LocalizationOut) -
             heading_deg=heading_deg,
         )
     return SitePoseOut(
-        site=name,
+        site=found.name,
         version=site.version,
-        floor=member.floor,
+        floor=found.member.floor,
         position=pose.position.tolist(),
         heading=pose.heading.tolist(),
         quaternion_xyzw=pose.quaternion_xyzw.tolist(),
-        covariance=None if covariance is None else (covariance * scale).tolist(),
+        covariance=None if covariance is None else (covariance * np.outer(_DEGREES, _DEGREES)).tolist(),
         earth=earth,
     )

@@ -10,6 +10,7 @@ from pydantic import Field
 from rholoc import mapping
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import FloatArray
+from rholoc.geometry.earth import EarthPlace
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint
 from rholoc.service.http.models import Number, RequestModel, Vector2, Vector3
 
@@ -115,6 +116,25 @@ class NamesIn(_CorrectionIn):
     areas: list[NamedAreaIn] = Field(default_factory=list)
 
 
+class EarthPoint(RequestModel):
+    """A point of the map, and where it is on Earth, WGS 84."""
+
+    map: Vector3 = Field(description="present frame")
+    latitude_deg: Number
+    longitude_deg: Number
+    height_m: Number = Field(default=0.0, description="above the ellipsoid")
+
+
+class EarthIn(_CorrectionIn):
+    """The map is placed on Earth by two points or more, or by one and a heading; its frame stays as it is."""
+
+    kind: Literal["earth"]
+    points: list[EarthPoint] = Field(min_length=1, max_length=100)
+    heading_deg: Number | None = Field(
+        default=None, description="of the map's y axis: degrees from true north, clockwise; default: by the points"
+    )
+
+
 class LabelsIn(_CorrectionIn):
     """The map's site, floor and tags, replacing those that it has."""
 
@@ -125,7 +145,7 @@ class LabelsIn(_CorrectionIn):
 
 
 CorrectionIn = Annotated[
-    OriginIn | NorthIn | WallIn | UpIn | ScaleIn | PlanIn | RegionIn | WalkIn | NamesIn | LabelsIn,
+    OriginIn | NorthIn | WallIn | UpIn | ScaleIn | PlanIn | RegionIn | WalkIn | NamesIn | EarthIn | LabelsIn,
     Field(discriminator="kind"),
 ]
 
@@ -168,6 +188,10 @@ def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
             return mapping.remove_views(map_, wanted.first_view, wanted.last_view)
         case NamesIn():
             return mapping.set_names(map_, _names(wanted))
+        case EarthIn():
+            points = _vector([one.map for one in wanted.points]).reshape(-1, 3)
+            places = [EarthPlace(one.latitude_deg, one.longitude_deg, one.height_m) for one in wanted.points]
+            return mapping.set_earth(map_, points, places, wanted.heading_deg)
         case LabelsIn():
             return mapping.set_labels(map_, MapLabels(wanted.site, wanted.floor, tuple(wanted.tags)))
 

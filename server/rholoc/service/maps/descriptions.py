@@ -17,6 +17,7 @@ from rholoc.maps import (
     MapNames,
     MapOutline,
     MapWaypoint,
+    SiteOnEarth,
     Source,
     consistency_m,
     expected_error_m,
@@ -77,6 +78,9 @@ class MapDetail(MapSummary):
     corrections: tuple[Correction, ...] = Field(description="what people corrected in it, the latest last")
     plan: FloorPlan | None = Field(
         description="the floor plan that it keeps, and where it lies; null where there is none"
+    )
+    earth: SiteOnEarth | None = Field(
+        description="where its frame lies on Earth (WGS 84; heading of its y axis from true north); null where unknown"
     )
     points: int = Field(description="how many further points of the room it keeps, for people to see")
     pictures: bool = Field(description="whether it keeps pictures of its views, and this server shows them")
@@ -169,6 +173,7 @@ def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> 
         "names": map_.info.names,
         "corrections": map_.info.corrections,
         "plan": map_.info.plan,
+        "earth": map_.info.earth,
         "points": len(map_.cloud),
         "pictures": map_.views.pictures is not None,
         "levelling": None if rotation is None else rotation.tolist(),

@@ -13,11 +13,12 @@ from rholoc.service.routes import (
     sites,
     uploads,
 )
-from rholoc.service.routes.frames import localize, track
+from rholoc.service.routes.frames import geopose, localize, track
 from rholoc.service.routes.maps import contents, editing, library
 
 _RESOURCES = (
     localize,
+    geopose,
     track,
     library,
     contents,

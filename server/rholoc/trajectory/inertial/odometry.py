@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
-from rholoc.geometry import FloatArray, pose_matrix
+from rholoc.geometry import FloatArray, interpolated_poses
 from rholoc.recordings import Odometry
 
 _LONGEST_GAP_S = 1.0  # between rows
@@ -24,9 +23,7 @@ def odometry_steps(odometry: Odometry, times: FloatArray) -> Iterator[tuple[int,
     inside = np.flatnonzero((times >= rows[0]) & (times <= rows[-1]))
     if len(inside) < 2 or len(rows) < 2:
         return
-    R = Slerp(rows, Rotation.from_matrix(odometry.T_odom_camera[:, :3, :3]))(times[inside]).as_matrix()
-    places = np.column_stack([np.interp(times[inside], rows, axis) for axis in odometry.T_odom_camera[:, :3, 3].T])
-    T = pose_matrix(R, places)
+    T = interpolated_poses(rows, odometry.T_odom_camera, times[inside])
     variances = [
         np.interp(times[inside], rows, np.concatenate([[0.0], np.cumsum(sigma[1:] ** 2)]))
         for sigma in (odometry.sigma_m, odometry.sigma_rad)

@@ -69,6 +69,11 @@ class OptionParameters:
         bool | None, Query(description="whether the answer lists the matches that agree with the pose")
     ] = None
 
+    geopose: Annotated[
+        str | None,
+        Query(description="quaternion, ypr or advanced: the answer has a GeoPose", examples=["quaternion"]),
+    ] = None
+
     def options(self) -> dict[str, Any]:
         """The given options as fields of :class:`LocalizeOptions`."""
         camera = _given(
@@ -97,6 +102,7 @@ class OptionParameters:
             max_sigma_m=self.max_sigma_m,
             max_sigma_deg=self.max_sigma_deg,
             with_matches=self.with_matches,
+            geopose=self.geopose,
         )
 
 

@@ -1,4 +1,4 @@
-"""``rholoc track``: runs a tracker over a recording."""
+"""``rholoc evaluate-track``: runs a tracker over a recording."""
 
 from __future__ import annotations
 
@@ -23,16 +23,10 @@ if TYPE_CHECKING:
 _UNITS = {"median_cm": "cm", "p90_cm": "cm", "worst_cm": "cm", "worst_deg": "°", "answer_ms": "ms"}
 
 
-def track(
+def evaluate_track(
     map_file: options.MapFile,
     source: options.Source,
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            metavar="odometry|imu|pictures",
-            help="What the tracker knows of motion; default: odometry where it is given, else pictures.",
-        ),
-    ] = None,
+    motion: options.MotionOption = None,
     odometry: Annotated[
         Path | None,
         typer.Option(metavar="POSES", help="Poses by odometry, in a frame of their own: poses.txt or Table 6 CSV."),
@@ -63,13 +57,14 @@ def track(
     plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Where a plot of the errors goes.")] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Track a camera through a recording, asking the map now and then, and print the error at every frame."""
+    """Track a camera through a recording as a robot would, and print the error at every frame."""
     import numpy as np
 
     from rholoc.localization import localizer_of
     from rholoc.maps import load_map
     from rholoc.recordings import read_recording
-    from rholoc_lab.evaluation.tracking import Motion, drifting_odometry, run_tracker
+    from rholoc.tracking import Motion
+    from rholoc_lab.evaluation.tracking import drifting_odometry, run_tracker
 
     localizer = localizer_of(load_map(map_file))
     recording = read_recording(source, camera=options.named_camera(camera), frames=frames, topics=topic or ())

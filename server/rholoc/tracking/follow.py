@@ -1,0 +1,171 @@
+"""The client's tracker on a map of this machine: it follows moments, and a localizer answers its questions."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from rholoc.errors import InvalidInput
+from rholoc.geometry import ByteArray, Camera, Pose
+from rholoc.localization import AnyLocalizer, Localization, Prior, Query
+from rholoc.tracking.moments import Moment, Motion
+from rholoc_client.errors import InvalidTrack
+from rholoc_client.models import Camera as ClientCamera
+from rholoc_client.tracking import Answer, AnsweredMatches, FollowedTrack, Question, Tracked, TrackOptions
+
+
+@dataclass(frozen=True, eq=False)
+class Answered:
+    """The localizer's answer about the frame of ``time_s``; None where there was none."""
+
+    time_s: float
+    localization: Localization | None
+
+
+class Answering(Protocol):
+    """When the localizer answers. One question is open at a time."""
+
+    def ask(self, time_s: float, answer: Callable[[], Localization]) -> None:
+        """Take a question about the frame of ``time_s``."""
+        ...
+
+    def arrived(self, time_s: float) -> Answered | None:
+        """The answer to the open question, if it has arrived by the frame of ``time_s``."""
+        ...
+
+
+class AtOnce:
+    """Answers come with the frame that was asked about, so that a run is reproducible."""
+
+    def __init__(self) -> None:
+        self._answered: Answered | None = None
+
+    def ask(self, time_s: float, answer: Callable[[], Localization]) -> None:
+        """As :meth:`Answering.ask`."""
+        self._answered = Answered(time_s, answer())
+
+    def arrived(self, time_s: float) -> Answered | None:
+        """As :meth:`Answering.arrived`."""
+        answered, self._answered = self._answered, None
+        return answered
+
+
+class InBackground:
+    """Answers come when a thread has computed them."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="localizer")
+        self._pending: tuple[float, Future[Localization]] | None = None
+
+    def ask(self, time_s: float, answer: Callable[[], Localization]) -> None:
+        """As :meth:`Answering.ask`."""
+        self._pending = time_s, self._thread.submit(answer)
+
+    def arrived(self, time_s: float) -> Answered | None:
+        """As :meth:`Answering.arrived`."""
+        if self._pending is None or not self._pending[1].done():
+            return None
+        (asked_s, future), self._pending = self._pending, None
+        return Answered(asked_s, future.result())
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What is known at a frame.
+
+    Attributes:
+        moment: the frame.
+        tracked: the tracker's output.
+        asked: whether the frame was sent to the localizer.
+        answer: the answer that arrived, about this frame or one before; None where none did.
+        track_s: computing time of the tracker.
+    """
+
+    moment: Moment
+    tracked: Tracked
+    asked: bool
+    answer: Answered | None
+    track_s: float
+
+    @property
+    def sigma_m(self) -> float:
+        """Expected RMS position error; NaN without a pose."""
+        covariance = self.tracked.covariance
+        return math.nan if covariance is None else math.sqrt(sum(covariance[axis][axis] for axis in range(3)))
+
+
+def follow(
+    localizer: AnyLocalizer,
+    camera: Camera,
+    motion: Motion,
+    moments: Iterable[Moment],
+    answering: Answering | None = None,
+    options: TrackOptions | None = None,
+) -> Iterator[Step]:
+    """Track a camera in a map.
+
+    Args:
+        localizer: of the map; it answers the tracker's questions.
+        camera: of the frames.
+        motion: the tracker's source of motion.
+        moments: the frames in order.
+        answering: when answers come; default: at once.
+        options: of the tracker.
+
+    Raises:
+        InvalidInput: times do not increase, odometry is not rigid motion, or the map is not metric.
+    """
+    answering = answering or AtOnce()
+    track = FollowedTrack(options, ClientCamera(**camera.to_dict()) if motion is Motion.PICTURES else None)
+    is_waiting = False
+    try:
+        for moment in moments:
+            begun = time.perf_counter()
+            answer = answering.arrived(moment.time_s)
+            if answer is not None:
+                is_waiting = False
+                _take(track, localizer, answer)
+            for reading in moment.readings:
+                track.imu(*reading)
+            image = moment.image if motion is Motion.PICTURES else None
+            tracked = track.frame(moment.time_s, moment.T_odom_camera, image)
+            track_s = time.perf_counter() - begun
+            asked = not is_waiting and track.wants_answer
+            if asked:
+                is_waiting = True
+                answering.ask(moment.time_s, _asking(localizer, camera, moment.image, track.ask()))
+                prompt = answering.arrived(moment.time_s)
+                if prompt is not None:
+                    is_waiting, answer = False, prompt
+                    _take(track, localizer, prompt)
+                    tracked = track.now()
+            yield Step(moment, tracked, asked, answer, track_s)
+    except InvalidTrack as error:
+        raise InvalidInput(str(error), "Check the recording's times, and the odometry.") from error
+
+
+def _asking(
+    localizer: AnyLocalizer, camera: Camera, image: ByteArray, question: Question
+) -> Callable[[], Localization]:
+    """How a question about an image is answered."""
+    prior, sent = None, question.prior
+    if sent is not None:
+        pose = Pose.from_quaternion(np.array(sent.position), np.array(sent.quaternion_xyzw))
+        prior = Prior(pose, sent.radius_m, float(np.radians(sent.radius_deg)))
+    return lambda: localizer.localize(Query.of_picture(image, localizer.extractor, camera, prior=prior))
+
+
+def _take(track: FollowedTrack, localizer: AnyLocalizer, answered: Answered) -> None:
+    answer, map_ = answered.localization, localizer.map
+    if answer is None or answer.pose is None or not answer.localized or answer.covariance is None:
+        track.unanswered()
+        return
+    matches = AnsweredMatches(answer.inlier_pixels.tolist(), map_.landmarks.positions[answer.inlier_features].tolist())
+    said = Answer(answer.pose.T_map_camera, answer.covariance, answer.recognized, map_.info.metric)
+    track.answered(said, matches)

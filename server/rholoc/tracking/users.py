@@ -1,0 +1,102 @@
+"""Users of a track's steps: counts, Table 6, a bag."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Protocol
+
+import numpy as np
+
+from rholoc.maps import TrajectoryTable
+from rholoc.tracking.follow import Step
+from rholoc.tracking.pose_bag import PoseBag
+from rholoc_client.tracking import TrackStatus
+from rholoc_client.tracking.rigid import in_radians
+
+
+class StepUser(Protocol):
+    """Takes in the steps of a track, one after the other."""
+
+    def take(self, step: Step) -> None:
+        """Take in a step."""
+        ...
+
+
+class Tally:
+    """Counts of a track's steps."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[TrackStatus] = Counter()
+        self._track_s: list[float] = []
+        self._first_s: float | None = None
+        self._asked = 0
+        self._last: Step | None = None
+
+    def take(self, step: Step) -> None:
+        """As :meth:`StepUser.take`."""
+        self._first_s = step.moment.time_s if self._first_s is None else self._first_s
+        self._counts[step.tracked.status] += 1
+        self._track_s.append(step.track_s)
+        self._asked += step.asked
+        self._last = step
+
+    def figures(self) -> dict[str, float | int | None]:
+        """Summary of all steps."""
+        last, first_s = self._last, self._first_s
+        seconds = 0.0 if last is None or first_s is None else last.moment.time_s - first_s
+        return {
+            "frames": self._counts.total(),
+            "seconds": round(seconds, 2),
+            "searching": self._counts[TrackStatus.SEARCHING],
+            "lost": self._counts[TrackStatus.LOST],
+            "asked": self._asked,
+            "asked_per_s": round(self._asked / max(seconds, 1e-9), 2) if seconds else None,
+            "answers_used": 0 if last is None else last.tracked.answers,
+            "answers_rejected": 0 if last is None else last.tracked.rejected,
+            "resets": 0 if last is None else last.tracked.reset_counter,
+            "tracker_ms_per_frame": round(1e3 * float(np.median(self._track_s)), 2) if self._track_s else None,
+        }
+
+
+class TableOfTrack:
+    """Table 6 of a track: a row for each frame at which it was not searching or lost."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, int, np.ndarray, float]] = []
+
+    def take(self, step: Step) -> None:
+        """As :meth:`StepUser.take`."""
+        if step.tracked.status is TrackStatus.TRACKING and step.tracked.pose is not None:
+            T_map_camera = np.array(step.tracked.pose.T_map_camera)
+            self._rows.append((step.moment.time_s, step.moment.number, T_map_camera, step.sigma_m))
+
+    def table(self) -> TrajectoryTable:
+        """The rows so far; confidences and inliers are unknown between answers."""
+        count = len(self._rows)
+        return TrajectoryTable(
+            times=np.array([time_s for time_s, _, _, _ in self._rows], dtype=np.float64),
+            frames=np.array([number for _, number, _, _ in self._rows], dtype=np.int64),
+            T_map_camera=np.reshape([T for _, _, T, _ in self._rows], (-1, 4, 4)).astype(np.float64),
+            confidences=np.full(count, np.nan),
+            inliers=np.zeros(count, dtype=np.int64),
+            expected_errors_m=np.array([sigma_m for _, _, _, sigma_m in self._rows], dtype=np.float64),
+        )
+
+
+class BagOfTrack:
+    """Writes steps to a bag: poses while tracking, nothing while searching or lost but the status."""
+
+    def __init__(self, bag: PoseBag) -> None:
+        self._bag = bag
+
+    def take(self, step: Step) -> None:
+        """As :meth:`StepUser.take`."""
+        time_s, tracked = step.moment.time_s, step.tracked
+        self._bag.status(time_s, tracked.status.value)
+        if step.answer is not None and step.answer.localization is not None:
+            found = step.answer.localization
+            self._bag.belief(time_s, found.recognized, found.confidence)
+        if tracked.status is TrackStatus.TRACKING and tracked.pose is not None and tracked.covariance is not None:
+            T_map_odom = None if tracked.T_map_odom is None else np.array(tracked.T_map_odom)
+            T_map_camera = np.array(tracked.pose.T_map_camera)
+            self._bag.pose(time_s, T_map_camera, in_radians(tracked.covariance), T_map_odom)
