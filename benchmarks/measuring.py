@@ -30,7 +30,6 @@ _FIT_SCALES = np.array([0.05] * 3 + [0.01] * 3 + [0.02])  # rad, rad/s, s
 _FIT_SCALE_RAD = np.radians(0.2)  # errors beyond count less and less in the fit
 START_SECONDS = 60  # by which a service answers
 _REACH = 0.15  # of an interval: how far the distance of two frames in time may be from it
-_STANDS_FOR_S = 0.5  # a placed frame covers this much of the recording before and behind it
 
 
 # -- rotations -------------------------------------------------------------------------------------------------------
@@ -166,21 +165,6 @@ def position_errors(T_map_camera: FloatArray, truth: FloatArray) -> dict[str, An
     similarity = umeyama(T_map_camera[:, :3, 3], truth[:, :3, 3])
     off_cm = 100 * np.linalg.norm(similarity.points(T_map_camera[:, :3, 3]) - truth[:, :3, 3], axis=1)
     return {"rms_cm": rounded(np.sqrt(np.mean(off_cm**2))), **{f"{k}_cm": v for k, v in spread(off_cm).items()}}
-
-
-def coverage(recording_times: FloatArray, placed_times: FloatArray) -> dict[str, Any]:
-    """Which part of a recording has a placed frame nearby, and the longest time without one."""
-    inner = np.sort(placed_times)
-    edges = np.concatenate([[recording_times[0]], inner, [recording_times[-1]]])
-    distance = np.full(len(recording_times), np.inf)
-    if len(inner):
-        nearest = np.clip(np.searchsorted(inner, recording_times), 1, max(len(inner) - 1, 1))
-        around = np.stack([inner[nearest - 1], inner[np.minimum(nearest, len(inner) - 1)]])
-        distance = np.abs(around - recording_times).min(axis=0)
-    return {
-        "covered_percent": rounded(100 * float((distance <= _STANDS_FOR_S).mean()), 1),
-        "longest_gap_s": rounded(float(np.diff(edges).max()), 1),
-    }
 
 
 # -- time and memory -------------------------------------------------------------------------------------------------

@@ -1,20 +1,22 @@
-"""How much of a recording is placed, and how rightly: rholoc's trajectory beside plain pycolmap on the same recording.
+"""How much of a recording is placed, and how rightly: rholoc's trajectory beside plain pycolmap on the same pictures.
 
-    python benchmarks/placed.py [bedroom_night android_livingroom euroc_v101 redkitchen room building] [--json FILE]
-        [--as walk set shuffled half 1hz 0.5hz mixed] [--methods rholoc incremental global] [--hz 6] [--seconds 120]
-        [--cache DIR] [--timeout 1800]
+    python benchmarks/placed.py [redkitchen corridor_lidar/scan splat_desk euroc_v101 bedroom_night android_livingroom
+        room building] [--as walk set shuffled 2hz 1hz 0.5hz half mixed] [--methods rholoc incremental global] [--hz 6]
+        [--seconds 120] [--cache DIR] [--timeout 1800] [--json FILE] [--write]
 
-Plain pycolmap: its own SIFT, sequential pairs and mappers with default options, the recording's intrinsics where they
-are known, ``--hz`` pictures a second; of several models the one with most pictures counts. rholoc: video and IMU as
-they are, waypoints and given poses left out, its own choice of keyframes. For each: pictures placed of those given;
-the share of the recording within half a second of a placed picture, and the longest gap, which compare the two
-whatever pictures they chose; seconds; degrees by which turns over 1, 10 and 60 s are off, against the truth or else
-the gyroscope; and where there is truth, centimetres after a similarity alignment. ``room`` and ``building`` are
-simulated, the latter ``--seconds`` long. The last lines name every recording of which plain pycolmap places more.
+``--as``: as they are (``walk``: video and IMU, ``--hz`` pictures a second for pycolmap), or a folder of pictures
+without IMU, poses and depth. Without times: two pictures a second (``set``), the same in any order and without
+intrinsics (``shuffled``), every second of them (``half``), with another recording's among them (``mixed``). With times:
+two, one or half a picture a second. A recording without times counts as a film of 30 Hz if it has more than 300
+pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, the latter ``--seconds`` long.
 
-``--as``: as they are (``walk``), or a folder of pictures without IMU. Without times: two pictures a second, or some
-forty (``set``), the same in any order (``shuffled``), every second of them (``half``), with the desk's among them
-(``mixed``). With times: one or half a picture a second. pycolmap then tries all pairs of up to 100 untimed pictures.
+Plain pycolmap: its own SIFT, its mappers with default options, the intrinsics that the folder states; all pairs of up
+to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. rholoc: default options.
+
+For each: pictures placed of those given, wall-clock and CPU seconds a picture; where there is truth, centimetres after
+a similarity alignment and the error that rholoc expects, in the same unit; else degrees by which turns are off the
+gyroscope's. The last lines judge rholoc beside the better of pycolmap's mappers. With ``--write`` the judgements go to
+benchmarks/results/placed.json. ``--cache`` keeps simulated walks and pycolmap's answers.
 """
 
 from __future__ import annotations
@@ -23,8 +25,12 @@ import argparse
 import itertools
 import json
 import multiprocessing
+import os
+import pickle
+import queue
 import tempfile
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,19 +40,18 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
+from figures import Figure, write_results
 from measuring import (
     SHARED_DATA,
-    coverage,
     flat,
     gyroscope_errors,
-    measured,
     position_errors,
     print_table,
     rotation_errors,
     rounded,
 )
 from rholoc.errors import RholocError
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, umeyama
 from rholoc.maps import read_trajectory_csv
 from rholoc.recordings import CameraFile, Recording, read_recording, write_camera_json, write_frames_csv
 from rholoc.recordings.selection import SelectedFrames
@@ -55,32 +60,35 @@ from rholoc.trajectory.visual.loop_candidates import MAX_EXHAUSTIVE
 from rholoc_lab.simulation.sites import Site, simulate_site
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"
-KINDS = ("walk", "set", "shuffled", "half", "1hz", "0.5hz", "mixed")
-NAMES = ("bedroom_night", "android_livingroom", "euroc_v101", "redkitchen", "room", "building")
+KINDS = ("walk", "set", "shuffled", "2hz", "1hz", "0.5hz", "half", "mixed")
+NAMES = ("redkitchen", "corridor_lidar/scan", "splat_desk", "euroc_v101", "bedroom_night", "android_livingroom")
 METHODS = ("rholoc", "incremental", "global")
 COLUMNS = {
     "recording": "recording",
     "as": "as",
     "method": "method",
     "placed": "placed",
-    "covered_percent": "covered %",
-    "longest_gap_s": "gap s",
+    "given": "of",
+    "right": "right",
     "models": "models",
-    "seconds": "seconds",
-    "against": "against",
+    "s_a_picture": "s/picture",
+    "cpu_s_a_picture": "CPU s/picture",
+    "position median_cm": "median cm",
+    "position worst_cm": "worst cm",
+    "expected_cm": "expected cm",
     "1s median": "1 s",
     "10s median": "10 s",
     "10s worst": "10 s worst",
-    "60s median": "60 s",
-    "60s worst": "60 s worst",
-    "position median_cm": "median cm",
-    "position worst_cm": "worst cm",
     "trusted": "trusted",
-    "expected_cm": "expected cm",
     "failed": "failed",
 }
-_UNTIMED = 40  # pictures of a set of a recording without times, which count as taken at 2 Hz
-_MORE_PERCENT = 2.0  # of a recording, by which plain pycolmap must be ahead to be named
+_SET_HZ = 2.0
+_FILM_HZ, _FILM = 30.0, 300  # pictures without times, from which they count as a film
+_FEWEST = 8  # pictures of a set that is worth comparing
+_RIGHT = 0.05  # of the walk's extent, by which a pose may be off to count as right
+_MAX_RATIO = 1.2  # of rholoc's median error to that of the better of pycolmap's mappers
+_NEGLIGIBLE_CM = 0.1  # by which rholoc's median may be larger in any case: the truth is not better known
+_MAX_SURPRISE = 3.0  # of a trusted map's median error to the one that it expects
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,67 +116,84 @@ def walk_of(name: str, data: Path, cache: Path, seconds: float) -> Walk:
     return Walk(replace(recording, poses=None), truth)
 
 
-def as_pictures(walk: Walk, kind: str, folder: Path) -> Walk:
-    """The walk as a folder of pictures, see the head of this file."""
-    recording, frames = walk.recording, walk.recording.frames
-    hz = 0.5 if kind == "0.5hz" else 1.0 if kind == "1hz" else 2.0
-    between_s = float(np.median(np.diff(frames.times))) if frames.timed else _UNTIMED / (2 * len(frames.times))
-    step = max(1, round(1 / hz / between_s))
-    rows = np.arange(0, len(frames.times), step)[:: 2 if kind == "half" else 1]
+def as_pictures(walk: Walk, kind: str, folder: Path, other: Recording | None) -> Walk:
+    """The walk as a folder of pictures, see the head of this file; ``other`` is mixed with it."""
+    recording = walk.recording
+    hz = float(kind.removesuffix("hz")) if kind.endswith("hz") else _SET_HZ
+    rows = _rows_at(recording, hz)[:: 2 if kind == "half" else 1]
     numbers = np.random.default_rng(0).permutation(len(rows)) if kind == "shuffled" else np.arange(len(rows))
     folder.mkdir(exist_ok=True)
-    for number, image in zip(numbers.tolist(), frames.images(rows.tolist()), strict=True):
-        cv2.imwrite(str(folder / f"{number:05d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
-    truth = np.full((len(rows), 4, 4), np.nan) if walk.truth is None else walk.truth[rows[np.argsort(numbers)]]
-    if kind == "mixed":
-        for number, image in enumerate(read_recording(SHARED_DATA / "splat_desk").frames.images(range(29)), len(rows)):
-            cv2.imwrite(str(folder / f"{number:05d}.jpg"), image)
-        truth = np.concatenate([truth, np.full((29, 4, 4), np.nan)])
-    elif recording.camera is not None:
+    for number, image in zip(numbers.tolist(), recording.frames.images(rows.tolist()), strict=True):
+        _write(folder, number, image)
+    truth = None if walk.truth is None else walk.truth[rows[np.argsort(numbers)]]
+    if other is not None:
+        added = _rows_at(other, _SET_HZ)
+        for number, image in enumerate(other.frames.images(added.tolist()), len(rows)):
+            _write(folder, number, image)
+        if truth is not None:
+            truth = np.concatenate([truth, np.full((len(added), 4, 4), np.nan)])
+    elif recording.camera is not None and kind != "shuffled":
         write_camera_json(folder / "camera.json", CameraFile(recording.camera))
-    if kind.endswith("hz") and frames.timed:
-        write_frames_csv(folder / "frames.csv", np.arange(len(rows)), frames.times[rows])
-    return Walk(read_recording(folder), None if walk.truth is None else truth)
+    if kind.endswith("hz"):
+        times = recording.frames.times[rows] if recording.frames.timed else np.arange(len(rows)) / hz
+        write_frames_csv(folder / "frames.csv", np.arange(len(rows)), times)
+    return Walk(read_recording(folder), truth)
 
 
-def by_rholoc(recording: Recording, hz: float) -> dict[str, Any]:
-    """The poses that rholoc finds: rows, T_map_camera and how many were to be placed."""
-    method = PoseMethod.VISUAL if recording.imu is None else PoseMethod.VISUAL_INERTIAL
-    found = estimate_trajectory(recording, method)
-    placed = {"rows": found.rows, "T": found.T_map_camera, "asked": found.report.keyframes, "models": 1}
-    return placed | {"trusted": found.report.trusted, "expected_m": found.report.expected_error_m}
+def _write(folder: Path, number: int, image: ByteArray) -> None:
+    cv2.imwrite(str(folder / f"{number:05d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
 
 
-def by_pycolmap(recording: Recording, hz: float, mapper: Callable[..., Any]) -> dict[str, Any]:
+def _rows_at(recording: Recording, hz: float) -> IntArray:
+    """Rows of so many pictures a second, at most all."""
+    frames = recording.frames
+    untimed_s = 1 / (_FILM_HZ if len(frames.times) > _FILM else _SET_HZ)
+    between_s = float(np.median(np.diff(frames.times))) if frames.timed else untimed_s
+    return np.arange(0, len(frames.times), max(1, round(1 / hz / between_s)))
+
+
+def by_rholoc(recording: Recording, hz: float | None) -> dict[str, Any]:
+    """The poses that rholoc finds: rows, T_map_camera and how many were given."""
+    found = estimate_trajectory(recording, PoseMethod.AUTO)
+    given = len(recording.frames.times) if hz is None else found.report.keyframes
+    placed = {"rows": found.rows, "T": found.T_map_camera, "given": given, "models": 1, "trusted": found.report.trusted}
+    if found.covariances is not None:
+        variances = np.nan_to_num(np.trace(found.covariances[:, :3, :3], axis1=1, axis2=2), nan=np.inf)
+        placed["expected"] = float(np.median(np.sqrt(variances)))
+    return placed
+
+
+def by_pycolmap(recording: Recording, hz: float | None, mapper: Callable[..., Any]) -> dict[str, Any]:
     """The poses of the largest of plain pycolmap's models."""
     times = recording.frames.times
-    step = max(1, round(1 / hz / float(np.median(np.diff(times)))))
+    step = 1 if hz is None else max(1, round(1 / hz / float(np.median(np.diff(times)))))
     rows = np.arange(0, len(times), step)
     frames = SelectedFrames(recording.frames, rows)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "images").mkdir()
+        sizes = set()
         for i, image in enumerate(frames.images(range(len(rows)))):
             cv2.imwrite(str(folder / "images" / f"{i:06d}.png"), image)
+            sizes.add(image.shape)
         reader = pycolmap.ImageReaderOptions()
         if recording.camera is not None:
             reader.camera_model, reader.camera_params = "OPENCV", colmap_intrinsics(recording.camera)
         database = folder / "database.db"
-        pycolmap.extract_features(
-            database, folder / "images", camera_mode=pycolmap.CameraMode.SINGLE, reader_options=reader
-        )
-        if recording.frames.timed or len(rows) > MAX_EXHAUSTIVE:
+        mode = pycolmap.CameraMode.SINGLE if len(sizes) == 1 else pycolmap.CameraMode.AUTO
+        pycolmap.extract_features(database, folder / "images", camera_mode=mode, reader_options=reader)
+        if len(rows) > MAX_EXHAUSTIVE:
             pycolmap.match_sequential(database)
         else:
             pycolmap.match_exhaustive(database)
         models = mapper(database, folder / "images", folder).values()
     best = max(models, key=lambda model: model.num_reg_images(), default=None)
     if best is None:
-        return {"rows": rows[:0], "T": np.zeros((0, 4, 4)), "asked": len(rows), "models": 0}
+        return {"rows": rows[:0], "T": np.zeros((0, 4, 4)), "given": len(rows), "models": 0}
     placed = sorted((image.name, image) for image in best.images.values() if image.has_pose)
     T = [np.vstack([image.cam_from_world().inverse().matrix(), [0, 0, 0, 1]]) for _, image in placed]
     chosen = rows[[int(Path(name).stem) for name, _ in placed]]
-    return {"rows": chosen, "T": np.array(T), "asked": len(rows), "models": len(models)}
+    return {"rows": chosen, "T": np.array(T), "given": len(rows), "models": len(models)}
 
 
 def colmap_intrinsics(camera: Camera) -> str:
@@ -180,99 +205,181 @@ def colmap_intrinsics(camera: Camera) -> str:
 def made(name: str, kind: str, options: argparse.Namespace, cache: Path) -> Walk:
     """A recording as it is asked for."""
     walk = walk_of(name, options.data, cache, options.seconds)
-    return walk if kind == "walk" else as_pictures(walk, kind, cache / f"{name.replace('/', '-')}-{kind}")
+    if kind == "walk":
+        return walk
+    other = "splat_desk" if name != "splat_desk" else "android_livingroom"
+    mixed = walk_of(other, options.data, cache, options.seconds).recording if kind == "mixed" else None
+    return as_pictures(walk, kind, cache / f"{name.replace('/', '-')}-{kind}", mixed)
 
 
 def _work(name: str, kind: str, method: str, options: argparse.Namespace, cache: Path, answers: Any) -> None:
     """In a process of its own: a mapper may crash or never end."""
     pycolmap.logging.minloglevel = 3  # fatal errors alone
     recording = made(name, kind, options, cache).recording
+    hz = options.hz if kind == "walk" else None
+    begun, busy = time.monotonic(), os.times()
     try:
         if method == "rholoc":
-            answers.put(by_rholoc(recording, options.hz))
+            found = by_rholoc(recording, hz)
         else:
             mapper = pycolmap.incremental_mapping if method == "incremental" else pycolmap.global_mapping
-            answers.put(by_pycolmap(recording, options.hz, mapper))
+            found = by_pycolmap(recording, hz, mapper)
     except RholocError as error:
-        answers.put({"failed": str(error)})
+        found = {"failed": f"{error.message} {error.hint}", "given": len(recording.frames.times)}
+    found["seconds"] = time.monotonic() - begun
+    found["cpu_seconds"] = sum(now - before for now, before in zip(os.times()[:4], busy[:4], strict=True))
+    answers.put(found)
+
+
+def answer_of(name: str, kind: str, method: str, options: argparse.Namespace, cache: Path) -> dict[str, Any]:
+    """A method's answer; pycolmap's is kept in the cache."""
+    kept = cache / f"{name.replace('/', '-')}-{kind}-{method}.pickle"
+    if method != "rholoc" and kept.exists():
+        return dict(pickle.loads(kept.read_bytes()))
+    spawn = multiprocessing.get_context("spawn")
+    answers = spawn.Queue()
+    process = spawn.Process(target=_work, args=(name, kind, method, options, cache, answers))
+    process.start()
+    found: dict[str, Any] = {"failed": f"did not end within {options.timeout:.0f} s"}
+    deadline = time.monotonic() + options.timeout
+    while time.monotonic() < deadline:
+        try:
+            found = answers.get(timeout=1.0)
+            break
+        except queue.Empty:
+            if not process.is_alive() and answers.empty():
+                found = {"failed": f"crashed with exit status {process.exitcode}"}
+                break
+    if process.is_alive() and "seconds" not in found:
+        process.terminate()
+    process.join()
+    kept.write_bytes(pickle.dumps(found))
+    return found
 
 
 def measure(name: str, kind: str, method: str, options: argparse.Namespace, cache: Path) -> dict[str, Any]:
     """One row of the table."""
+    found = answer_of(name, kind, method, options, cache)
     walk = made(name, kind, options, cache)
-    spawn = multiprocessing.get_context("spawn")
-    answers = spawn.Queue()
-    process = spawn.Process(target=_work, args=(name, kind, method, options, cache, answers))
-    with measured() as cost:
-        process.start()
-        found: dict[str, Any] = {"failed": f"did not end within {options.timeout:.0f} s"}
-        waited_s = 0.0
-        while waited_s < options.timeout:
-            try:
-                found = answers.get(timeout=1.0)
-                break
-            except Exception:
-                waited_s += 1.0
-                if not process.is_alive() and answers.empty():
-                    found = {"failed": f"crashed with exit status {process.exitcode}"}
-                    break
-        if process.is_alive() and "failed" in found:
-            process.terminate()
-        process.join()
-    row: dict[str, Any] = {"recording": name, "as": kind, "method": method, "seconds": rounded(cost.seconds, 0)}
-    row["peak_mb"] = rounded(cost.peak_mb, 0)
-    if "failed" in found:
-        return {**row, "failed": found["failed"], "covered_percent": 0.0}
-    rows, T, times = found["rows"], found["T"], walk.recording.frames.times
-    row |= {"placed": f"{len(rows)}/{found['asked']}", "models": found["models"], **coverage(times, times[rows])}
-    if not walk.recording.frames.timed:
-        row["covered_percent"] = rounded(100 * len(rows) / found["asked"], 1)
-    if found.get("expected_m") is not None:
-        row |= {"trusted": found["trusted"], "expected_cm": rounded(100 * found["expected_m"], 1)}
-    if len(rows) < 3:
+    row: dict[str, Any] = {"recording": name, "as": kind, "method": method, "placed": len(found.get("rows", ()))}
+    if "given" in found:
+        row["given"] = found["given"]
+    if "seconds" in found:
+        row["s_a_picture"] = rounded(found["seconds"] / found["given"])
+        row["cpu_s_a_picture"] = rounded(found["cpu_seconds"] / found["given"])
+    row |= {key: found[key] for key in ("failed", "models", "trusted") if key in found}
+    if row["placed"] < 3:
         return row
-    known = np.ones(len(rows), bool) if walk.truth is None else np.isfinite(walk.truth[rows]).all(axis=(1, 2))
-    if walk.truth is not None and known.sum() >= 3:
+    rows, T, times = found["rows"], found["T"], walk.recording.frames.times
+    known = np.zeros(len(rows), bool) if walk.truth is None else np.isfinite(walk.truth[rows]).all(axis=(1, 2))
+    if known.sum() >= 3:
         truth = walk.truth[rows[known]]
-        row |= {"against": "truth", "position": position_errors(T[known], truth)}
-        row |= rotation_errors(times[rows[known]], T[known, :3, :3], Rotation.from_matrix(truth[:, :3, :3]))
-    elif walk.recording.imu is not None:
-        row |= {"against": "gyroscope", **gyroscope_errors(times[rows], T[:, :3, :3], walk.recording.imu)}
+        scale = umeyama(T[known, :3, 3], truth[:, :3, 3]).scale
+        row |= {"position": position_errors(T[known], truth), "right": _right(T[known], truth)}
+        if "expected" in found:
+            row["expected_cm"] = rounded(100 * scale * found["expected"])
+        if walk.recording.frames.timed:
+            row |= rotation_errors(times[rows[known]], T[known, :3, :3], Rotation.from_matrix(truth[:, :3, :3]))
+    else:
+        imu = walk_of(name, options.data, cache, options.seconds).recording.imu
+        if imu is not None and walk.recording.frames.timed:
+            row |= gyroscope_errors(times[rows], T[:, :3, :3], imu)
     return row
+
+
+def _right(T: FloatArray, truth: FloatArray) -> int:
+    """Number of poses (N, 4, 4) within a share of the walk's extent of the truth."""
+    positions, true = T[:, :3, 3], truth[:, :3, 3]
+    off = np.linalg.norm(umeyama(positions, true).points(positions) - true, axis=1)
+    return int((off <= _RIGHT * np.linalg.norm(np.ptp(true, axis=0))).sum())
+
+
+def judged(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """How rholoc compares with the better of pycolmap's mappers on the same pictures: the one that places most.
+
+    Where the truth is known, pictures count that are placed about right. Of mappers that place as many to one in
+    twenty, the one with the smaller median error is the better.
+    """
+    placed = {row["method"]: row.get("right", row["placed"]) for row in rows}
+    by_method = {row["method"]: row for row in rows}
+    ours, others = by_method["rholoc"], [by_method[name] for name in METHODS[1:] if name in by_method]
+    most = max(placed[row["method"]] for row in others)
+    own_cm = ours.get("position median_cm")
+    better_cm = min(
+        (
+            row["position median_cm"]
+            for row in others
+            if "position median_cm" in row and placed[row["method"]] >= 0.95 * most
+        ),
+        default=None,
+    )
+    found = {"recording": ours["recording"], "as": ours["as"], "placed": placed["rholoc"], "by pycolmap": most}
+    found |= {"median cm": own_cm, "pycolmap's": better_cm} if own_cm is not None else {}
+    judgement = [] if placed["rholoc"] >= most else ["fewer"]
+    allowed_cm = np.inf if better_cm is None else max(_MAX_RATIO * better_cm, better_cm + _NEGLIGIBLE_CM)
+    if own_cm is not None and own_cm > allowed_cm:
+        judgement.append("less exact")
+    if ours.get("trusted") and own_cm is not None and own_cm > _MAX_SURPRISE * ours.get("expected_cm", np.inf):
+        judgement.append("trusted, but wrong")
+    return found | {"judgement": ", ".join(judgement) or "as good"}
+
+
+def figures_of(judgements: Sequence[dict[str, Any]], table: Sequence[dict[str, Any]]) -> dict[str, Figure]:
+    """What the documents quote."""
+
+    def share(word: str) -> Figure:
+        found = [word not in one["judgement"] for one in judgements]
+        return Figure(round(100 * float(np.mean(found)), 1), 5.0, True)
+
+    seconds = [row["cpu_s_a_picture"] for row in table if row["method"] == "rholoc" and "cpu_s_a_picture" in row]
+    return {
+        "placed.cases": Figure(len(judgements), 0, True),
+        "placed.as_many_percent": share("fewer"),
+        "placed.as_exact_percent": share("less exact"),
+        "placed.honest_percent": share("wrong"),
+        "placed.cpu_s_a_picture": Figure(round(float(np.median(seconds)), 2), 0.3, False),
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recordings", nargs="*", default=NAMES, help=", ".join(NAMES) + ", or a folder of the data")
-    parser.add_argument("--as", nargs="+", choices=KINDS, default=["walk"], dest="kinds")
+    parser.add_argument("--as", nargs="+", choices=KINDS, default=KINDS[1:], dest="kinds")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     parser.add_argument("--data", type=Path, default=SHARED_DATA)
-    parser.add_argument("--hz", type=float, default=6.0, help="pictures a second that plain pycolmap is given")
+    parser.add_argument("--hz", type=float, default=6.0, help="pictures a second of a walk that pycolmap is given")
     parser.add_argument("--seconds", type=float, default=120.0, help="of the building's walk")
     parser.add_argument("--timeout", type=float, default=1800.0, help="seconds that one of them may take")
-    parser.add_argument("--cache", type=Path, help="where the simulated recordings are kept")
+    parser.add_argument("--cache", type=Path, help="where simulated walks and pycolmap's answers are kept")
     parser.add_argument("--json", type=Path, help="where the table goes as JSON, too")
-    arguments = parser.parse_args()
+    parser.add_argument("--write", action="store_true", help="write benchmarks/results/placed.json")
+    options = parser.parse_args()
     table: list[dict[str, Any]] = []
+    judgements: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for name in arguments.recordings:
-            for kind, method in itertools.product(arguments.kinds, arguments.methods):
-                table.append(flat(measure(name, kind, method, arguments, arguments.cache or Path(folder))))
-                row = table[-1]
-                placed = f"{row['placed']} placed" if "placed" in row else row["failed"]
-                covers = f"covers {row['covered_percent']} %, {row['seconds']} s"
-                print(f"{name} as {kind}, {method}: {placed}, {covers}", flush=True)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(table, indent=2) + "\n")
-    shown = [{title: row[key] for key, title in COLUMNS.items() if key in row} for row in table]
-    print_table(shown, list(COLUMNS.values()))
-    for name, kind in itertools.product(arguments.recordings, arguments.kinds):
-        some = [row for row in table if (row["recording"], row["as"]) == (name, kind)]
-        covered = {row["method"]: row["covered_percent"] for row in some}
-        for method in set(covered) - {"rholoc"} if "rholoc" in covered else ():
-            if covered[method] > covered["rholoc"] + _MORE_PERCENT:
-                both = f"{covered[method]} %, rholoc {covered['rholoc']} %"
-                print(f"{name} as {kind}: pycolmap's {method} mapper covers {both}")
+        cache = options.cache or Path(folder)
+        cache.mkdir(parents=True, exist_ok=True)
+        for name, kind in itertools.product(options.recordings, options.kinds):
+            recording = walk_of(name, options.data, cache, options.seconds).recording
+            if kind != "walk" and len(_rows_at(recording, _SET_HZ)) < 2 * _FEWEST and kind not in ("set", "shuffled"):
+                continue
+            rows = []
+            for method in options.methods:
+                rows.append(flat(measure(name, kind, method, options, cache)))
+                shown = {key: value for key, value in rows[-1].items() if key in COLUMNS}
+                print(" ".join(f"{key}={value}" for key, value in shown.items()), flush=True)
+            table += rows
+            if "rholoc" in options.methods and len(rows) > 1:
+                judgements.append(judged(rows))
+                print(judgements[-1], flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(table, indent=2) + "\n")
+    shown_rows = [{title: row[key] for key, title in COLUMNS.items() if key in row} for row in table]
+    print_table(shown_rows, list(COLUMNS.values()))
+    print_table(judgements, ["recording", "as", "placed", "by pycolmap", "median cm", "pycolmap's", "judgement"])
+    if options.write:
+        command = "python benchmarks/placed.py --write"
+        write_results("placed", figures_of(judgements, table), command)
 
 
 if __name__ == "__main__":

@@ -70,21 +70,19 @@ _HOLDS = (1e-2, 0.3, 10.0)  # increasing strengths of the points' prior, each us
 
 @dataclass(frozen=True)
 class CameraSigmas:
-    """Prior standard deviations of the intrinsics.
+    """Prior standard deviations of the intrinsics. The principal point is held: pictures of a room hardly fix it.
 
     Attributes:
         focal: of the focal length, relative.
-        centre: of the principal point, as a share of the image's width.
         distortion: of k1 and k2.
     """
 
     focal: float
-    centre: float
     distortion: float
 
 
-GUESSED = CameraSigmas(0.05, 0.01, 0.15)
-GIVEN = CameraSigmas(5e-4, 1e-5, 0.01)  # most calibrations leave some distortion uncertain
+GUESSED = CameraSigmas(0.05, 0.15)
+GIVEN = CameraSigmas(5e-4, 0.01)  # most calibrations leave some distortion uncertain
 
 
 @dataclass(frozen=True)
@@ -389,9 +387,9 @@ def _add_sightings(
 
 def _camera_prior(camera: Camera, sigmas: CameraSigmas) -> gtsam.noiseModel.Base:
     """Prior on the intrinsics with fx = fy and radial distortion."""
-    focal, centre = sigmas.focal * camera.focal, sigmas.centre * camera.width
+    focal = sigmas.focal * camera.focal
     radial = [sigmas.distortion**2] * 2
-    covariance = np.diag([0.0, 0.0, _FIXED, centre**2, centre**2, *radial, _FIXED, _FIXED])
+    covariance = np.diag([0.0, 0.0, _FIXED, _FIXED, _FIXED, *radial, _FIXED, _FIXED])
     covariance[:2, :2] = focal**2
     covariance[[0, 1], [0, 1]] += (1e-3 * focal) ** 2
     return gtsam.noiseModel.Gaussian.Covariance(covariance)

@@ -36,7 +36,7 @@ from rholoc.trajectory.reconstruction.rounds import (
     adjusted_in_rounds,
     camera_sigmas,
 )
-from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights
+from rholoc.trajectory.reconstruction.sights import ADVICE, MANY_FEATURES, Evidence, Sights
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
@@ -110,7 +110,7 @@ def solve_from_set(
             f"Reconstructions of these pictures contradict each other: {agreement.why}",
             "Take more pictures in between, from places half a step apart, and let each show half of the one before.",
         )
-    part, evidence = _with_weak_pairs(parts[0], sights, camera, evidence, progress)
+    part, evidence = _refined(parts[0], sights, camera, evidence, progress)
     found = _finished(sights, evidence, part, waypoints, reason, progress)
     if agreement is not None and agreement.common < _MOST * len(part.members):
         agreement = Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members))
@@ -168,18 +168,16 @@ def _placed_by(
     return replace(part, in_metres=mapper is Mapper.DEPTH)
 
 
-def _with_weak_pairs(
+def _refined(
     part: _Part, sights: Sights, camera: Camera, evidence: Evidence, progress: AdjustmentProgress
 ) -> tuple[_Part, Evidence]:
-    """The part adjusted to the weak pairs that fit it, with further pictures by those of these pictures.
+    """The part adjusted to more sightings and the weak pairs that fit it, with further pictures that these place.
 
     Returns the part as it is if they bend it.
     """
     more = _fitting(part, sights, camera, evidence)
-    if not more:
-        return part, evidence
     richer = replace(evidence, sequential=[*evidence.sequential, *more], weak=[])
-    whole = with_depths(richer.observations(sights), sights.depth, camera)
+    whole = with_depths(richer.observations(sights, MANY_FEATURES), sights.depth, camera)
     start = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
     try:
         found = _adjusted(sights, whole, start, progress, (0.75, 0.85))

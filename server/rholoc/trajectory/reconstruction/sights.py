@@ -24,6 +24,7 @@ from rholoc.trajectory.visual.two_view import PairRotation
 
 _CORNERS_PER_KEYFRAME = 90
 _FEATURES_PER_KEYFRAME = 150
+MANY_FEATURES = 400  # per keyframe, for the last adjustment of a set of pictures
 _USUAL_KEYFRAMES = 1000
 _FOLLOWED = 60  # corners that neighbouring keyframes share, in the median, where pictures are close enough to follow
 ADVICE = "Walk slower, keep more texture in view."
@@ -103,12 +104,12 @@ class Evidence:
         """Between pairs of keyframes."""
         return [*self.turned, *(pair.rotation for pair in (*self.sequential, *self.loops))]
 
-    def observations(self, sights: Sights) -> Observations:
-        """Of the points that corners and matches are of; in long walks fewer of each keyframe."""
+    def observations(self, sights: Sights, features: int = _FEATURES_PER_KEYFRAME) -> Observations:
+        """Sightings of corners and of about so many matched features per keyframe; fewer of both in long walks."""
         share = min(1.0, np.sqrt(_USUAL_KEYFRAMES / len(sights.rows)))
         places = [features.pixels.astype(np.float64) for features in sights.features]
         matched = matched_features(places, [*self.sequential, *self.loops])
-        matched = matched.thinned(round(share * _FEATURES_PER_KEYFRAME))
+        matched = matched.thinned(round(share * features))
         found = self.corners.thinned(round(share * _CORNERS_PER_KEYFRAME)).joined(matched)
         if len(found) == 0:
             raise MappingFailed("The pictures show nothing that could be followed from one to the next.", ADVICE)

@@ -13,6 +13,7 @@ _FEW_KEYFRAMES = 60
 _LONGEST_S = 1.4  # between keyframes of a camera at rest
 _SHORTEST_S = 0.08  # between any two
 MAX_PICTURES = 300  # of a set that are all used; of larger ones those least alike
+_SPARSE_S = 0.4  # between frames, from which each of up to MAX_PICTURES is used, however little the camera moves
 _FILM_SHARE, _FILM_CORNERS = 0.2, 40  # maximum share of a film's frames with fewer shared corners
 _FILM_MOTION = 0.02  # from frame to frame in the mean, as a share of the image's longer side
 
@@ -20,12 +21,14 @@ _FILM_MOTION = 0.02  # from frame to frame in the mean, as a share of the image'
 def is_film(flow: Flow) -> bool:
     """Whether the frames form a continuous video.
 
-    False for a set of pictures and for a thinned-out film. Up to ``MAX_PICTURES`` frames without times are a set.
+    False for a set of pictures and for a thinned-out film. Up to ``MAX_PICTURES`` frames are a set if they have no
+    times or if seconds pass between them.
     """
-    if not flow.timed and len(flow.times) <= MAX_PICTURES:
-        return False
     shared = flow.shared_with_next
     if len(shared) == 0 or float(np.quantile(shared, _FILM_SHARE)) < _FILM_CORNERS:
+        return False
+    is_sparse = not flow.timed or float(np.median(np.diff(flow.times))) >= _SPARSE_S
+    if is_sparse and len(flow.times) <= MAX_PICTURES:
         return False
     return len(flow.times) > MAX_PICTURES or float(np.mean(flow.motion[1:])) <= _FILM_MOTION
 
