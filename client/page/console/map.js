@@ -13,7 +13,7 @@ import { liveView } from "./live.js";
 import { expectedError, placeOf } from "./maps.js";
 import { facts, loading, page, skeletons } from "./parts.js";
 import { SceneView } from "./scene.js";
-import { readPoints, readScene } from "./scene_data.js";
+import { readPoints, readRoom, readScene } from "./scene_data.js";
 import { share } from "./share.js";
 
 const FORMATS = [
@@ -83,6 +83,7 @@ export async function showScene(view, map, signal) {
   view.offerCloud(map.points, async () => readPoints(await fetched("points")));
   view.featureOf = (number) => get(path`v1/maps/${map.name}/features/${number}`, { signal });
   view.showMap(readScene(await fetched("scene")), map.waypoints, map.scale === "metric", map.names, map.levelling);
+  if (map.room) view.showRoom(readRoom(await fetched("room")));
   if (map.plan) view.showPlan(await keptPlan(map, signal));
 }
 

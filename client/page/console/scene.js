@@ -1,5 +1,5 @@
-// A map in 3-D: landmarks in the colours of the pictures or by uncertainty, more points of the room on demand, the walk,
-// waypoints, the map's axes, and the pose that was found. z is up; a map that is not upright is levelled for display.
+// A map in 3-D: the room's surfaces, landmarks in the colours of the pictures or by uncertainty, more points on demand, the
+// walk, waypoints, the map's axes, and the pose that was found. z is up; a map that is not upright is levelled for display.
 
 import { resolvedColour } from "../shared/colours.js";
 import { busy, fill, h } from "../shared/dom.js";
@@ -9,9 +9,22 @@ import { fittingDistance, lookAt, multiply, perspective, project, rotation } fro
 import { painterOf } from "./painter.js";
 import { planLines } from "./plan_lines.js";
 import { presenceLines } from "./presence_lines.js";
+import { bestTurn, boundsOf, surfaces } from "./room.js";
 import { inOrder, quantiles, SHOWN, shuffledOrder } from "./samples.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
-import { band, cross, ellipsoid, floor, floorOf, frustum, headings, outlines, segments, walk } from "./scene_lines.js";
+import {
+  band,
+  cross,
+  ellipsoid,
+  floor,
+  floorOf,
+  frustum,
+  headings,
+  outlines,
+  segments,
+  squares,
+  walk,
+} from "./scene_lines.js";
 import { Status } from "./track.js";
 
 const FIELD_OF_VIEW = 0.9; // rad
@@ -62,8 +75,13 @@ export class SceneView {
     this.legend = h("div", { class: "scene-legend small", hidden: true });
     this.said = h("div", { class: "scene-said small", role: "status", hidden: true });
     this.levelled = h("p", { class: "scene-levelled small", hidden: true }, t`Levelled for display: up is estimated`);
-    this.paint = h("button", { type: "button", hidden: true, onclick: () => this.colourBy(!this.coloured) });
+    this.paint = h("button", { type: "button", hidden: true, onclick: () => this.switchColours() });
     this.more = h("button", { type: "button", hidden: true, onclick: () => busy(this.more, () => this.toggleCloud()) });
+    this.solid = h(
+      "button",
+      { type: "button", hidden: true, "aria-pressed": "true", onclick: () => this.showSolid(!this.isSolid) },
+      t`Surfaces`,
+    );
     this.planned = h(
       "button",
       { type: "button", hidden: true, "aria-pressed": "true", onclick: () => this.togglePlan() },
@@ -74,6 +92,7 @@ export class SceneView {
       { class: "scene-tools" },
       h("button", { type: "button", onclick: () => this.lookDown() }, t`From above`),
       h("button", { type: "button", onclick: () => this.reset() }, t`Whole room`),
+      this.solid,
       this.paint,
       this.more,
       this.planned,
@@ -95,6 +114,8 @@ export class SceneView {
     this.coloured = false;
     this.levelling = LEVEL;
     this.count = this.budget = 0;
+    this.room = null;
+    this.home = HOME;
     this.cloud = null;
     this.pictureOf = null; // gives the address of a view's picture, where pictures are kept
     this.featureOf = null; // gives where a landmark may be seen from, and the views that saw it
@@ -159,12 +180,41 @@ export class SceneView {
     this.paint.hidden = !scene.colours;
     for (const [name, axis, colour] of AXES)
       this.setLines(`axis ${name}`, colour, [0, 0, 0, ...axis.map((value) => AXIS * value)]);
-    this.setLines("floor", "--line", inOtherAxes(floor(level), 3, transposed(this.levelling)));
+    this.setLines("floor", "--line", this.inMapAxes(floor(level)));
     this.setLines("areas", "--accent", outlines(names.areas, z));
     this.setLines("walk", "--ink", walk(scene.views));
     this.setLines("headings", "--muted", headings(scene.views));
     this.colourBy(scene.colours !== null);
     this.lookAtAll(level, inOtherAxes(scene.views, STRIDE_VIEW, this.levelling));
+  }
+
+  /** Show a room (of `readRoom`) as surfaces, instead of landmarks. */
+  showRoom(room) {
+    this.room = surfaces(room, this.levelling);
+    this.painter.setSurface(this.room.positions, this.room.tints, this.room.triangles);
+    const bounds = boundsOf(this.room);
+    this.floor = bounds[2][0];
+    this.corners = cornersOf(bounds);
+    this.home = { turn: bestTurn(this.room), tilt: HOME.tilt };
+    this.setLines("floor", "--line", this.inMapAxes(squares(bounds)));
+    this.solid.hidden = false;
+    this.showSolid(true);
+    this.reset();
+  }
+
+  /** Draw the room's surfaces, or landmarks. */
+  showSolid(solid) {
+    this.solid.ariaPressed = String(solid);
+    this.redraw();
+  }
+
+  get isSolid() {
+    return this.room !== null && this.solid.ariaPressed === "true";
+  }
+
+  /** Lines in level axes as the map's own frame has them. */
+  inMapAxes(lines) {
+    return inOtherAxes(lines, 3, transposed(this.levelling));
   }
 
   /** Draw a floor plan, as `keptPlan` gives it, on the floor. */
@@ -192,6 +242,7 @@ export class SceneView {
   async toggleCloud() {
     this.cloud = this.cloud ? null : await this.loadCloud();
     this.more.textContent = this.cloud ? this.less : this.most;
+    this.showSolid(false);
     this.setPoints();
   }
 
@@ -208,6 +259,11 @@ export class SceneView {
     const order = shuffledOrder(this.count);
     this.painter.setPoints(inOrder(all, 3, order), inOrder(allTints, 3, order));
     this.redraw();
+  }
+
+  switchColours() {
+    this.colourBy(!this.coloured);
+    this.showSolid(false);
   }
 
   /** Paint landmarks in the colours of the pictures, or by how uncertain they are. */
@@ -374,13 +430,13 @@ export class SceneView {
       if (landmarks.length) ends.push(...quantiles(landmarks, axis, FRAMED));
       return ends.length ? [Math.min(...ends), Math.max(...ends)] : [-1, 1];
     });
-    this.corners = Array.from({ length: 8 }, (_, i) => spans.map((span, axis) => span[(i >> axis) & 1]));
+    this.corners = cornersOf(spans);
     this.pointSize = Math.max(POINT_SIZE, (SPREAD * diagonal(spans)) / Math.sqrt(landmarks.length / STRIDE_LANDMARK));
     this.reset();
   }
 
   reset() {
-    this.showWhole(HOME);
+    this.showWhole(this.home);
   }
 
   /** Look at the whole room from a direction, from as near as its bulk fills the picture. */
@@ -457,7 +513,8 @@ export class SceneView {
     this.painter.paint({
       matrix,
       background: this.colour("--surface"),
-      count: this.restless ? this.budget : this.count,
+      surface: this.isSolid,
+      count: this.isSolid ? 0 : this.restless ? this.budget : this.count,
       size: this.pointSize * height,
       styles: [...this.styles].map(([name, { token, alpha }]) => [name, [...this.colour(token), alpha]]),
     });
@@ -504,6 +561,9 @@ const backwards = (turn, tilt) => [Math.cos(turn) * Math.cos(tilt), Math.sin(tur
 
 /** Height of the picture [rad]; in a picture that stands, its width is the usual one. */
 const fieldOfView = (aspect) => (aspect < 1 ? 2 * Math.atan(Math.tan(FIELD_OF_VIEW / 2) / aspect) : FIELD_OF_VIEW);
+
+/** The corners of a box with these ends along each axis. */
+const cornersOf = (spans) => Array.from({ length: 8 }, (_, i) => spans.map((span, axis) => span[(i >> axis) & 1]));
 
 const diagonal = (spans) => Math.hypot(...spans.map(([low, high]) => high - low));
 
