@@ -18,7 +18,7 @@ from rholoc.maps import Cloud, map_to_bytes
 
 MAGENTA = (230, 20, 160)
 
-# Draws the same surface, random points and lines, also such that leave the picture, with both painters. None lies behind
+# Draws the same surface, points and lines, some of which leave the picture, with both painters. None lies behind
 # the camera: SwiftShader does not draw lines that begin there.
 PAINTED = """async () => {
     const { GlPainter } = await import('/web/console/gl_painter.js');

@@ -12,6 +12,7 @@ import { learningText } from "./learning.js";
 import { liveView } from "./live.js";
 import { expectedError, placeOf } from "./maps.js";
 import { facts, loading, page, skeletons } from "./parts.js";
+import { rightness } from "./rightness.js";
 import { SceneView } from "./scene.js";
 import { readPoints, readRoom, readScene } from "./scene_data.js";
 import { share } from "./share.js";
@@ -71,7 +72,10 @@ export async function showMap(main, name, signal) {
     loading(trust, async () => fill(trust, trustNotice(map, await report)), signal),
     loading(about, async () => fillAbout(about, map, ...(await Promise.all([report, learning]))), signal),
     loading(works, async () => fill(works, await showCoverage(map, await report, scene, signal)), signal),
-    showScene(scene, map, signal),
+    showScene(scene, map, signal).then(async () => {
+      const { expected_error: expected } = await report;
+      if (trustOf(map) === Trust.YES && expected) scene.offerErrors(expected.views_m);
+    }),
   ]);
 }
 
@@ -93,7 +97,14 @@ async function showCoverage(map, report, scene, signal) {
     ? report.coverage
     : await get(path`v1/maps/${map.name}/coverage`, { signal });
   const failed = map.keeps_failures ? (await get(path`v1/maps/${map.name}/failures`, { signal })).failures : [];
-  return coverageView(coverage, map, signal, (T) => scene.showPose(T), failed);
+  const errors = trustOf(map) === Trust.YES ? (report.expected_error?.views_m ?? []) : [];
+  const near = (place, degrees) => scene.scene && rightness(scene.scene.views, errors, place, degrees);
+  const look = (T, place, degrees) => {
+    scene.showPose(T);
+    const found = near(place, degrees);
+    if (found) scene.showView(found.view);
+  };
+  return coverageView(coverage, map, signal, look, (...spot) => near(...spot)?.error ?? null, failed);
 }
 
 /** Whether the map can be relied on, why, and what to do next. */

@@ -76,7 +76,7 @@ export function drawRoom(canvas, room, width, height) {
 }
 
 /**
- * A room from above as `drawFloorPlan` takes it: `{image, corner, turn, perPixel}`, in level axes with north up.
+ * A room from above as `drawFloorPlan` takes it: `{image, inColour, corner, turn, perPixel}`, in level axes with north up.
  */
 export function planOf(room) {
   const [[west, east], [south, north]] = boundsOf(room);
@@ -95,6 +95,7 @@ export function planOf(room) {
   paint(image, room, down, width, height);
   return {
     image,
+    inColour: true,
     corner: [middle[0] - (width * perPixel) / 2, middle[1] - (height * perPixel) / 2],
     turn: 0,
     perPixel,

@@ -9,6 +9,7 @@ import { fittingDistance, lookAt, multiply, perspective, project, rotation } fro
 import { painterOf } from "./painter.js";
 import { planLines } from "./plan_lines.js";
 import { presenceLines } from "./presence_lines.js";
+import { errorAt } from "./rightness.js";
 import { bestTurn, boundsOf, surfaces } from "./room.js";
 import { inOrder, quantiles, SHOWN, shuffledOrder } from "./samples.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
@@ -42,6 +43,7 @@ const SPREAD = 0.4; // width of a point as a share of how far points would be ap
 const AXIS = 0.5; // m, of the axes at the origin
 const PICK_PX = 14; // how near a click must be to its target
 const KEY_PICK_PX = 120; // how near what a key picks must be to the middle
+const FLOOR_THICK = 0.06; // of a room's height, within which surfaces are its floor
 const CLICK_PX = 5; // how far a pointer may move in a click
 /** @type {[string, number[], number[]][]} */
 const AXES = [
@@ -82,6 +84,11 @@ export class SceneView {
       { type: "button", hidden: true, "aria-pressed": "true", onclick: () => this.showSolid(!this.isSolid) },
       t`Surfaces`,
     );
+    this.doubt = h(
+      "button",
+      { type: "button", hidden: true, "aria-pressed": "false", onclick: () => this.toggleErrors() },
+      t`Expected error`,
+    );
     this.planned = h(
       "button",
       { type: "button", hidden: true, "aria-pressed": "true", onclick: () => this.togglePlan() },
@@ -93,6 +100,7 @@ export class SceneView {
       h("button", { type: "button", onclick: () => this.lookDown() }, t`From above`),
       h("button", { type: "button", onclick: () => this.reset() }, t`Whole room`),
       this.solid,
+      this.doubt,
       this.paint,
       this.more,
       this.planned,
@@ -171,12 +179,7 @@ export class SceneView {
     }));
     this.waypoints.push(...tips, ...named(names, z));
     this.labels.replaceChildren(...this.waypoints.map(({ label }) => label));
-    this.legend.replaceChildren(
-      t`uncertainty `,
-      h("span", { class: "mono" }, length(this.deviations[0], metric)),
-      h("span", { class: "scene-ramp" }),
-      h("span", { class: "mono" }, length(this.deviations[1], metric)),
-    );
+    this.showRamp(t`uncertainty `, this.deviations);
     this.paint.hidden = !scene.colours;
     for (const [name, axis, colour] of AXES)
       this.setLines(`axis ${name}`, colour, [0, 0, 0, ...axis.map((value) => AXIS * value)]);
@@ -200,6 +203,52 @@ export class SceneView {
     this.solid.hidden = false;
     this.showSolid(true);
     this.reset();
+  }
+
+  /** Offer to tint the floor by the errors [m] that are expected of the views. */
+  offerErrors(errors) {
+    const known = errors.filter((error) => error !== null);
+    this.errors = errors;
+    this.errorEnds = [Math.min(...known), Math.max(...known)];
+    this.doubt.hidden = !this.room || !known.length;
+  }
+
+  toggleErrors() {
+    const shown = this.doubt.ariaPressed !== "true";
+    this.doubt.ariaPressed = String(shown);
+    const { positions, tints, triangles } = this.room;
+    this.painter.setSurface(positions, shown ? this.floorByError() : tints, triangles);
+    if (shown) this.showRamp(t`expected error `, this.errorEnds);
+    this.legend.hidden = !shown;
+    this.showSolid(true);
+  }
+
+  /** The room's tints, the floor's by the error that is expected there. */
+  floorByError() {
+    const { positions, level, tints } = this.room;
+    const marked = tints.slice();
+    const [low, high] = this.errorEnds;
+    for (let i = 0; i < level.length; i += 3) {
+      if (level[i + 2] > this.floor + FLOOR_THICK * (this.corners[7][2] - this.floor)) continue;
+      const error = errorAt(this.scene.views, this.errors, positions[i], positions[i + 1]);
+      if (error !== null) marked.set(ramp((error - low) / Math.max(high - low, 1e-9)), i);
+    }
+    return marked;
+  }
+
+  /** Say what the ramp of colours goes from and to. */
+  showRamp(called, ends) {
+    this.legend.replaceChildren(
+      called,
+      h("span", { class: "mono" }, length(ends[0], this.metric)),
+      h("span", { class: "scene-ramp" }),
+      h("span", { class: "mono" }, length(ends[1], this.metric)),
+    );
+  }
+
+  /** Mark a view by its number, as if it had been clicked. */
+  showView(view) {
+    this.showPicked(viewAt(this.scene.views, view));
   }
 
   /** Draw the room's surfaces, or landmarks. */
@@ -262,6 +311,8 @@ export class SceneView {
   }
 
   switchColours() {
+    if (this.doubt.ariaPressed === "true") this.toggleErrors();
+    this.showRamp(t`uncertainty `, this.deviations);
     this.colourBy(!this.coloured);
     this.showSolid(false);
   }
@@ -692,11 +743,16 @@ function certainties(landmarks, deviations) {
   const tints = new Uint8Array((3 * landmarks.length) / STRIDE_LANDMARK);
   for (let i = 0; i < tints.length / 3; i++) {
     const share = (Math.log(landmarks[STRIDE_LANDMARK * i + 3]) - least) / Math.max(most - least, 0.1);
-    const along = (RAMP.length - 1) * Math.min(1, Math.max(0, share || 0));
-    const from = Math.min(RAMP.length - 2, Math.floor(along));
-    for (let c = 0; c < 3; c++) tints[3 * i + c] = RAMP[from][c] + (along - from) * (RAMP[from + 1][c] - RAMP[from][c]);
+    tints.set(ramp(share), 3 * i);
   }
   return tints;
+}
+
+/** The colour of a share of the ramp, from certain (0) to uncertain (1). */
+function ramp(share) {
+  const along = (RAMP.length - 1) * Math.min(1, Math.max(0, share || 0));
+  const from = Math.min(RAMP.length - 2, Math.floor(along));
+  return RAMP[from].map((value, c) => value + (along - from) * (RAMP[from + 1][c] - value));
 }
 
 /** As many numbers of a colour that says nothing. */
