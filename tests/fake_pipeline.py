@@ -133,6 +133,9 @@ class FakePipeline(MappingPipeline):
         self._kill_once(task, "after-publishing", os.getpid())
         return doubts
 
+    def furnish(self, *_: object) -> None:
+        """Draw nothing."""
+
     def _wait(self, point: str) -> None:
         if self.control.held(point):
             self.control.reach(point)

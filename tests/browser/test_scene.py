@@ -18,8 +18,8 @@ from rholoc.maps import Cloud, map_to_bytes
 
 MAGENTA = (230, 20, 160)
 
-# Draws the same random points and lines, also such that leave the picture, with both painters. None lies behind the
-# camera: SwiftShader does not draw lines that begin there.
+# Draws the same surface, points and lines, some of which leave the picture, with both painters. None lies behind
+# the camera: SwiftShader does not draw lines that begin there.
 PAINTED = """async () => {
     const { GlPainter } = await import('/web/console/gl_painter.js');
     const { PlainPainter } = await import('/web/console/plain_painter.js');
@@ -28,17 +28,19 @@ PAINTED = """async () => {
     const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
     const some = (count, scale) => Float32Array.from({ length: count }, () => scale * (random() - 0.5));
     const [positions, lines] = [some(600, 6), some(90, 6)];
+    const corners = Float32Array.of(-2, -1, -1, 1, 2, -1, 1, 2, 1, -2, -1, 1);
     const tints = Uint8Array.from({ length: 600 }, () => 255 * random());
     const matrix = multiply(perspective(0.9, 1.5, 0.02, 100), lookAt([4, -4, 2], [0, 0, 0]));
     const shown = (Painter) => {
         const canvas = Object.assign(document.createElement('canvas'), { width: 300, height: 200 });
         const painter = new Painter(canvas);
         painter.setPoints(positions, tints);
+        painter.setSurface(corners, new Uint8Array(12).fill(90), Uint32Array.of(0, 1, 2, 0, 2, 3, 0, 2, 1));
         painter.setLines('gone', lines);
         painter.setLines('gone', new Float32Array(0));
         painter.setLines('seen', lines);
         const styles = [['gone', [1, 1, 1, 1]], ['seen', [1, 0.5, 0, 1]]];
-        painter.paint({ matrix, background: [0, 0, 0.2], count: 200, size: 15, styles });
+        painter.paint({ matrix, background: [0, 0, 0.2], surface: true, count: 200, size: 15, styles });
         const copy = Object.assign(document.createElement('canvas'), { width: 300, height: 200 }).getContext('2d');
         copy.drawImage(canvas, 0, 0);
         painter.dispose();

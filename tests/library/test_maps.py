@@ -6,6 +6,7 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from rholoc.errors import Conflict, InvalidMap, InvalidName, StorageFull, UnknownMap
 from rholoc.library import MapLibrary
 from rholoc.library.map_folder import place_of
-from rholoc.maps import Map, check_map_name, map_to_bytes, save_map
+from rholoc.maps import Cloud, Map, check_map_name, map_to_bytes, save_map
 
 
 @pytest.fixture
@@ -187,6 +188,24 @@ def test_a_map_that_is_replaced_is_kept_and_restored(tmp_path, picture_world):
     assert library.previous("room").id == "2" * 32
     library.restore("room")
     assert library.path("room").read_bytes() == second
+
+
+def test_a_map_that_is_furnished_keeps_its_versions(tmp_path, picture_world):
+    library = MapLibrary(tmp_path / "maps")
+    published, furnished, later = (tmp_path / f"{name}.rho" for name in ("published", "furnished", "later"))
+    dots = np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8), np.zeros(1, np.int32)
+    published.write_bytes(picture_world.rho())
+    furnished.write_bytes(map_to_bytes(replace(picture_world.map_, cloud=Cloud(*dots))))
+    later.write_bytes(picture_world.rho(version=4))
+    library.furnish("room", published, furnished)  # it was deleted meanwhile
+    assert library.names() == []
+    library.put_file("room", published)
+    library.furnish("room", published, furnished)
+    assert library.path("room").read_bytes() == furnished.read_bytes()
+    assert library.previous("room") is None
+    library.put_file("room", later)
+    library.furnish("room", published, furnished)  # it has changed meanwhile
+    assert library.path("room").read_bytes() == later.read_bytes()
 
 
 def test_the_last_five_versions_are_kept_and_any_is_restored(tmp_path, picture_world):

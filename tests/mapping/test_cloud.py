@@ -18,7 +18,7 @@ from rholoc.mapping.build.landmarks import triangulate
 from rholoc.mapping.build.reconstruction_cloud import cloud_of
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.mapping.edit.moving import move_map
-from rholoc.maps import Cloud, Map, load_map, map_to_bytes, save_map
+from rholoc.maps import Cloud, Map, Room, load_map, map_to_bytes, save_map
 
 TILT = Similarity(2.0, Rotation.from_euler("xz", [100, 25], degrees=True).as_matrix(), np.array([4.0, -1.0, 0.2]))
 EAST = np.array([[0.0, -9.0], [9.0, -9.0], [9.0, 9.0], [0.0, 9.0]])
@@ -33,6 +33,8 @@ def decorated(map_: Map, seed: int = 0) -> Map:
     rng = np.random.default_rng(seed)
     colours = rng.integers(0, 256, (100, 3), dtype=np.uint8)
     cloud = Cloud(rng.uniform(-2, 2, (100, 3)).astype(np.float32), colours, np.zeros(100, np.int32))
+    faces = np.arange(100, dtype=np.int32).reshape(25, 4)
+    map_ = replace(map_, room=Room(replace(cloud, positions=-cloud.positions), faces))
     return replace(
         map_, views=replace(map_.views, pictures=tuple(picture(view) for view in range(len(map_.views)))), cloud=cloud
     )
@@ -65,10 +67,13 @@ def test_both_come_back_from_a_file(room: Map, tmp_path: Path) -> None:
     read = load_map(tmp_path / "room.rho")
     np.testing.assert_array_equal(read.cloud.positions, room.cloud.positions)
     np.testing.assert_array_equal(read.cloud.colours, room.cloud.colours)
+    np.testing.assert_array_equal(read.room.vertices.positions, room.room.vertices.positions)
+    np.testing.assert_array_equal(read.room.faces, room.room.faces)
     assert read.views.pictures == room.views.pictures
-    bare = replace(room, views=replace(room.views, pictures=None), cloud=Cloud())
+    bare = replace(room, views=replace(room.views, pictures=None), cloud=Cloud(), room=Room())
     assert b"picture" not in map_to_bytes(bare)
     assert b"cloud" not in map_to_bytes(bare)
+    assert b"room_" not in map_to_bytes(bare)
 
 
 @pytest.mark.parametrize(
@@ -77,6 +82,8 @@ def test_both_come_back_from_a_file(room: Map, tmp_path: Path) -> None:
         {"cloud": Cloud(np.full((1, 3), np.nan, np.float32), np.zeros((1, 3), np.uint8), np.zeros(1, np.int32))},
         {"cloud": Cloud(np.zeros((1, 3), np.float32), np.zeros((2, 3), np.uint8), np.zeros(1, np.int32))},
         {"cloud": Cloud(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8), np.ones(1, np.int32))},
+        {"room": Room(Cloud(), np.zeros((1, 4), np.int32))},
+        {"room": Room(Cloud(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8), np.ones(1, np.int32)))},
     ],
 )
 def test_what_contradicts_the_map_is_refused(room: Map, broken: dict[str, Any]) -> None:
@@ -93,6 +100,9 @@ def test_pictures_that_are_none_are_refused(room: Map, pictures: tuple[bytes, ..
 def test_they_move_with_the_map(room: Map) -> None:
     moved = move_map(room, TILT)
     np.testing.assert_allclose(moved.cloud.positions, TILT.points(room.cloud.positions.astype(float)), atol=1e-5)
+    np.testing.assert_allclose(
+        moved.room.vertices.positions, TILT.points(-room.cloud.positions.astype(float)), atol=1e-5
+    )
     assert moved.views.pictures == room.views.pictures
 
 
@@ -100,6 +110,9 @@ def test_they_are_cut_with_the_map(room: Map) -> None:
     left = remove_region(room, EAST, None, None, keep_inside=False)
     assert 0 < len(left.cloud) < 100
     assert (left.cloud.positions[:, 0] <= 0).all()
+    corners = left.room.vertices.positions[left.room.faces]
+    assert 0 < len(corners) < 25
+    assert (corners[..., 0] <= 0).all()
     shorter = remove_views(room, 10, 19)
     assert shorter.views.pictures == tuple(picture(view) for view in [*range(10), *range(20, 30)])
     assert len(shorter.cloud) == 100
@@ -116,6 +129,8 @@ def test_they_are_merged_and_forgotten_with_their_recording(room: Map, point_roo
     np.testing.assert_array_equal(left.cloud.colours, other.cloud.colours)
     assert set(left.cloud.sources.tolist()) == {0}
     assert left.views.pictures == other.views.pictures
+    assert len(merged.room) == 200
+    np.testing.assert_array_equal(left.room.faces, other.room.faces)
 
 
 def test_a_map_that_lies_on_its_side_is_levelled(room: Map) -> None:

@@ -62,7 +62,7 @@ def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
 
 
 def test_every_array_of_a_map_is_stored() -> None:
-    names = ("info", "landmarks", "descriptors", "views", "observations", "cloud", "plan", "densities")
+    names = ("info", "landmarks", "descriptors", "views", "observations", "cloud", "room", "plan", "densities")
     assert tuple(field.name for field in fields(Map)) == names
     apart = {"views.pictures", "observations.views", "observations.features", "observations.pixels"}
     stored = {

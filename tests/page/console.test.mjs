@@ -14,6 +14,7 @@ import { sayPicked } from "../../client/page/console/scene.js";
 import { ellipsoid } from "../../client/page/console/scene_lines.js";
 import { readScene } from "../../client/page/console/scene_data.js";
 import { snippet } from "../../client/page/console/snippets.js";
+import { errorAt, rightness } from "../../client/page/console/rightness.js";
 import { bounds, placement } from "../../client/page/console/thumbnail.js";
 import { doing, secondsLeft, timeLeft } from "../../client/page/shared/job_words.js";
 import { Track } from "../../client/page/console/track.js";
@@ -309,4 +310,15 @@ test("a running job says what it does and how long that still takes", () => {
   assert.equal(timeLeft({ ...job, progress: 0.05 }, 1900), "about 5 hours left");
   for (const unknown of [{ state: "queued" }, { state: "published" }, { started: null }, { progress: 0.01 }, { started: 2000 }])
     assert.equal(timeLeft({ ...job, ...unknown }, 1080), "");
+});
+
+test("a place is as right as the views near it", () => {
+  const views = Float32Array.from([0, 0, 1, 1, 0, 0, 0, 4, 0, 1, 1, 0, 0, 0, 4, 0.2, 1, -1, 0, 0, 0]);
+  const errors = [0.01, 0.04, 0.04];
+  assert.equal(rightness(views, errors, [0.1, 0], 5).view, 0);
+  assert.ok(Math.abs(rightness(views, errors, [0.1, 0], 5).error - 0.01) < 1e-3);
+  assert.equal(rightness(views, errors, [4, 0.1], 180).view, 2);
+  assert.ok(Math.abs(errorAt(views, errors, 4, 0) - 0.04) < 1e-3);
+  assert.equal(errorAt(views, errors, 4, 9), null);
+  assert.equal(errorAt(views, [null, null, null], 4, 0), null);
 });

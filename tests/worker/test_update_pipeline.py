@@ -12,7 +12,8 @@ import pytest
 from rholoc.errors import Conflict, MappingFailed, UnknownMap
 from rholoc.jobs import JobKind, JobOptions
 from rholoc.library import MapLibrary
-from rholoc.maps import Map
+from rholoc.maps import Cloud, Map, Room
+from rholoc.processes import Limits
 from rholoc.progress import silent
 from rholoc.recordings import MemoryFrames, Recording
 from rholoc.worker import MappingPipeline, MappingTask, pipeline
@@ -77,3 +78,24 @@ def test_a_recording_of_another_place_leaves_the_map(task: MappingTask, monkeypa
 
 def save_state(task: MappingTask) -> bytes:
     return (task.maps_dir / "room.rho").read_bytes()
+
+
+def test_a_room_that_is_drawn_is_put_into_the_published_map(
+    task: MappingTask, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def draw(map_: Map, *_: object) -> Map:
+        corners = Cloud(np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8), np.zeros(1, np.int32))
+        return replace(map_, room=Room(corners))
+
+    monkeypatch.setattr(
+        pipeline, "run_in_child", lambda function, *arguments, progress, **_: function(*arguments, silent)
+    )
+    MappingPipeline().build(task, silent)
+    MappingPipeline().publish(task, MapLibrary(task.maps_dir))
+    published = MapLibrary(task.maps_dir).get("room").info
+    MappingPipeline().furnish(task, MapLibrary(task.maps_dir), lambda: None, Limits())  # the recording shows nothing
+    assert len(MapLibrary(task.maps_dir).get("room").room) == 0
+    monkeypatch.setattr(pipeline, "draw_room", draw)
+    MappingPipeline().furnish(task, MapLibrary(task.maps_dir), lambda: None, Limits())
+    furnished = MapLibrary(task.maps_dir).get("room")
+    assert (len(furnished.room), furnished.info) == (1, published)

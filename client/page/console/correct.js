@@ -4,7 +4,7 @@ import { call, get, path, request } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { keptPlan } from "./floor_plan.js";
+import { planUnder } from "./floor_plan.js";
 import { count, length, when } from "./format.js";
 import { loading, page, skeletons } from "./parts.js";
 import { PlanPicture } from "./plan_picture.js";
@@ -230,7 +230,7 @@ class Editor {
     ]);
     this.map = map;
     this.metric = map.scale === "metric";
-    this.kept = map.plan && (await keptPlan(map, signal));
+    this.kept = await planUnder(map, signal);
     this.view.unit = this.metric ? "m" : t`units`;
     this.view.show(readScene(scene), map.names, map.waypoints);
     this.showHistory(versions);

@@ -3,7 +3,8 @@
 import { resolvedColour } from "../shared/colours.js";
 import { fill, h } from "../shared/dom.js";
 import { coordinates, t } from "../shared/text.js";
-import { keptPlan } from "./floor_plan.js";
+import { planUnder } from "./floor_plan.js";
+import { length } from "./format.js";
 import { drawFloorPlan } from "./plan_view.js";
 
 // The least number of landmarks in view, as a share of what suffices, and its colour: from plenty to none. Blue against
@@ -31,9 +32,10 @@ const BARS_M = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100];
 
 /**
  * The drawing with its legend and what is said of the place pointed at. `coverage` is what `/v1/maps/{map}/coverage`
- * answers; `look(T_map_camera)` hears of a place and direction that was clicked.
+ * answers; `look(T_map_camera, place, degrees)` hears of a place and direction that was clicked; `rightAt(place, degrees)`
+ * says how right a camera there is, in metres, or null.
  */
-export function coverageView(coverage, map, signal, look, failures = []) {
+export function coverageView(coverage, map, signal, look, rightAt, failures = []) {
   if (!coverage.cells.length)
     return h("p", { class: "muted" }, t`The map has no views, so it is unknown where it works.`);
   const canvas = h("canvas", { class: "coverage", tabindex: 0, role: "img", "aria-label": summary(coverage) });
@@ -47,8 +49,8 @@ export function coverageView(coverage, map, signal, look, failures = []) {
   const next = nextWalk(coverage);
   let plan = /** @type {any} */ (null);
   const draw = () => drawCoverage(canvas, coverage, map, unit, rose, next, failures, plan);
-  if (map.plan && isLevel(coverage))
-    keptPlan(map, signal).then(
+  if (isLevel(coverage))
+    planUnder(map, signal).then(
       (kept) => {
         plan = kept;
         draw();
@@ -57,16 +59,17 @@ export function coverageView(coverage, map, signal, look, failures = []) {
     );
   const choose = (cell, heading) => {
     Object.assign(rose, { cell, heading });
-    said.textContent = sayPlace(coverage, cell, heading, unit);
+    said.textContent = sayPlace(coverage, cell, heading, unit, rightAt(...spotOf(coverage, cell, heading)));
     draw();
   };
   canvas.addEventListener("pointermove", (event) => {
     const found = roseAt(canvas, coverage, event.offsetX, event.offsetY);
     if (found) choose(found.cell, found.heading);
   });
-  canvas.addEventListener("click", () => rose.cell !== null && look(cameraAt(coverage, rose.cell, rose.heading)));
+  const lookAt = () => look(cameraAt(coverage, rose.cell, rose.heading), ...spotOf(coverage, rose.cell, rose.heading));
+  canvas.addEventListener("click", () => rose.cell !== null && lookAt());
   canvas.addEventListener("keydown", (event) => {
-    if (event.key === "Enter" && rose.cell !== null) look(cameraAt(coverage, rose.cell, rose.heading));
+    if (event.key === "Enter" && rose.cell !== null) lookAt();
     else {
       const next = moved(coverage, rose, event.key);
       if (!next) return;
@@ -117,7 +120,7 @@ export function summary({ share_sufficient: share, positions_sufficient: places,
 }
 
 /** What is said of one place and direction. */
-export function sayPlace(coverage, cell, heading, unit) {
+export function sayPlace(coverage, cell, heading, unit, right = null) {
   const at = coordinates(position(coverage, cell));
   const seen = coverage.counts[cell][heading];
   const degrees = Math.round(coverage.headings_deg[heading]);
@@ -126,7 +129,9 @@ export function sayPlace(coverage, cell, heading, unit) {
     [0.5, t`it may fail`],
     [0, t`it will fail`],
   ].find(([share]) => seen >= share * coverage.sufficient);
-  return t`At ${at} ${unit}, looking ${degrees}°: ${seen} landmarks in view; ${verdict}.`;
+  const text = t`At ${at} ${unit}, looking ${degrees}°: ${seen} landmarks in view; ${verdict}.`;
+  if (right === null || seen < coverage.sufficient) return text;
+  return `${text} ${t`A robot here, looking there, is right to about ${length(right, unit === "m")}.`}`;
 }
 
 /**
@@ -182,6 +187,9 @@ export function moved({ cells, headings_deg: headings }, { cell, heading }, key)
 /** @type {(u: number[], v: number[]) => number[]} */
 const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
 const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
+
+/** The place of a cell and the direction of a heading [degrees]. */
+const spotOf = (coverage, cell, heading) => [position(coverage, cell), coverage.headings_deg[heading]];
 
 /** Where a cell is on the plane, in the map's unit. */
 function position({ origin, axes, step, cells }, cell) {

@@ -2,6 +2,8 @@
 
 import { path, request } from "../shared/api.js";
 import { t } from "../shared/text.js";
+import { planOf, surfaces } from "./room.js";
+import { readRoom } from "./scene_data.js";
 
 export const GEOJSON = "application/geo+json";
 const EARTH_M = 6371008.8; // its mean radius
@@ -19,6 +21,14 @@ export async function readPlan(file, name = file.name) {
   } catch {
     throw new Error(t`${name} is neither a picture nor GeoJSON.`);
   }
+}
+
+/** What lies under a map seen from above: its floor plan, else its room's surfaces, else nothing. */
+export async function planUnder(map, signal) {
+  if (map.plan) return keptPlan(map, signal);
+  if (!map.room) return null;
+  const response = await request(path`v1/maps/${map.name}/room`, { signal });
+  return planOf(surfaces(readRoom(await response.arrayBuffer())));
 }
 
 /** The floor plan that a map keeps, as a `PlanView` draws it. */

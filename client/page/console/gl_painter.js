@@ -1,4 +1,4 @@
-// Points and lines drawn by the graphics card, with WebGL.
+// Surfaces, points and lines drawn by the graphics card, with WebGL.
 
 const POINT_SHADER = `
   attribute vec3 point; attribute vec3 tint; uniform mat4 matrix; uniform float size; varying vec3 colour;
@@ -22,6 +22,8 @@ export class GlPainter {
     this.strokes = program(this.gl, LINE_SHADER, LINE_COLOUR);
     this.lines = new Map();
     this.buffers = [this.gl.createBuffer(), this.gl.createBuffer()];
+    this.surface = { buffers: [0, 1, 2].map(() => this.gl.createBuffer()), count: 0 };
+    this.gl.getExtension("OES_element_index_uint");
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => location.reload());
   }
@@ -30,6 +32,16 @@ export class GlPainter {
   setPoints(positions, tints) {
     fill(this.gl, this.buffers[0], positions);
     fill(this.gl, this.buffers[1], tints);
+  }
+
+  /** What is drawn as surfaces: (V, 3) positions, (V, 3) red, green, blue, and (3 T) vertices, anti-clockwise where seen. */
+  setSurface(positions, tints, triangles) {
+    const { gl, surface } = this;
+    fill(gl, surface.buffers[0], positions);
+    fill(gl, surface.buffers[1], tints);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, surface.buffers[2]);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.STATIC_DRAW);
+    surface.count = triangles.length;
   }
 
   /** The ends (2 N, 3) of lines, as float32; none end those of that name. */
@@ -46,15 +58,25 @@ export class GlPainter {
   }
 
   /**
-   * Draw the first `count` points, `size` pixels wide at a distance of one, and the lines in the order of `styles`, which
-   * are `[name, [red, green, blue, alpha]]`; colours from 0 to 1.
+   * Draw the surfaces if `surface`, the first `count` points, `size` pixels wide at a distance of one, and the lines in
+   * the order of `styles`, which are `[name, [red, green, blue, alpha]]`; colours from 0 to 1.
    */
-  paint({ matrix, background, count, size, styles }) {
+  paint({ matrix, background, surface, count, size, styles }) {
     const { gl, points, strokes, canvas } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(...background, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
+    if (surface && this.surface.count) {
+      gl.enable(gl.CULL_FACE);
+      gl.useProgram(points.program);
+      gl.uniformMatrix4fv(points.uniform("matrix"), false, matrix);
+      attribute(gl, 0, this.surface.buffers[0], gl.FLOAT);
+      attribute(gl, 1, this.surface.buffers[1], gl.UNSIGNED_BYTE);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.surface.buffers[2]);
+      gl.drawElements(gl.TRIANGLES, this.surface.count, gl.UNSIGNED_INT, 0);
+      gl.disable(gl.CULL_FACE);
+    }
     if (count) {
       gl.useProgram(points.program);
       gl.uniformMatrix4fv(points.uniform("matrix"), false, matrix);

@@ -12,8 +12,9 @@ import { learningText } from "./learning.js";
 import { liveView } from "./live.js";
 import { expectedError, placeOf } from "./maps.js";
 import { facts, loading, page, skeletons } from "./parts.js";
+import { rightness } from "./rightness.js";
 import { SceneView } from "./scene.js";
-import { readPoints, readScene } from "./scene_data.js";
+import { readPoints, readRoom, readScene } from "./scene_data.js";
 import { share } from "./share.js";
 
 const FORMATS = [
@@ -71,7 +72,10 @@ export async function showMap(main, name, signal) {
     loading(trust, async () => fill(trust, trustNotice(map, await report)), signal),
     loading(about, async () => fillAbout(about, map, ...(await Promise.all([report, learning]))), signal),
     loading(works, async () => fill(works, await showCoverage(map, await report, scene, signal)), signal),
-    showScene(scene, map, signal),
+    showScene(scene, map, signal).then(async () => {
+      const { expected_error: expected } = await report;
+      if (trustOf(map) === Trust.YES && expected) scene.offerErrors(expected.views_m);
+    }),
   ]);
 }
 
@@ -83,6 +87,7 @@ export async function showScene(view, map, signal) {
   view.offerCloud(map.points, async () => readPoints(await fetched("points")));
   view.featureOf = (number) => get(path`v1/maps/${map.name}/features/${number}`, { signal });
   view.showMap(readScene(await fetched("scene")), map.waypoints, map.scale === "metric", map.names, map.levelling);
+  if (map.room) view.showRoom(readRoom(await fetched("room")));
   if (map.plan) view.showPlan(await keptPlan(map, signal));
 }
 
@@ -92,7 +97,14 @@ async function showCoverage(map, report, scene, signal) {
     ? report.coverage
     : await get(path`v1/maps/${map.name}/coverage`, { signal });
   const failed = map.keeps_failures ? (await get(path`v1/maps/${map.name}/failures`, { signal })).failures : [];
-  return coverageView(coverage, map, signal, (T) => scene.showPose(T), failed);
+  const errors = trustOf(map) === Trust.YES ? (report.expected_error?.views_m ?? []) : [];
+  const near = (place, degrees) => scene.scene && rightness(scene.scene.views, errors, place, degrees);
+  const look = (T, place, degrees) => {
+    scene.showPose(T);
+    const found = near(place, degrees);
+    if (found) scene.showView(found.view);
+  };
+  return coverageView(coverage, map, signal, look, (...spot) => near(...spot)?.error ?? null, failed);
 }
 
 /** Whether the map can be relied on, why, and what to do next. */

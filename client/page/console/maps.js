@@ -8,7 +8,8 @@ import { inPlainWords, Trust, trustOf, whatToDo } from "../shared/trust.js";
 import { bytes, count, length, when } from "./format.js";
 import { listTools } from "./list_tools.js";
 import { empty, facts, loading, page, skeletons, trustBadge } from "./parts.js";
-import { readScene } from "./scene_data.js";
+import { drawRoom, surfaces } from "./room.js";
+import { readRoom, readScene } from "./scene_data.js";
 import { drawFromAbove } from "./thumbnail.js";
 
 const LANDMARKS_DRAWN = 1500; // on a card
@@ -122,6 +123,12 @@ export const placeOf = ({ labels }) => [labels.site, labels.floor].filter(Boolea
 async function showFromAbove(picture, map, signal) {
   const query = { landmarks: LANDMARKS_DRAWN, level: true };
   try {
+    const shown = map.room ? await request(path`v1/maps/${map.name}/room`, { signal, query: { level: true } }) : null;
+    if (shown) {
+      const [width, height] = [picture.clientWidth, picture.clientHeight].map((size) => 2 * size);
+      drawRoom(picture, surfaces(readRoom(await shown.arrayBuffer())), width, height);
+      return;
+    }
     const response = await request(path`v1/maps/${map.name}/scene`, { signal, query });
     const scene = readScene(await response.arrayBuffer());
     const draw = () => drawFromAbove(picture, scene);

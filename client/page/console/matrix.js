@@ -15,6 +15,11 @@ export function perspective(fov, aspect, near, far) {
   return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / depth, -1, 0, 0, (2 * far * near) / depth, 0];
 }
 
+/** Eye coordinates → clip coordinates without perspective, of a picture so wide and high. */
+export function orthographic(width, height) {
+  return [2 / width, 0, 0, 0, 0, 2 / height, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1];
+}
+
 /** World coordinates (z up) → eye coordinates. */
 export function lookAt(eye, target) {
   const back = unit(eye.map((value, i) => value - target[i]));

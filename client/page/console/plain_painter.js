@@ -1,4 +1,4 @@
-// Points and lines drawn by the processor, pixel by pixel. Where there is no graphics card, browsers work WebGL out in
+// Surfaces, points and lines drawn by the processor, pixel by pixel. Where there is no graphics card, browsers work WebGL out in
 // software, at some 10 µs a point; this takes some 0.05 µs.
 
 const NEAR = 1e-3; // the least depth that is drawn, in the map's unit
@@ -10,15 +10,18 @@ export class PlainPainter {
     this.canvas = canvas;
     this.context = canvas.getContext("2d", { alpha: false });
     this.lines = new Map();
+    this.surface = { positions: new Float32Array(0), tints: new Uint32Array(0), triangles: new Uint32Array(0) };
     this.positions = new Float32Array(0);
     this.colours = new Uint32Array(0);
   }
 
   setPoints(positions, tints) {
     this.positions = positions;
-    this.colours = Uint32Array.from({ length: tints.length / 3 }, (_, i) =>
-      packed(tints[3 * i], tints[3 * i + 1], tints[3 * i + 2]),
-    );
+    this.colours = packedAll(tints);
+  }
+
+  setSurface(positions, tints, triangles) {
+    this.surface = { positions, tints: packedAll(tints), triangles };
   }
 
   setLines(name, vertices) {
@@ -26,9 +29,10 @@ export class PlainPainter {
     else this.lines.delete(name);
   }
 
-  paint({ matrix, background, count, size, styles }) {
+  paint({ matrix, background, surface, count, size, styles }) {
     const [red, green, blue] = background.map((value) => Math.round(255 * value));
     this.begin(packed(red, green, blue));
+    if (surface) this.drawSurface(matrix);
     this.drawPoints(matrix, count, size);
     for (const [name, colour] of styles) {
       const vertices = this.lines.get(name);
@@ -48,6 +52,46 @@ export class PlainPainter {
     }
     this.pixels.fill(background);
     this.nearness.fill(0);
+  }
+
+  /** Triangles in the colour of their first vertex, those that turn away or reach behind the eye left out. */
+  drawSurface(matrix) {
+    const { positions, tints, triangles } = this.surface;
+    const { width, height } = this.canvas;
+    const [xs, ys, nears] = [0, 1, 2].map(() => new Float32Array(positions.length / 3));
+    for (let i = 0; i < nears.length; i++) {
+      const [x, y, w] = clip(matrix, positions, 3 * i);
+      nears[i] = w > NEAR ? 1 / w : 0;
+      xs[i] = (x * nears[i] + 1) * 0.5 * width;
+      ys[i] = (1 - y * nears[i]) * 0.5 * height;
+    }
+    for (let i = 0; i < triangles.length; i += 3) {
+      const [a, b, c] = [triangles[i], triangles[i + 1], triangles[i + 2]];
+      const area = (xs[b] - xs[a]) * (ys[c] - ys[a]) - (xs[c] - xs[a]) * (ys[b] - ys[a]);
+      if (area < 0 && nears[a] && nears[b] && nears[c]) this.drawTriangle(xs, ys, nears, [a, b, c], area, tints[a]);
+    }
+  }
+
+  drawTriangle(xs, ys, nears, [a, b, c], area, tint) {
+    const { pixels, nearness } = this;
+    const { width, height } = this.canvas;
+    const [left, right] = [Math.min(xs[a], xs[b], xs[c]), Math.max(xs[a], xs[b], xs[c])];
+    const [top, bottom] = [Math.min(ys[a], ys[b], ys[c]), Math.max(ys[a], ys[b], ys[c])];
+    const [firstX, lastX] = [Math.max(0, Math.ceil(left - 0.5)), Math.min(width - 1, Math.floor(right - 0.5))];
+    const [firstY, lastY] = [Math.max(0, Math.ceil(top - 0.5)), Math.min(height - 1, Math.floor(bottom - 0.5))];
+    for (let row = firstY; row <= lastY; row++) {
+      for (let column = firstX; column <= lastX; column++) {
+        const [x, y] = [column + 0.5, row + 0.5];
+        const u = ((xs[b] - x) * (ys[c] - y) - (xs[c] - x) * (ys[b] - y)) / area;
+        const v = ((xs[c] - x) * (ys[a] - y) - (xs[a] - x) * (ys[c] - y)) / area;
+        if (u < 0 || v < 0 || u + v > 1) continue;
+        const near = u * nears[a] + v * nears[b] + (1 - u - v) * nears[c];
+        const at = row * width + column;
+        if (near <= nearness[at]) continue;
+        nearness[at] = near;
+        pixels[at] = tint;
+      }
+    }
   }
 
   drawPoints(matrix, count, size) {
@@ -110,6 +154,10 @@ export class PlainPainter {
 
 /** A pixel as image data has it, read as one little-endian number. */
 const packed = (red, green, blue) => ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+
+/** Colours, three bytes each, as pixels. */
+const packedAll = (tints) =>
+  Uint32Array.from({ length: tints.length / 3 }, (_, i) => packed(tints[3 * i], tints[3 * i + 1], tints[3 * i + 2]));
 
 /** A vertex in clip coordinates: x, y, w. */
 function clip(matrix, vertices, i) {

@@ -273,14 +273,15 @@ export class PlanView {
  * A floor plan under a map, seen from above with y up: `corner` is where its lower left corner lies, in pixels, `scale` the
  * pixels of a metre.
  */
-export function drawFloorPlan(context, { image, lines, turn, perPixel }, corner, scale, stroke) {
+export function drawFloorPlan(context, { image, inColour, lines, turn, perPixel }, corner, scale, stroke) {
   const size = perPixel * scale;
   context.save();
   context.translate(...corner);
   context.rotate(-turn);
   if (image) {
     context.globalAlpha = 0.6;
-    if (matchMedia("(prefers-color-scheme: dark)").matches) context.filter = "invert(1) hue-rotate(180deg)";
+    if (!inColour && matchMedia("(prefers-color-scheme: dark)").matches)
+      context.filter = "invert(1) hue-rotate(180deg)";
     context.drawImage(image, 0, -image.height * size, image.width * size, image.height * size);
   }
   context.strokeStyle = stroke;

@@ -1,5 +1,5 @@
-// A map in 3-D: landmarks in the colours of the pictures or by uncertainty, more points of the room on demand, the walk,
-// waypoints, the map's axes, and the pose that was found. z is up; a map that is not upright is levelled for display.
+// A map in 3-D: the room's surfaces, landmarks in the colours of the pictures or by uncertainty, more points on demand, the
+// walk, waypoints, the map's axes, and the pose that was found. z is up; a map that is not upright is levelled for display.
 
 import { resolvedColour } from "../shared/colours.js";
 import { busy, fill, h } from "../shared/dom.js";
@@ -9,9 +9,23 @@ import { fittingDistance, lookAt, multiply, perspective, project, rotation } fro
 import { painterOf } from "./painter.js";
 import { planLines } from "./plan_lines.js";
 import { presenceLines } from "./presence_lines.js";
+import { errorAt } from "./rightness.js";
+import { bestTurn, boundsOf, surfaces } from "./room.js";
 import { inOrder, quantiles, SHOWN, shuffledOrder } from "./samples.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
-import { band, cross, ellipsoid, floor, floorOf, frustum, headings, outlines, segments, walk } from "./scene_lines.js";
+import {
+  band,
+  cross,
+  ellipsoid,
+  floor,
+  floorOf,
+  frustum,
+  headings,
+  outlines,
+  segments,
+  squares,
+  walk,
+} from "./scene_lines.js";
 import { Status } from "./track.js";
 
 const FIELD_OF_VIEW = 0.9; // rad
@@ -29,6 +43,7 @@ const SPREAD = 0.4; // width of a point as a share of how far points would be ap
 const AXIS = 0.5; // m, of the axes at the origin
 const PICK_PX = 14; // how near a click must be to its target
 const KEY_PICK_PX = 120; // how near what a key picks must be to the middle
+const FLOOR_THICK = 0.06; // of a room's height, within which surfaces are its floor
 const CLICK_PX = 5; // how far a pointer may move in a click
 /** @type {[string, number[], number[]][]} */
 const AXES = [
@@ -62,8 +77,18 @@ export class SceneView {
     this.legend = h("div", { class: "scene-legend small", hidden: true });
     this.said = h("div", { class: "scene-said small", role: "status", hidden: true });
     this.levelled = h("p", { class: "scene-levelled small", hidden: true }, t`Levelled for display: up is estimated`);
-    this.paint = h("button", { type: "button", hidden: true, onclick: () => this.colourBy(!this.coloured) });
+    this.paint = h("button", { type: "button", hidden: true, onclick: () => this.switchColours() });
     this.more = h("button", { type: "button", hidden: true, onclick: () => busy(this.more, () => this.toggleCloud()) });
+    this.solid = h(
+      "button",
+      { type: "button", hidden: true, "aria-pressed": "true", onclick: () => this.showSolid(!this.isSolid) },
+      t`Surfaces`,
+    );
+    this.doubt = h(
+      "button",
+      { type: "button", hidden: true, "aria-pressed": "false", onclick: () => this.toggleErrors() },
+      t`Expected error`,
+    );
     this.planned = h(
       "button",
       { type: "button", hidden: true, "aria-pressed": "true", onclick: () => this.togglePlan() },
@@ -74,6 +99,8 @@ export class SceneView {
       { class: "scene-tools" },
       h("button", { type: "button", onclick: () => this.lookDown() }, t`From above`),
       h("button", { type: "button", onclick: () => this.reset() }, t`Whole room`),
+      this.solid,
+      this.doubt,
       this.paint,
       this.more,
       this.planned,
@@ -95,6 +122,8 @@ export class SceneView {
     this.coloured = false;
     this.levelling = LEVEL;
     this.count = this.budget = 0;
+    this.room = null;
+    this.home = HOME;
     this.cloud = null;
     this.pictureOf = null; // gives the address of a view's picture, where pictures are kept
     this.featureOf = null; // gives where a landmark may be seen from, and the views that saw it
@@ -150,21 +179,91 @@ export class SceneView {
     }));
     this.waypoints.push(...tips, ...named(names, z));
     this.labels.replaceChildren(...this.waypoints.map(({ label }) => label));
-    this.legend.replaceChildren(
-      t`uncertainty `,
-      h("span", { class: "mono" }, length(this.deviations[0], metric)),
-      h("span", { class: "scene-ramp" }),
-      h("span", { class: "mono" }, length(this.deviations[1], metric)),
-    );
+    this.showRamp(t`uncertainty `, this.deviations);
     this.paint.hidden = !scene.colours;
     for (const [name, axis, colour] of AXES)
       this.setLines(`axis ${name}`, colour, [0, 0, 0, ...axis.map((value) => AXIS * value)]);
-    this.setLines("floor", "--line", inOtherAxes(floor(level), 3, transposed(this.levelling)));
+    this.setLines("floor", "--line", this.inMapAxes(floor(level)));
     this.setLines("areas", "--accent", outlines(names.areas, z));
     this.setLines("walk", "--ink", walk(scene.views));
     this.setLines("headings", "--muted", headings(scene.views));
     this.colourBy(scene.colours !== null);
     this.lookAtAll(level, inOtherAxes(scene.views, STRIDE_VIEW, this.levelling));
+  }
+
+  /** Show a room (of `readRoom`) as surfaces, instead of landmarks. */
+  showRoom(room) {
+    this.room = surfaces(room, this.levelling);
+    this.painter.setSurface(this.room.positions, this.room.tints, this.room.triangles);
+    const bounds = boundsOf(this.room);
+    this.floor = bounds[2][0];
+    this.corners = cornersOf(bounds);
+    this.home = { turn: bestTurn(this.room), tilt: HOME.tilt };
+    this.setLines("floor", "--line", this.inMapAxes(squares(bounds)));
+    this.solid.hidden = false;
+    this.showSolid(true);
+    this.reset();
+  }
+
+  /** Offer to tint the floor by the errors [m] that are expected of the views. */
+  offerErrors(errors) {
+    const known = errors.filter((error) => error !== null);
+    this.errors = errors;
+    this.errorEnds = [Math.min(...known), Math.max(...known)];
+    this.doubt.hidden = !this.room || !known.length;
+  }
+
+  toggleErrors() {
+    const shown = this.doubt.ariaPressed !== "true";
+    this.doubt.ariaPressed = String(shown);
+    const { positions, tints, triangles } = this.room;
+    this.painter.setSurface(positions, shown ? this.floorByError() : tints, triangles);
+    if (shown) this.showRamp(t`expected error `, this.errorEnds);
+    this.legend.hidden = !shown;
+    this.showSolid(true);
+  }
+
+  /** The room's tints, the floor's by the error that is expected there. */
+  floorByError() {
+    const { positions, level, tints } = this.room;
+    const marked = tints.slice();
+    const [low, high] = this.errorEnds;
+    for (let i = 0; i < level.length; i += 3) {
+      if (level[i + 2] > this.floor + FLOOR_THICK * (this.corners[7][2] - this.floor)) continue;
+      const error = errorAt(this.scene.views, this.errors, positions[i], positions[i + 1]);
+      if (error !== null) marked.set(ramp((error - low) / Math.max(high - low, 1e-9)), i);
+    }
+    return marked;
+  }
+
+  /** Say what the ramp of colours goes from and to. */
+  showRamp(called, ends) {
+    this.legend.replaceChildren(
+      called,
+      h("span", { class: "mono" }, length(ends[0], this.metric)),
+      h("span", { class: "scene-ramp" }),
+      h("span", { class: "mono" }, length(ends[1], this.metric)),
+    );
+  }
+
+  /** Mark a view by its number, as if it had been clicked. */
+  showView(view) {
+    this.showPicked(viewAt(this.scene.views, view));
+  }
+
+  /** Draw the room's surfaces, or landmarks. */
+  showSolid(solid) {
+    this.solid.ariaPressed = String(solid);
+    this.redraw();
+  }
+
+  get isSolid() {
+    return this.room !== null && this.solid.ariaPressed === "true";
+  }
+
+  /** Lines in level axes as the map's own frame has them. */
+  inMapAxes(lines) {
+    return inOtherAxes(lines, 3, transposed(this.levelling));
   }
 
   /** Draw a floor plan, as `keptPlan` gives it, on the floor. */
@@ -192,6 +291,7 @@ export class SceneView {
   async toggleCloud() {
     this.cloud = this.cloud ? null : await this.loadCloud();
     this.more.textContent = this.cloud ? this.less : this.most;
+    this.showSolid(false);
     this.setPoints();
   }
 
@@ -208,6 +308,13 @@ export class SceneView {
     const order = shuffledOrder(this.count);
     this.painter.setPoints(inOrder(all, 3, order), inOrder(allTints, 3, order));
     this.redraw();
+  }
+
+  switchColours() {
+    if (this.doubt.ariaPressed === "true") this.toggleErrors();
+    this.showRamp(t`uncertainty `, this.deviations);
+    this.colourBy(!this.coloured);
+    this.showSolid(false);
   }
 
   /** Paint landmarks in the colours of the pictures, or by how uncertain they are. */
@@ -374,13 +481,13 @@ export class SceneView {
       if (landmarks.length) ends.push(...quantiles(landmarks, axis, FRAMED));
       return ends.length ? [Math.min(...ends), Math.max(...ends)] : [-1, 1];
     });
-    this.corners = Array.from({ length: 8 }, (_, i) => spans.map((span, axis) => span[(i >> axis) & 1]));
+    this.corners = cornersOf(spans);
     this.pointSize = Math.max(POINT_SIZE, (SPREAD * diagonal(spans)) / Math.sqrt(landmarks.length / STRIDE_LANDMARK));
     this.reset();
   }
 
   reset() {
-    this.showWhole(HOME);
+    this.showWhole(this.home);
   }
 
   /** Look at the whole room from a direction, from as near as its bulk fills the picture. */
@@ -457,7 +564,8 @@ export class SceneView {
     this.painter.paint({
       matrix,
       background: this.colour("--surface"),
-      count: this.restless ? this.budget : this.count,
+      surface: this.isSolid,
+      count: this.isSolid ? 0 : this.restless ? this.budget : this.count,
       size: this.pointSize * height,
       styles: [...this.styles].map(([name, { token, alpha }]) => [name, [...this.colour(token), alpha]]),
     });
@@ -504,6 +612,9 @@ const backwards = (turn, tilt) => [Math.cos(turn) * Math.cos(tilt), Math.sin(tur
 
 /** Height of the picture [rad]; in a picture that stands, its width is the usual one. */
 const fieldOfView = (aspect) => (aspect < 1 ? 2 * Math.atan(Math.tan(FIELD_OF_VIEW / 2) / aspect) : FIELD_OF_VIEW);
+
+/** The corners of a box with these ends along each axis. */
+const cornersOf = (spans) => Array.from({ length: 8 }, (_, i) => spans.map((span, axis) => span[(i >> axis) & 1]));
 
 const diagonal = (spans) => Math.hypot(...spans.map(([low, high]) => high - low));
 
@@ -632,11 +743,16 @@ function certainties(landmarks, deviations) {
   const tints = new Uint8Array((3 * landmarks.length) / STRIDE_LANDMARK);
   for (let i = 0; i < tints.length / 3; i++) {
     const share = (Math.log(landmarks[STRIDE_LANDMARK * i + 3]) - least) / Math.max(most - least, 0.1);
-    const along = (RAMP.length - 1) * Math.min(1, Math.max(0, share || 0));
-    const from = Math.min(RAMP.length - 2, Math.floor(along));
-    for (let c = 0; c < 3; c++) tints[3 * i + c] = RAMP[from][c] + (along - from) * (RAMP[from + 1][c] - RAMP[from][c]);
+    tints.set(ramp(share), 3 * i);
   }
   return tints;
+}
+
+/** The colour of a share of the ramp, from certain (0) to uncertain (1). */
+function ramp(share) {
+  const along = (RAMP.length - 1) * Math.min(1, Math.max(0, share || 0));
+  const from = Math.min(RAMP.length - 2, Math.floor(along));
+  return RAMP[from].map((value, c) => value + (along - from) * (RAMP[from + 1][c] - value));
 }
 
 /** As many numbers of a colour that says nothing. */

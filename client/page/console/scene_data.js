@@ -11,6 +11,18 @@ export function readPoints(buffer) {
 }
 
 /**
+ * What `/v1/maps/{map}/room` answers: `{positions, faces, colours}`, three numbers and three bytes for each vertex, four
+ * vertices for each face.
+ */
+export function readRoom(buffer) {
+  const [vertices, count] = new Uint32Array(buffer, 0, 2);
+  const positions = new Float32Array(buffer, 8, 3 * vertices);
+  const faces = new Uint32Array(buffer, 8 + positions.byteLength, 4 * count);
+  const colours = new Uint8Array(buffer, 8 + positions.byteLength + faces.byteLength, 3 * vertices);
+  return { positions, faces, colours };
+}
+
+/**
  * `{features, landmarks, views, colours}`: the number of landmarks, their figures, those of the views, and three bytes for
  * each landmark, red, green and blue, or null where the map does not know its colours.
  */

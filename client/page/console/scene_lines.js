@@ -24,8 +24,16 @@ export function walk(views) {
 /** A grid of square metres, at the height of the lowest landmarks. */
 export function floor(landmarks) {
   if (!landmarks.length) return [];
-  const [[west, east], [south, north]] = [0, 1].map((axis) => quantiles(landmarks, axis, SHOWN).map(Math.round));
-  const z = floorOf(landmarks);
+  return squares([...[0, 1].map((axis) => quantiles(landmarks, axis, SHOWN)), [floorOf(landmarks)]]);
+}
+
+/**
+ * Square metres over a rectangle at a height.
+ * @param {number[][]} box `[[west, east], [south, north], [height]]`
+ */
+export function squares(box) {
+  const [across, along, [z]] = box;
+  const [[west, east], [south, north]] = [across, along].map((ends) => ends.map(Math.round));
   if ((east - west) * (north - south) > MAX_FLOOR) return [];
   const lines = [];
   for (let x = west; x <= east; x++) lines.push(x, south, z, x, north, z);

@@ -214,6 +214,10 @@ export const GERMAN = {
   // The room
   "{0}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets, Enter picks what is in the middle.":
     "{0}. Pfeiltasten drehen, mit Umschalttaste verschieben sie, Plus und Minus zoomen, Pos1 setzt zurück, die Eingabetaste wählt, was in der Mitte ist.",
+  Surfaces: "Flächen",
+  "expected error ": "erwarteter Fehler ",
+  "A robot here, looking there, is right to about {0}.":
+    "Ein Roboter, der hier steht und dorthin blickt, liegt auf etwa {0} richtig.",
   "From above": "Von oben",
   "Whole room": "Ganzer Raum",
   "Levelled for display: up is estimated": "Für die Anzeige aufgerichtet: Wo oben ist, ist geschätzt",

@@ -197,12 +197,27 @@ class MapLibrary:
             raise _changed(name)
         self._put(name, map_to_bytes(next_version), lambda _: next_version, instead_of=file)
 
+    def furnish(self, name: str, before: Path, furnished: Path) -> None:
+        """Put a map's file with more to show in the place of the file ``before``, which is not kept as a version.
+
+        Nothing happens if the map has changed or was deleted since.
+
+        Raises:
+            InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
+        """
+        self._catalogue.refresh()
+        with suppress(UnknownMap, Conflict):
+            file = self.stat(name)
+            if self.outline(name).info == load_outline(before).info:
+                self._put(name, _pieces(furnished), load_map, instead_of=file, keeps_replaced=False)
+
     def _put(
         self,
         name: str,
         data: bytes | Iterator[bytes],
         read: Callable[[Path], Map],
         instead_of: MapFile | None = None,
+        keeps_replaced: bool = True,
     ) -> Map:
         """Publish a file under a name, after ``read`` has parsed it.
 
@@ -211,6 +226,7 @@ class MapLibrary:
             data: the file's content.
             read: returns the map in a file.
             instead_of: the file that it must replace; None for any.
+            keeps_replaced: whether the replaced file is kept as a version.
         """
         called = check_map_name(name) + SUFFIX
         self._catalogue.make_room()
@@ -224,7 +240,7 @@ class MapLibrary:
                 if instead_of is not None and present != instead_of:
                     raise _changed(name)
                 if file is not None:
-                    replaced = [] if present is None else [present]
+                    replaced = [present] if present is not None and keeps_replaced else []
                     change.arrange(name, file, [*replaced, *change.versions(name)])
         finally:
             arrived.unlink(missing_ok=True)

@@ -22,6 +22,7 @@ from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.mapping.learn.from_queries import MIN_QUERIES, learn_from_queries, too_few_queries
 from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
 from rholoc.mapping.learn.merging import merge_maps
+from rholoc.mapping.room.drawing import draw_room
 from rholoc.mapping.sites.linking import SearchedPair, add_links, map_state, search_links
 from rholoc.mapping.sites.poses import find_link, pose_in_site, solve_site, with_link
 
@@ -34,6 +35,7 @@ __all__ = [
     "UpdateOptions",
     "add_links",
     "build_map",
+    "draw_room",
     "find_link",
     "forget_recording",
     "lay_over_plan",

@@ -12,7 +12,7 @@ from rholoc.maps.formats.observation_table import ObservationTable, observations
 from rholoc.maps.formats.patch_bytes import moved_patches, packed_patches, storable_patches, unpacked_patches
 from rholoc.maps.formats.ply_and_vtp import landmark_sigmas, map_to_ply, map_to_vtp
 from rholoc.maps.formats.rho_file import MapOutline, load_map, map_to_bytes, save_map
-from rholoc.maps.formats.scene import cloud_to_bytes, map_to_scene
+from rholoc.maps.formats.scene import cloud_to_bytes, map_to_scene, room_to_bytes
 from rholoc.maps.formats.surfaces import map_surfaces_vtp
 from rholoc.maps.formats.trajectory_table import (
     TrajectoryTable,
@@ -47,6 +47,7 @@ from rholoc.maps.names import (
 )
 from rholoc.maps.naming import check_map_name
 from rholoc.maps.part import MapPart, part_of
+from rholoc.maps.room import Room
 from rholoc.maps.sites import (
     MAX_MAPS,
     FramePose,
@@ -87,6 +88,7 @@ __all__ = [
     "NamedArea",
     "NamedPoint",
     "ObservationTable",
+    "Room",
     "Site",
     "SiteLink",
     "SiteMap",
@@ -127,6 +129,7 @@ __all__ = [
     "points_near",
     "read_coefficient_table",
     "read_trajectory_csv",
+    "room_to_bytes",
     "save_map",
     "source_cameras",
     "storable_patches",

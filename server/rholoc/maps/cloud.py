@@ -40,9 +40,9 @@ class Cloud:
         left = self.keep(self.sources != source)
         return Cloud(left.positions, left.colours, (left.sources - (left.sources > source)).astype(np.int32))
 
-    def with_sources_after(self, count: int) -> Cloud:
-        """The points with the numbers of their sources increased by ``count``."""
-        return Cloud(self.positions, self.colours, (self.sources + count).astype(np.int32))
+    def renumbered(self, numbers: IntArray) -> Cloud:
+        """The points with ``numbers[source]`` as source, int32."""
+        return Cloud(self.positions, self.colours, numbers[self.sources])
 
     @staticmethod
     def joined(*clouds: Cloud) -> Cloud:

@@ -12,6 +12,7 @@ from rholoc.lazy import lazy
 from rholoc.maps.cloud import Cloud
 from rholoc.maps.info import MapInfo
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
+from rholoc.maps.room import Room
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +26,7 @@ class Map:
         views: K rows.
         observations: V rows, sorted by view.
         cloud: further points of the room, for people to see.
+        room: surfaces of the room, for people to see.
         plan: the file of its floor plan, empty if it has none; ``info.plan`` describes it.
         densities: of all features, in the map's form.
     """
@@ -35,6 +37,7 @@ class Map:
     views: MapViews
     observations: MapObservations
     cloud: Cloud = Cloud()  # noqa: RUF009 - it is frozen
+    room: Room = Room()  # noqa: RUF009 - it is frozen
     plan: bytes = b""
     densities: Densities = RayDensities()  # noqa: RUF009 - it is frozen
 

@@ -10,6 +10,7 @@ from rholoc.density import DensityKind
 from rholoc.geometry import IntArray, ranges
 from rholoc.maps.cloud import Cloud
 from rholoc.maps.map import Map
+from rholoc.maps.room import Room
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +18,7 @@ class MapPart:
     """Some views of a map, and all landmarks that they saw.
 
     Attributes:
-        map: with only these, without the cloud.
+        map: with only these, without the cloud and the room.
         features: (P,) the rows of its features in the whole map, ascending.
     """
 
@@ -43,5 +44,6 @@ def part_of(map_: Map, views: IntArray) -> MapPart:
         views=map_.views.take(views),
         observations=replace(map_.observations.take(rows), views=own_views, features=own.astype(np.int32)),
         cloud=Cloud(),
+        room=Room(),
     )
     return MapPart(part, features.astype(np.int64))

@@ -6,6 +6,7 @@ import numpy as np
 
 from rholoc.errors import InvalidMap, RholocError
 from rholoc.geometry import FloatArray, IntArray
+from rholoc.maps.cloud import Cloud
 from rholoc.maps.floor_plan import FloorPlan, check_plan
 from rholoc.maps.kept_observations import memory_fits, memory_of
 from rholoc.maps.map import Map
@@ -38,8 +39,10 @@ def validate_map(map_: Map) -> None:
     _check(_all_in_range(observations.features, features), "a view saw a feature that is not there")
     if landmarks.patches is not None:
         _check(_all_patches(landmarks.patches), "its landmarks' patches are not valid")
-    if len(map_.cloud):
-        _check_cloud(map_)
+    for name, cloud in (("cloud", map_.cloud), ("room", map_.room.vertices)):
+        _check_cloud(name, cloud, len(map_.info.sources))
+    _check_array("room_faces", map_.room.faces, np.int32, (None, 4))
+    _check(_all_in_range(map_.room.faces, len(map_.room)), "a face of the room has a vertex that is not there")
     if views.pictures is not None:
         _check(all(one.startswith(_JPEG) for one in views.pictures if one), "a view's picture is not a JPEG")
     _check(bool(map_.plan) == (map_.info.plan is not None), "its floor plan and what it says of it do not fit together")
@@ -64,12 +67,13 @@ def _is_plan(content: bytes, plan: FloorPlan) -> bool:
     return True
 
 
-def _check_cloud(map_: Map) -> None:
-    cloud = map_.cloud
-    _check_array("cloud_positions", cloud.positions, np.float32, (None, 3))
-    _check_array("cloud_colours", cloud.colours, np.uint8, (len(cloud), 3))
-    _check_array("cloud_sources", cloud.sources, np.int32, (len(cloud),))
-    _check(_all_in_range(cloud.sources, len(map_.info.sources)), "a point is from a recording that is not there")
+def _check_cloud(name: str, cloud: Cloud, sources: int) -> None:
+    if not len(cloud):
+        return
+    _check_array(f"{name}_positions", cloud.positions, np.float32, (None, 3))
+    _check_array(f"{name}_colours", cloud.colours, np.uint8, (len(cloud), 3))
+    _check_array(f"{name}_sources", cloud.sources, np.int32, (len(cloud),))
+    _check(_all_in_range(cloud.sources, sources), f"a point of the {name} is from a recording that is not there")
 
 
 def check_usable(map_: Map) -> None:

@@ -101,7 +101,7 @@ class JobRunner:
         }
         try:
             with telemetry.job_span(f"job {work.options.kind}", about, work.asked_in) as marks:
-                self._record(lease, self._outcome(claim), marks)
+                self._record(claim, self._outcome(claim), marks)
         except Cancelled:
             _log.info("job %s left: cancelled, or given to another worker", lease.job)
             self._workplace.clear(self._leases.unfinished_runs)
@@ -128,8 +128,9 @@ class JobRunner:
             return unexpected(error)
 
     def _record(
-        self, lease: Lease, outcome: tuple[str, ...] | Failure | MoreMemoryNeeded, marks: telemetry.Marks
+        self, claim: Claim, outcome: tuple[str, ...] | Failure | MoreMemoryNeeded, marks: telemetry.Marks
     ) -> None:
+        lease = claim.lease
         if isinstance(outcome, MoreMemoryNeeded):
             _log.info("job %s is handed on: it needs %.1f GiB of memory", lease.job, outcome.memory_bytes / 2**30)
             ended = self._leases.hand_on(lease, outcome.memory_bytes)
@@ -140,6 +141,8 @@ class JobRunner:
         else:
             ended = self._leases.publish(lease, outcome)
         if ended:  # otherwise another worker has the job and needs the built map
+            if isinstance(outcome, tuple):
+                self._furnish(claim)
             self._workplace.remove(lease)
 
     def _build(self, lease: Lease, work: JobWork) -> Failure | MoreMemoryNeeded | None:
@@ -185,8 +188,24 @@ class JobRunner:
         task = self._task(lease, work)
         with telemetry.span("publish"):
             reasons = self._patiently(lease, lambda: self._put(lease, work, task))
-        self._workplace.release(work)
         return reasons
+
+    def _furnish(self, claim: Claim) -> None:
+        """Let the pipeline draw the room of a map that is published; without it, the map is as good as before."""
+        lease, work = claim.lease, claim.work
+        if work.options.kind.reads_recording:
+            limits = replace(self._limits, memory_bytes=self._claims.free_bytes(lease))
+            try:
+                self._pipeline.furnish(self._task(lease, work), self._workplace.maps(), self._check_going_on, limits)
+            except Cancelled:
+                _log.info("the room of %s was not drawn: the worker stops", work.map_name)
+            except Exception:
+                _log.warning("the room of %s could not be drawn", work.map_name, exc_info=True)
+        self._workplace.release(work)
+
+    def _check_going_on(self) -> None:
+        if self._stopping.is_set():
+            raise Cancelled("The worker stops.")
 
     def _put(self, lease: Lease, work: JobWork, task: MappingTask) -> tuple[str, ...]:
         def note(connection: sa.Connection, map_: Map) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -14,9 +15,10 @@ from rholoc.jobs.job import JobKind, JobOptions
 from rholoc.library import CameraLibrary, MapLibrary
 from rholoc.library.queries import QueryStore
 from rholoc.library.recording_notes import WAYPOINTS_FILE, notes_of, write_notes
-from rholoc.mapping import BuildOptions, UpdateOptions, build_map, learn_from_queries, update_map
+from rholoc.mapping import BuildOptions, UpdateOptions, build_map, draw_room, learn_from_queries, update_map
 from rholoc.maps import Map, load_map, save_map, trust_of
-from rholoc.progress import ProgressListener, Stage
+from rholoc.processes import BACKGROUND_NICENESS, Limits, run_in_child
+from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import MAX_FRAME_PIXELS, Recording, frame_pixels_limited, read_recording
 from rholoc.storage import ObjectStorage
 from rholoc.worker.site_placing import write_links
@@ -50,7 +52,7 @@ class MappingTask:
 
 
 class Pipeline(Protocol):
-    """The two steps of a job. Both must be idempotent, because they may be repeated after a crash.
+    """The steps of a job. The first two must be idempotent, because they may be repeated after a crash.
 
     ``build`` runs in a child process that may be killed at any time, so a pipeline must be picklable.
     """
@@ -68,6 +70,19 @@ class Pipeline(Protocol):
 
         Returns:
             Why the map is not to be trusted, one line each.
+        """
+        ...
+
+    def furnish(self, task: MappingTask, library: MapLibrary, check: Callable[[], object], limits: Limits) -> None:
+        """Add to the published map of ``task.built_file`` what people see of the room.
+
+        Nobody waits for it: a map that has changed meanwhile, or a failure, leaves it as it is.
+
+        Args:
+            task: the work of a job whose map was published.
+            library: the maps.
+            check: called now and then; raises Cancelled if the worker must stop.
+            limits: of the process that draws.
         """
         ...
 
@@ -112,21 +127,44 @@ class MappingPipeline:
             library.put_file(task.map_name, task.built_file)
         return doubts(map_)
 
+    def furnish(self, task: MappingTask, library: MapLibrary, check: Callable[[], object], limits: Limits) -> None:
+        """Draw the room's surfaces from the recording, in a child process, and put them into the map."""
+        furnished = task.built_file.with_name(f"room-{task.built_file.name}")
+        draw = run_in_child(
+            write_room, task, furnished, progress=silent, check=check, limits=limits, niceness=BACKGROUND_NICENESS
+        )
+        if draw:
+            library.furnish(task.map_name, task.built_file, furnished)
+
+
+def write_room(task: MappingTask, target: Path, progress: ProgressListener) -> bool:
+    """Write the task's built map with the surfaces of its room. Returns False if the recording shows none."""
+    map_ = load_map(task.built_file)
+    drawn = draw_room(map_, [_recording_of(task)], progress)
+    if drawn is map_:
+        return False
+    save_map(drawn, target)
+    return True
+
 
 def _mapped(task: MappingTask, progress: ProgressListener) -> Map | MoreMemoryNeeded:
-    assert task.recording is not None
     progress(Stage.READ, 0.0, "reading the recording")
-    camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
-    with frame_pixels_limited(task.max_frame_pixels):
-        recording = read_recording(
-            task.recording, camera, task.options.frames, _corrected(task), workdir=task.built_file.parent
-        )
-        if task.folder is not None and task.options.frames is None and _corrected(task) is None:
-            write_notes(task.folder, notes_of(recording))
+    recording = _recording_of(task)
+    if task.folder is not None and task.options.frames is None and _corrected(task) is None:
+        write_notes(task.folder, notes_of(recording))
     needed_bytes = memory_for(recording)
     if needed_bytes > task.memory_bytes:
         return MoreMemoryNeeded(needed_bytes)
     return _updated(task, recording, progress) if _updates(task) else _built(task, recording, progress)
+
+
+def _recording_of(task: MappingTask) -> Recording:
+    assert task.recording is not None
+    camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
+    with frame_pixels_limited(task.max_frame_pixels):
+        return read_recording(
+            task.recording, camera, task.options.frames, _corrected(task), workdir=task.built_file.parent
+        )
 
 
 def _learned(task: MappingTask, progress: ProgressListener) -> Map:

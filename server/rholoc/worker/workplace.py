@@ -69,6 +69,10 @@ class Workplace:
         self._stores.refresh()
         return self._stores.library_acting(note)
 
+    def maps(self) -> MapLibrary:
+        """The library of published maps."""
+        return self._stores.library
+
     def sites(self) -> SiteLibrary:
         """The sites."""
         return SiteLibrary(self._stores.documents(SITES))

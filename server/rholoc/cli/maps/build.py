@@ -52,6 +52,7 @@ def build(
     pictures: Annotated[
         bool, typer.Option("--pictures", help="Keep a small picture of each view in the map, for people to see.")
     ] = False,
+    room: Annotated[bool, typer.Option(help="Draw the room's surfaces, for people to see; takes time.")] = True,
     as_json: options.Json = False,
 ) -> None:
     """Build a map from one or more recordings of a place."""
@@ -60,7 +61,7 @@ def build(
             "--frames, --camera, --waypoints, --length and --topic speak of one recording; give just one."
         )
     target = check_target(out or Path(f"{recordings[0].resolve().stem}.rho"), "the map")
-    from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
+    from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map, draw_room
     from rholoc.maps import DensityKind, save_map
     from rholoc.recordings import read_recording
     from rholoc.trajectory import PoseMethod
@@ -81,7 +82,10 @@ def build(
             for path in recordings
         ]
         map_ = build_map(read, build_options, progress)
-    save_map(map_, target)
+        save_map(map_, target)
+        if room:
+            map_ = draw_room(map_, read, progress)
+            save_map(map_, target)
     print_map(map_, target, as_json)
 
 

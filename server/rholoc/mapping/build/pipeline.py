@@ -16,7 +16,6 @@ from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.geometry.earth import enu_of
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import DEFAULT_DEGREE, fit_densities
-from rholoc.mapping.build.depth_cloud import depth_cloud
 from rholoc.mapping.build.frame_features import FrameFeatures
 from rholoc.mapping.build.job_advice import advice_line, coach, with_advice
 from rholoc.mapping.build.landmarks import (
@@ -31,7 +30,7 @@ from rholoc.mapping.build.self_report import HeldOut, map_report
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.mapping.build.view_choice import choose_views
 from rholoc.mapping.build.view_covariance import storable_covariances
-from rholoc.maps import Cloud, DensityKind, Map, MapInfo, MapWaypoint, SiteOnEarth, Source
+from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, SiteOnEarth, Source
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Look, Recording, Waypoint
 from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
@@ -102,20 +101,7 @@ def build_map(
     landmarks = reconstructed.keep(stable)
     progress(Stage.DENSITIES, 0.6, f"{len(landmarks)} stable features")
     map_ = _assemble(walks, views, walk_of_view, landmarks, extractor, options)
-    cloud = Cloud.joined(
-        cloud_of(views, reconstructed, stable, walk_of_view),
-        *(
-            depth_cloud(
-                walk.recording,
-                walk.trajectory.rows[walk.views],
-                views,
-                np.flatnonzero(walk_of_view == number),
-                reconstructed,
-                number,
-            )
-            for number, walk in enumerate(walks)
-        ),
-    )
+    cloud = cloud_of(views, reconstructed, stable, walk_of_view)
     map_ = replace(map_, views=replace(map_.views, pictures=pictures), cloud=cloud)
     map_ = fit_densities(map_, options.density, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")

@@ -121,10 +121,9 @@ def remove_region(
         InvalidInput: the outline is not a valid polygon.
         Conflict: there is nothing to remove, or too little would be left.
     """
-    landmarks, points = (
-        in_region(positions, outline, bottom_m, top_m) for positions in (map_.landmarks.positions, map_.cloud.positions)
-    )
-    left = without_landmarks(map_, landmarks != keep_inside, points != keep_inside)
+    shown = (map_.landmarks.positions, map_.cloud.positions, map_.room.vertices.positions)
+    removed = (in_region(positions, outline, bottom_m, top_m) != keep_inside for positions in shown)
+    left = without_landmarks(map_, *removed)
     return _cut(map_, left, CorrectionKind.REGION)
 
 

@@ -29,8 +29,9 @@ def in_region(
     return np.asarray(inside & (z <= (np.inf if top_m is None else top_m)))
 
 
-def without_landmarks(map_: Map, removed: BoolArray, points_removed: BoolArray) -> Map:
-    """The map in ``ray`` form without the landmarks ``removed`` (F,) and the cloud points ``points_removed`` (P,).
+def without_landmarks(map_: Map, removed: BoolArray, points_removed: BoolArray, vertices_removed: BoolArray) -> Map:
+    """The map in ``ray`` form without the landmarks ``removed`` (F,), the cloud points ``points_removed`` (P,) and the
+    vertices ``vertices_removed`` (V,) of its room.
 
     Raises:
         Conflict: there are none, or too few would be left.
@@ -38,7 +39,8 @@ def without_landmarks(map_: Map, removed: BoolArray, points_removed: BoolArray) 
     if not removed.any():
         raise Conflict("There is no landmark to remove.", "Choose another region.")
     _check_left(int((~removed).sum()))
-    return keep_features(replace(ray_form(map_), cloud=map_.cloud.keep(~points_removed)), ~removed)
+    shown = replace(ray_form(map_), cloud=map_.cloud.keep(~points_removed), room=map_.room.keep(~vertices_removed))
+    return keep_features(shown, ~removed)
 
 
 def without_views(map_: Map, first: int, last: int) -> Map:

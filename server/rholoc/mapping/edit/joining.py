@@ -63,6 +63,7 @@ def without_source(map_: Map, source: int) -> Map:
         descriptors=_without_source(map_.descriptors.take(memory.descriptor_sources != source), source),
         views=_without_source(left.views, source),
         cloud=map_.cloud.without_source(source),
+        room=map_.room.without_source(source),
     )
     described_still = np.bincount(left.descriptors.features, minlength=len(left)) > 0
     return with_landmarks(keep_features(left, described_still), touched[described_still])
@@ -93,7 +94,8 @@ def with_sources_once(map_: Map) -> Map:
         ),
         descriptors=descriptors.take(_latest(descriptors.features, number[memory.descriptor_sources])),
         views=views,
-        cloud=replace(map_.cloud, sources=number[map_.cloud.sources]),
+        cloud=map_.cloud.renumbered(number),
+        room=replace(map_.room, vertices=map_.room.vertices.renumbered(number)),
     )
 
 
@@ -127,6 +129,7 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
             ),
         ]
     )
+    numbers_of_b = np.arange(len(b.info.sources), dtype=np.int32) + len(a.info.sources)
     seen_by_b = replace(b.observations, views=views + b.observations.views, features=numbers[b.observations.features])
     return replace(
         a,
@@ -135,7 +138,8 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
         descriptors=descriptors.take(np.argsort(descriptors.features, kind="stable")),
         views=MapViews.concat([a.views, replace(b.views, sources=of_b.view_sources + first_source)]),
         observations=MapObservations.concat([a.observations, seen_by_b]),
-        cloud=Cloud.joined(a.cloud, b.cloud.with_sources_after(len(a.info.sources))),
+        cloud=Cloud.joined(a.cloud, b.cloud.renumbered(numbers_of_b)),
+        room=a.room.joined(replace(b.room, vertices=b.room.vertices.renumbered(numbers_of_b))),
     )
 
 

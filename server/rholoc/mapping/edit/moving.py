@@ -27,7 +27,8 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
     positions = similarity.points(map_.landmarks.positions.astype(np.float64)).astype(np.float32)
     T_map_camera = similarity.poses(map_.views.T_map_camera)
     cloud = map_.cloud.moved(similarity)
-    _check_near(positions, T_map_camera[:, :3, 3], cloud.positions)
+    room = map_.room.moved(similarity)
+    _check_near(positions, T_map_camera[:, :3, 3], cloud.positions, room.vertices.positions)
     covariances, R = map_.landmarks.covariances.astype(np.float64), similarity.rotation
     turned = similarity.scale**2 * R @ covariances @ R.T
     densities = FORMS[map_.info.density].from_arrays(map_.densities.moved(similarity).arrays(), positions)
@@ -48,6 +49,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
             covariances=None if of_views is None else moved_covariances(of_views, similarity),
         ),
         cloud=cloud,
+        room=room,
         densities=densities,
     )
     validate_map(moved)

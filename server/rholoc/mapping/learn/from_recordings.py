@@ -14,7 +14,6 @@ from rholoc.geometry import CAMERA_WRITTEN, Camera, FloatArray, IntArray
 from rholoc.localization import Localizer
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import ray_form
-from rholoc.mapping.build.depth_cloud import depth_cloud
 from rholoc.mapping.build.frame_features import FrameFeatures, Shown
 from rholoc.mapping.build.job_advice import coach
 from rholoc.mapping.build.landmarks import Landmarks, are_stable, extend_and_merge, triangulate
@@ -129,12 +128,11 @@ def update_map(
     info = replace(known.info, sources=(source,), waypoints=())
     learned = assemble(info, views, landmarks, np.zeros(len(views), dtype=np.int64), localizer.extractor.metric)
     pictures = tuple(one.picture for one in walk.shown) if options.pictures else None
-    surfaces = depth_cloud(recording, walk.rows, views, np.arange(len(views)), landmarks, 0)
     spread = None
     if known.views.covariances is not None:
         spread = uncertainty_in(known, learned.views.T_map_camera, *walk.residual)
     remembered = replace(learned.views, covariances=spread, pictures=pictures)
-    learned = replace(learned, views=remembered, cloud=Cloud.joined(cloud, surfaces))
+    learned = replace(learned, views=remembered, cloud=cloud)
     joined = join(known, learned, seen)
     progress(Stage.DENSITIES, 0.9, f"{len(joined)} features, {len(known)} of them known before")
     report = replace(

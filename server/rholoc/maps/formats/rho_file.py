@@ -30,6 +30,7 @@ from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.kept_observations import packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapTable, MapViews
+from rholoc.maps.room import Room
 from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
@@ -130,12 +131,18 @@ _CLOUD: dict[str, Kind] = {
     "cloud_colours": ("u1", (None, 3)),
     "cloud_sources": ("i4", (None,)),
 }
+_ROOM: dict[str, Kind] = {
+    "room_positions": ("f4", (None, 3)),
+    "room_colours": ("u1", (None, 3)),
+    "room_sources": ("i4", (None,)),
+    "room_faces": ("i4", (None, 4)),
+}
 _PLAN: dict[str, Kind] = {
     "plan_bytes": ("u1", (None,)),
 }
 _MEMORY = ("extras/observation_pixels", "extras/view_sources", "extras/descriptor_sources")
 _KINDS = {stored.name: stored.kind for table in (_LANDMARKS, _DESCRIPTORS, _VIEWS) for stored in table.values()} | (
-    _PICTURES | _OBSERVATIONS | _PIXELS | _CLOUD | _PLAN
+    _PICTURES | _OBSERVATIONS | _PIXELS | _CLOUD | _ROOM | _PLAN
 )
 # int32 in memory; in a file of the smallest type that holds them
 _INDICES = tuple(name for name, (number, _) in _KINDS.items() if number == "i4")
@@ -218,6 +225,7 @@ class MapOutline:
     Attributes:
         info: the map's description.
         landmarks, views: their numbers.
+        room: number of vertices of the room's surfaces.
         checksum: of the description and all arrays.
     """
 
@@ -225,6 +233,7 @@ class MapOutline:
     landmarks: int
     views: int
     checksum: str = ""
+    room: int = 0
 
 
 def load_outline(path: Path) -> MapOutline:
@@ -261,8 +270,10 @@ def outline_of(header: bytes, called: str) -> MapOutline:
         arrays = json.loads(header)
         metadata = arrays.get("__metadata__", {})
         _check_format(called, metadata)
-        landmarks, views = (int(arrays.get(name, _ABSENT)["shape"][0]) for name in ("landmarks", "view_times"))
-        return MapOutline(info_from_json(metadata.get("info", "")), landmarks, views, metadata.get("checksum", ""))
+        lengths = ("landmarks", "view_times", "room_positions")
+        landmarks, views, room = (int(arrays.get(name, _ABSENT)["shape"][0]) for name in lengths)
+        info = info_from_json(metadata.get("info", ""))
+        return MapOutline(info, landmarks, views, metadata.get("checksum", ""), room)
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise InvalidMap(f"{called} is corrupt, truncated, or not a map.", _HINT) from error
 
@@ -312,6 +323,10 @@ def _packed(map_: Map) -> Arrays:
         arrays["cloud_positions"] = map_.cloud.positions
         arrays["cloud_colours"] = map_.cloud.colours
         arrays["cloud_sources"] = map_.cloud.sources
+    if len(map_.room):
+        vertices = map_.room.vertices
+        columns = (vertices.positions, vertices.colours, vertices.sources, map_.room.faces)
+        arrays |= dict(zip(_ROOM, columns, strict=True))
     if map_.plan:
         arrays["plan_bytes"] = np.frombuffer(map_.plan, dtype=np.uint8)
     packed = {name: np.asarray(array, dtype=f"<{_KINDS[name][0]}", order="C") for name, array in arrays.items()}
@@ -366,6 +381,7 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
             seen_from, arrays["view_features"], _unpacked_pixels(info, views, seen_from, arrays)
         ),
         cloud=_unpacked_cloud(arrays),
+        room=_unpacked_room(arrays),
         plan=_unpacked_plan(arrays),
         densities=_unpacked_densities(info.density, arrays),
     )
@@ -388,6 +404,14 @@ def _unpacked_cloud(arrays: Arrays) -> Cloud:
         return Cloud()
     _check_arrays(arrays, _CLOUD)
     return Cloud(arrays["cloud_positions"], arrays["cloud_colours"], arrays["cloud_sources"])
+
+
+def _unpacked_room(arrays: Arrays) -> Room:
+    if _ROOM.keys().isdisjoint(arrays):
+        return Room()
+    _check_arrays(arrays, _ROOM)
+    positions, colours, sources, faces = (arrays[name] for name in _ROOM)
+    return Room(Cloud(positions, colours, sources), faces)
 
 
 def _unpacked_pictures(arrays: Arrays, views: int) -> tuple[bytes, ...] | None:

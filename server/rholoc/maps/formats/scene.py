@@ -38,6 +38,17 @@ def cloud_to_bytes(map_: Map) -> bytes:
     return count.tobytes() + cloud.positions.astype("<f4").tobytes() + cloud.colours.tobytes()
 
 
+def room_to_bytes(map_: Map, rotation: FloatArray | None = None) -> bytes:
+    """The surfaces of a map's room as little-endian numbers: two uint32, the numbers V and Q; (V, 3) float32 of the
+    vertices' x, y, z; (Q, 4) uint32, the vertices of each quadrilateral, counter-clockwise as seen from the free side;
+    (V, 3) uint8, red, green and blue. Lengths in metres. ``rotation`` (3, 3) rotates everything."""
+    vertices, faces = map_.room.vertices, map_.room.faces
+    counts = np.array([len(vertices), len(faces)], dtype="<u4")
+    R = np.eye(3) if rotation is None else rotation
+    arrays = (counts, (vertices.positions @ R.T).astype("<f4"), faces.astype("<u4"), vertices.colours)
+    return b"".join(array.tobytes() for array in arrays)
+
+
 def evenly(count: int, most: int | None) -> IntArray:
     """The indices of at most ``most`` of ``count``, evenly chosen; all of them if ``most`` is None."""
     if most is None or count <= most:

@@ -41,6 +41,7 @@ class MapSummary(AnswerModel):
     created: str = Field(description="when this version was made, ISO 8601, UTC")
     landmarks: int = Field(description="how many features it holds")
     views: int = Field(description="how many keyframes it was seen from")
+    room: int = Field(description="how many vertices the surfaces of its room have; 0 until they are drawn")
     size_bytes: int
     trusted: bool | None = Field(
         description="whether the frame poses that it was built on passed every check; null where it does not say"
@@ -149,6 +150,7 @@ def _summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str
         "created": info.created,
         "landmarks": outline.landmarks,
         "views": outline.views,
+        "room": outline.room,
         "size_bytes": size_bytes,
         "trusted": trust.trusted,
         "trust_reason": trust.reason,
@@ -162,7 +164,7 @@ def _summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str
 def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
     """Description of a map whose file has ``size_bytes`` bytes and replaced the map ``before``."""
     bounds, rotation = None, levelled(map_)
-    outline = MapOutline(map_.info, len(map_), len(map_.views))
+    outline = MapOutline(map_.info, len(map_), len(map_.views), room=len(map_.room))
     if len(map_):
         bounds = [map_.landmarks.positions.min(axis=0).tolist(), map_.landmarks.positions.max(axis=0).tolist()]
     fields = {

@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, UnknownPicture
 from rholoc.mapping import levelled
-from rholoc.maps import Map, cloud_to_bytes, map_to_scene
+from rholoc.maps import Map, cloud_to_bytes, map_to_scene, room_to_bytes
 from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
 from rholoc.paper.landscape import presence_of
 from rholoc.pictures.rendering import Rendering
@@ -27,6 +27,7 @@ from rholoc.service.maps.renderings import etag_of
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service, State
 
+Level = Annotated[bool, Query(description="whether a map that is not upright is turned as its `levelling` says")]
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
 
@@ -129,9 +130,7 @@ async def get_scene(
     landmarks: Annotated[
         int | None, Query(ge=1, description="at most so many, evenly chosen; default: all", examples=[1500])
     ] = None,
-    level: Annotated[
-        bool, Query(description="whether a map that is not upright is turned as its `levelling` says")
-    ] = False,
+    level: Level = False,
 ) -> Response:
     """Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y, z, standard deviation;
     K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its colours, F × 3 uint8: red,
@@ -189,6 +188,26 @@ async def get_points(map_name: str, request: Request, service: Service) -> Respo
     """Points of the reconstruction that are not landmarks, for people to see the room. Little-endian: one uint32, the
     number P; P × 3 float32: x, y, z; P × 3 uint8: red, green, blue. Lengths in metres."""
     return await _made(request, service, map_name, lambda map_: (cloud_to_bytes(map_), _BINARY_TYPE), "points")
+
+
+@router.get(
+    "/{map_name}/room",
+    **declared(
+        NEEDS_READ,
+        "The surfaces of a map's room",
+        *_FAILURES,
+        also=content("A mesh in colour.", "application/octet-stream"),
+    ),
+)
+async def get_room(map_name: str, request: Request, service: Service, level: Level = False) -> Response:
+    """Surfaces for people to see, drawn after a map is published; nothing uses them to localize. Little-endian: two
+    uint32, the numbers V and Q; V × 3 float32: x, y, z; Q × 4 uint32: the vertices of each quadrilateral,
+    counter-clockwise as seen from the free side; V × 3 uint8: red, green, blue. Lengths in metres."""
+
+    def room(map_: Map) -> tuple[bytes, str]:
+        return room_to_bytes(map_, levelled(map_) if level else None), _BINARY_TYPE
+
+    return await _made(request, service, map_name, room, "room", level)
 
 
 @router.get(
