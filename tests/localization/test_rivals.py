@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,10 +10,11 @@ import pytest
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose
-from rholoc.localization import Dof, Localization, Localizer, Query, SeveralFrames, localize_together
+from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
 from rholoc.localization.pose.rematching import verify
 from rholoc.localization.pose.rivals import are_rivals, shares
-from rholoc_client.tracking import Answer, Track
+from rholoc.tracking import answer_of
+from rholoc_client.tracking import Track
 
 
 @pytest.fixture(scope="module")
@@ -56,14 +56,6 @@ def test_several_frames_of_it_are_not_answered_as_if_there_were_no_other(twin_ro
     assert localize_together(localizer, asked).first.recognized < 0.9
 
 
-def _told(answer: Localization) -> Answer | None:
-    """An answer as a track takes it in."""
-    modes = [Answer(one.pose.T_map_camera, one.covariance, one.weight) for one in answer.alternatives]
-    if answer.pose is not None and answer.covariance is not None:
-        modes.insert(0, Answer(answer.pose.T_map_camera, answer.covariance, answer.recognized))
-    return replace(modes[0], alternatives=tuple(modes[1:]), localized=answer.localized) if modes else None
-
-
 @pytest.mark.parametrize("seed", range(10))
 def test_a_walk_past_a_poster_tells_which_half_of_a_room_it_is_and_claims_nothing_wrong_before(
     twin_room: Any, seed: int
@@ -87,7 +79,7 @@ def test_a_walk_past_a_poster_tells_which_half_of_a_room_it_is_and_claims_nothin
         if track.wants_answer:
             track.ask()
             query = Query(room.see(now, 1000 * seed + i), room.camera, Dof.FREE)
-            track.answered(_told(localizer.localize(query)))
+            track.answered(answer_of(localizer.localize(query), metric=True))
         said = track.now()
         if said.pose is not None:
             assert np.linalg.norm(said.pose.position - now.position) < 0.1

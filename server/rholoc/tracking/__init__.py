@@ -1,6 +1,6 @@
 """Frames of a recording or a live camera → a pose for each, by a map on this machine; and where the poses go."""
 
-from rholoc.tracking.follow import Answered, Answering, AtOnce, InBackground, Step, follow
+from rholoc.tracking.follow import Answered, Answering, AtOnce, InBackground, Step, answer_of, follow
 from rholoc.tracking.moments import (
     Moment,
     Motion,
@@ -26,6 +26,7 @@ __all__ = [
     "StepUser",
     "TableOfTrack",
     "Tally",
+    "answer_of",
     "film_times",
     "follow",
     "live_moments",

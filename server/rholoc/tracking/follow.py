@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -163,9 +163,17 @@ def _asking(
 
 def _take(track: FollowedTrack, localizer: AnyLocalizer, answered: Answered) -> None:
     answer, map_ = answered.localization, localizer.map
-    if answer is None or answer.pose is None or not answer.localized or answer.covariance is None:
+    said = None if answer is None else answer_of(answer, map_.info.metric)
+    if answer is None or said is None:
         track.unanswered()
         return
     matches = AnsweredMatches(answer.inlier_pixels.tolist(), map_.landmarks.positions[answer.inlier_features].tolist())
-    said = Answer(answer.pose.T_map_camera, answer.covariance, answer.recognized, map_.info.metric)
     track.answered(said, matches)
+
+
+def answer_of(found: Localization, metric: bool) -> Answer | None:
+    """What a track makes of an answer: its pose and the alternatives. None where there are none."""
+    modes = [Answer(one.pose.T_map_camera, one.covariance, one.weight, metric) for one in found.alternatives]
+    if found.pose is not None and found.covariance is not None:
+        modes.insert(0, Answer(found.pose.T_map_camera, found.covariance, found.recognized, metric))
+    return replace(modes[0], alternatives=tuple(modes[1:]), localized=found.localized) if modes else None
