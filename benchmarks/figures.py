@@ -145,7 +145,7 @@ def few(_: Path) -> Figures:
     for name, recording, rows in (
         ("kitchen_of_5", walk, np.linspace(0, len(walk.frames.times) - 1, 5)),
         ("kitchen_of_10", walk, np.linspace(0, len(walk.frames.times) - 1, 10)),
-        ("corridor", scan, np.arange(0, len(scan.frames.times), 4)),
+        ("corridor", scan, np.arange(0, len(scan.frames.times), 8)),
     ):
         photos = rows.astype(int)
         asked = _near(recording, photos)

@@ -158,7 +158,8 @@ def chosen(recording: Recording, rows: np.ndarray) -> Recording:
     assert recording.poses is not None
     poses = GivenPoses(recording.poses.known[rows], recording.poses.T_map_camera[rows])
     frames = SelectedFrames(recording.frames, rows)
-    return replace(recording, frames=frames, poses=poses, frame_intrinsics=None)
+    depth = None if recording.depth is None else recording.depth.select(rows)
+    return replace(recording, frames=frames, poses=poses, depth=depth, frame_intrinsics=None)
 
 
 # -- simulated ones --------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from rholoc.density.ray import (
     landmarks_from_information,
     observation_information,
+    range_information,
     ray_density,
     squared_ray_distance,
 )
@@ -52,6 +53,18 @@ def test_parallel_rays_determine_nothing() -> None:
     found, covariance = landmarks_from_information(information.sum(axis=0)[None], eta.sum(axis=0)[None])
     assert np.isnan(found).all()
     assert np.isnan(covariance).all()
+
+
+@given(seed=seeds)
+def test_one_ray_whose_length_is_known_ends_in_its_landmark(seed: int) -> None:
+    landmark, positions, bearings = _rays(seed, 2)
+    ranges_m = np.array([np.linalg.norm(landmark - positions[0]), np.nan])
+    across, eta = observation_information(bearings, positions, np.full(2, 100.0))
+    along, eta_along = range_information(bearings, positions, ranges_m, np.full(2, 25.0))
+    found, covariance = landmarks_from_information(across + along, eta + eta_along)
+    np.testing.assert_allclose(found[0], landmark, atol=1e-6)
+    assert bearings[0] @ covariance[0] @ bearings[0] == pytest.approx(1 / 25)
+    assert np.isnan(found[1]).all()  # nothing is known along the other
 
 
 @given(seed=seeds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from rholoc.mapping.build.landmarks import (
     representative_rows,
     select_stable,
     triangulate,
+    with_ranged,
 )
 from rholoc.mapping.build.tracks import Views, link_observations, neighbour_pairs
 
@@ -134,6 +136,29 @@ def test_what_two_views_saw_stays_only_where_views_have_little_else(landmarks: L
     assert (twice & (sigma < 0.05)).sum() > 20
     assert are_stable(walked, thinned, 10_000)[twice & (sigma < 0.05)].all()  # no view has a hundred
     assert not are_stable(walked, thinned, 20)[twice].any()
+
+
+def test_a_range_makes_a_landmark_of_one_view_and_a_wrong_one_spoils_none(
+    landmarks: Landmarks, walked: Views, point_room: Any
+) -> None:
+    depths = np.linalg.norm(landmarks.positions[landmarks.labels] - walked.positions[walked.view_of], axis=1)
+    tracked = landmarks.labels >= 0
+    few = np.where(walked.view_of % 6 == 0, landmarks.labels, -1)
+    ranged = replace(walked, ranges_m=np.where(tracked, depths, np.nan))
+    labels = with_ranged(ranged, few)
+    assert (labels[few >= 0] == few[few >= 0]).all()
+    assert ((labels >= 0) == tracked).all()
+    found = triangulate(ranged, labels)
+    once = found.view_counts == 1
+    assert once.sum() > 1000
+    distance, _ = cKDTree(point_room.points).query(found.positions[once])
+    assert np.percentile(distance, 95) < 0.06
+    wrong = replace(walked, ranges_m=np.where(np.arange(len(depths)) % 5 == 0, 2 * depths, np.nan))
+    spoiled = triangulate(wrong, landmarks.labels)
+    often = landmarks.view_counts >= 5
+    assert len(spoiled) == len(landmarks)
+    moved_m = np.linalg.norm(spoiled.positions - landmarks.positions, axis=1)[often]
+    assert np.percentile(moved_m, 99) < 0.02
 
 
 def test_representatives_start_with_the_medoid(landmarks: Landmarks, walked: Views) -> None:

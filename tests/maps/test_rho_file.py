@@ -64,7 +64,7 @@ def test_an_empty_map_comes_back(make_map, tmp_path: Path) -> None:
 def test_every_array_of_a_map_is_stored() -> None:
     names = ("info", "landmarks", "descriptors", "views", "observations", "cloud", "room", "plan", "densities")
     assert tuple(field.name for field in fields(Map)) == names
-    apart = {"views.pictures", "observations.views", "observations.features", "observations.pixels"}
+    apart = {"views.pictures", *(f"observations.{name}" for name in ("views", "features", "pixels", "ranges_m"))}
     stored = {
         f"{name}.{column}"
         for name, table in (("landmarks", _LANDMARKS), ("descriptors", _DESCRIPTORS), ("views", _VIEWS))
@@ -95,6 +95,16 @@ def test_patches_come_back_and_files_without_them_load(room_map: Map, tmp_path: 
     assert load_map(tmp_path / "plain.rho").landmarks.patches is None
     added_bytes = (tmp_path / "known.rho").stat().st_size - (tmp_path / "plain.rho").stat().st_size
     assert added_bytes < 3 * len(room_map) + 100  # and what names the array
+
+
+def test_measured_ranges_come_back_and_files_without_them_load(whole_map: Map, tmp_path: Path) -> None:
+    ranges_m = np.random.default_rng(0).uniform(1, 5, len(whole_map.observations)).astype(np.float32)
+    ranges_m[::3] = np.nan
+    measured = replace(whole_map, observations=replace(whole_map.observations, ranges_m=ranges_m))
+    save_map(measured, tmp_path / "measured.rho")
+    np.testing.assert_array_equal(load_map(tmp_path / "measured.rho").observations.ranges_m, ranges_m)
+    save_map(whole_map, tmp_path / "plain.rho")
+    assert load_map(tmp_path / "plain.rho").observations.ranges_m is None
 
 
 @pytest.mark.parametrize("vector", [(0, 0, 0), (np.nan, 0, 1), (np.inf, 0, 0)])
@@ -204,6 +214,9 @@ def test_indices_take_no_more_bytes_than_they_need(make_map, tmp_path: Path, cou
         ("extras/tensor_features", np.full(60, 60, np.int32)),
         ("extras/observation_pixels", np.zeros((3, 2), np.uint16)),
         ("extras/observation_pixels", np.zeros((3, 2), np.float32)),
+        ("extras/observation_ranges", np.full(160, -1, np.float32)),
+        ("extras/observation_ranges", np.ones(3, np.float32)),
+        ("extras/observation_ranges", np.ones((160, 2), np.float32)),
         ("extras/view_sources", np.full(8, 2, np.int32)),
         ("extras/descriptor_sources", np.zeros(3, np.int32)),
         ("view_offsets", np.array([1, *[20] * 8], np.int32)),

@@ -44,6 +44,22 @@ def observation_information(
     return information, np.einsum("nij,nj->ni", information, positions)
 
 
+def range_information(
+    bearings: FloatArray, positions: FloatArray, ranges_m: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Λ (N, 3, 3) and η (N, 3) that a measured distance adds to an observation's own.
+
+    Args:
+        bearings, positions: as of :func:`observation_information`.
+        ranges_m: (N,) distances of the landmarks from the cameras; where NaN, nothing is added.
+        weights: (N,) 1/m²: the inverse variance of the distance.
+    """
+    known = np.isfinite(ranges_m)
+    along = np.where(known, weights, 0.0)[:, None, None] * (bearings[:, :, None] * bearings[:, None, :])
+    at = positions + np.where(known, ranges_m, 0.0)[:, None] * bearings
+    return along, np.einsum("nij,nj->ni", along, at)
+
+
 def landmarks_from_information(information: FloatArray, eta: FloatArray) -> tuple[FloatArray, FloatArray]:
     """m = Λ⁻¹ η and its covariance Λ⁻¹, for F features at once.
 

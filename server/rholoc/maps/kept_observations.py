@@ -65,7 +65,7 @@ def without_memory(map_: Map) -> Map:
         map_,
         descriptors=replace(map_.descriptors, sources=None),
         views=replace(map_.views, sources=None),
-        observations=replace(map_.observations, pixels=None),
+        observations=replace(map_.observations, pixels=None, ranges_m=None),
     )
 
 

@@ -185,8 +185,10 @@ class MapObservations(MapTable):
         features: (V,) int32, its feature.
         pixels: (V, 2) float64, u and v, in whole steps of
             :func:`rholoc.maps.kept_observations.packed_pixels`; None if the map does not keep them.
+        ranges_m: (V,) float32, measured distances of the features from the cameras, NaN where unknown; None if all are.
     """
 
     views: IntArray = field(metadata=_column(np.int32))
     features: IntArray = field(metadata=_column(np.int32))
     pixels: FloatArray | None = field(default=None, metadata=_optional(np.float64, 2))
+    ranges_m: FloatArray | None = field(default=None, metadata=_optional(np.float32, unknown=np.nan))

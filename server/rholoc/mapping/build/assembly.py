@@ -76,7 +76,12 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
             T_map_camera=poses_from_rows(rows_from_poses(views.T_map_camera).astype(np.float32)),
             sources=view_sources.astype(np.int32),
         ),
-        observations=MapObservations(of_view.astype(np.int32), features.astype(np.int32), pixels),
+        observations=MapObservations(
+            of_view.astype(np.int32),
+            features.astype(np.int32),
+            pixels,
+            None if np.isnan(views.ranges_m).all() else views.ranges_m[observed].astype(np.float32),
+        ),
     )
 
 

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from rholoc.density.presence import Presence, group_sums
-from rholoc.density.ray import landmarks_from_information, observation_information
+from rholoc.density.ray import landmarks_from_information, observation_information, range_information
 from rholoc.features import Metric
 from rholoc.features.matching import LIMITS, descriptor_distances
 from rholoc.geometry import BoolArray, FloatArray, IntArray
@@ -20,6 +20,8 @@ PIXEL_NOISE_PX = 1.5  # of a detection against the landmark's true projection, o
 _ROBUST_SCALES_PX = (16.0, 8.0, 4.0, 3.0, 3.0)
 _OUTLIER_PX = 5.0
 _SEARCH_RADIUS_PX = 5.0
+_RANGE_SIGMA, _RANGE_SIGMA_M = 0.02, 0.02  # of a measured range: relative, and in addition
+_RANGE_SIGMAS = 2.0  # off what the rays say, from which a range hardly counts
 _MIN_DEPTH = 1e-3  # in the map's unit; nearer than this a ray's distance says nothing
 _MIN_VIEWS = 3
 _ENOUGH = 100  # landmarks of a view; where fewer are seen by three views, as in sets of photos, two views suffice
@@ -74,24 +76,49 @@ class Landmarks:
 def triangulate(views: Views, labels: IntArray) -> Landmarks:
     """Triangulate tracks with labels (N,), by robust information sums.
 
-    Observations beyond the outlier limit lose their label. Landmarks with fewer than two observations or an
-    undetermined position are dropped.
+    Observations beyond the outlier limit lose their label. Landmarks with an undetermined position are dropped: those
+    with fewer than two observations, unless their range was measured.
     """
     rows = np.flatnonzero(labels >= 0)
     tracks, count = labels[rows], int(labels.max(initial=-1)) + 1
     view = views.view_of[rows]
     bearings, positions, focal_px = views.bearings[rows], views.positions[view], views.focal_px[view]
-    information, eta, kept = estimate_information(tracks, count, bearings, positions, focal_px)
+    information, eta, kept = estimate_information(tracks, count, bearings, positions, focal_px, views.ranges_m[rows])
     final = np.full(len(labels), -1, dtype=np.int64)
     final[rows] = np.where(kept, tracks, -1)
     landmarks, covariances = landmarks_from_information(information, eta)
-    enough = np.bincount(final[final >= 0], minlength=count) >= 2
+    enough = enough_observations(final[final >= 0], views.ranges_m[final >= 0], count)
     every = Landmarks(information, eta, final, landmarks, covariances)
     return every.keep(enough & np.isfinite(landmarks).all(axis=1))
 
 
+def enough_observations(tracks: IntArray, ranges_m: FloatArray, count: int) -> BoolArray:
+    """Mask (count,) of tracks with two observations, or with one whose range (O,) was measured."""
+    measured = np.bincount(tracks[np.isfinite(ranges_m)], minlength=count) > 0
+    return np.asarray(measured | (np.bincount(tracks, minlength=count) >= 2))
+
+
+def with_ranged(views: Views, labels: IntArray) -> IntArray:
+    """Labels (N,) of tracks, and new ones of detections without a track whose range was measured.
+
+    Only in views with few tracks of three views: elsewhere they add nothing.
+    """
+    many = np.bincount(labels[labels >= 0], minlength=1) >= _MIN_VIEWS
+    tracked = (labels >= 0) & many[labels]
+    scarce = np.bincount(views.view_of, weights=tracked, minlength=len(views)) < _ENOUGH
+    alone = np.flatnonzero((labels < 0) & np.isfinite(views.ranges_m) & scarce[views.view_of])
+    ranged = labels.copy()
+    ranged[alone] = np.arange(len(alone)) + labels.max(initial=-1) + 1
+    return ranged
+
+
 def estimate_information(
-    tracks: IntArray, count: int, bearings: FloatArray, positions: FloatArray, focal_px: FloatArray
+    tracks: IntArray,
+    count: int,
+    bearings: FloatArray,
+    positions: FloatArray,
+    focal_px: FloatArray,
+    ranges_m: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Λ (count, 3, 3) and η (count, 3) of each track, and the inlier mask (O,) of the observations.
 
@@ -104,15 +131,18 @@ def estimate_information(
         bearings: (O, 3) unit vectors in the map frame.
         positions: (O, 3) of the cameras [m].
         focal_px: (O,) their focal lengths.
+        ranges_m: (O,) measured distances along the bearings, NaN where unknown; None if all are.
     """
-    information, eta = _information_sums(tracks, count, bearings, positions, np.ones(len(tracks)))
+    ranges_m = np.full(len(tracks), np.nan) if ranges_m is None else ranges_m
+    observed = _Observed(tracks, count, bearings, positions, focal_px, ranges_m)
+    information, eta = observed.sums(np.ones(len(tracks)), np.ones(len(tracks)))
     for scale_px in _ROBUST_SCALES_PX:
-        residual_px, weights = _residuals(information, eta, tracks, bearings, positions, focal_px)
+        residual_px, weights, range_weights = observed.residuals(information, eta)
         fading = 1 / (1 + np.minimum(residual_px / scale_px, 1e3) ** 2) ** 2
-        information, eta = _information_sums(tracks, count, bearings, positions, weights * fading)
-    residual_px, weights = _residuals(information, eta, tracks, bearings, positions, focal_px)
+        information, eta = observed.sums(weights * fading, range_weights * fading)
+    residual_px, weights, range_weights = observed.residuals(information, eta)
     kept = residual_px < _OUTLIER_PX
-    information, eta = _information_sums(tracks, count, bearings, positions, np.where(kept, weights, 0))
+    information, eta = observed.sums(np.where(kept, weights, 0), np.where(kept, range_weights, 0))
     return information, eta, kept
 
 
@@ -162,7 +192,7 @@ def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArra
     """
     rows, counts = landmarks.observed_rows, landmarks.view_counts
     labels, view = landmarks.labels[rows], views.view_of[rows]
-    stable = (counts >= 2) & (relative_sigmas(views, landmarks) < _MAX_RELATIVE_SIGMA)
+    stable = relative_sigmas(views, landmarks) < _MAX_RELATIVE_SIGMA
     labels, view = labels[stable[labels]], view[stable[labels]]
     persistence: FloatArray = np.zeros(len(landmarks))
     if walks is not None and walks.max(initial=0) > 0:
@@ -238,31 +268,37 @@ def _representatives(rows: IntArray, views: Views, metric: Metric, most: int) ->
     return rows[chosen]
 
 
-def _information_sums(
-    tracks: IntArray, count: int, bearings: FloatArray, positions: FloatArray, weights: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    information, eta = observation_information(bearings, positions, weights)
-    columns = np.concatenate([information.reshape(-1, 9), eta], axis=1)
-    summed = group_sums(tracks, columns, count)
-    return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:]
+@dataclass(frozen=True, eq=False)
+class _Observed:
+    """O observations of tracks, as of :func:`estimate_information`."""
 
+    tracks: IntArray
+    count: int
+    bearings: FloatArray
+    positions: FloatArray
+    focal_px: FloatArray
+    ranges_m: FloatArray
 
-def _residuals(
-    information: FloatArray,
-    eta: FloatArray,
-    tracks: IntArray,
-    bearings: FloatArray,
-    positions: FloatArray,
-    focal_px: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Reprojection error (O,) [px] of each observation, and its weight (O,) [1/m²]."""
-    landmarks, _ = landmarks_from_information(information, eta)
-    to_landmark = landmarks[tracks] - positions
-    along = np.einsum("ni,ni->n", to_landmark, bearings)
-    aside = np.linalg.norm(to_landmark - along[:, None] * bearings, axis=1)
-    depth = np.maximum(np.nan_to_num(along), _MIN_DEPTH)
-    residual_px = np.where(along > _MIN_DEPTH, focal_px * aside / depth, np.inf)
-    return np.nan_to_num(residual_px, nan=np.inf), (focal_px / (PIXEL_NOISE_PX * depth)) ** 2
+    def sums(self, weights: FloatArray, range_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Λ (count, 3, 3) and η (count, 3) of the tracks, of observations weighted with (O,) and (O,) [1/m²]."""
+        information, eta = observation_information(self.bearings, self.positions, weights)
+        along, eta_along = range_information(self.bearings, self.positions, self.ranges_m, range_weights)
+        columns = np.concatenate([(information + along).reshape(-1, 9), eta + eta_along], axis=1)
+        summed = group_sums(self.tracks, columns, self.count)
+        return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:]
+
+    def residuals(self, information: FloatArray, eta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Reprojection error (O,) [px] of each observation, its weight (O,) and that of its range (O,) [1/m²]."""
+        landmarks, _ = landmarks_from_information(information, eta)
+        to_landmark = landmarks[self.tracks] - self.positions
+        along = np.einsum("ni,ni->n", to_landmark, self.bearings)
+        aside = np.linalg.norm(to_landmark - along[:, None] * self.bearings, axis=1)
+        depth = np.maximum(np.nan_to_num(along), _MIN_DEPTH)
+        residual_px = np.where(along > _MIN_DEPTH, self.focal_px * aside / depth, np.inf)
+        sigma_m = _RANGE_SIGMA * self.ranges_m + _RANGE_SIGMA_M
+        off = (along - self.ranges_m) / sigma_m
+        range_weights = np.nan_to_num(1 / (sigma_m * (1 + (off / _RANGE_SIGMAS) ** 2)) ** 2)
+        return np.nan_to_num(residual_px, nan=np.inf), (self.focal_px / (PIXEL_NOISE_PX * depth)) ** 2, range_weights
 
 
 def _guided_matches(

@@ -23,6 +23,7 @@ from rholoc.mapping.build.landmarks import (
     are_stable,
     extend_and_merge,
     triangulate,
+    with_ranged,
 )
 from rholoc.mapping.build.reconstruction_cloud import cloud_of
 from rholoc.mapping.build.remembered import recording_id, with_landmarks
@@ -153,6 +154,7 @@ def _look(
     poses: list[FloatArray] = []
     times: list[float] = []
     features: list[FeatureSet] = []
+    ranges_m: list[FloatArray] = []
     held: list[tuple[Camera, FloatArray, FeatureSet]] = []
     looks: list[list[Look]] = []
     pictures: list[bytes] = []
@@ -170,12 +172,27 @@ def _look(
                 poses.append(trajectory.T_map_camera[row])
                 times.append(float(trajectory.times[row]))
                 features.append(trajectory.at_once(row, found))
+                ranges_m.append(_ranges(walk, row, features[-1]))
             else:
                 held.append((trajectory.camera, trajectory.T_map_camera[row], found))
             done += 1
             progress(Stage.OBSERVATIONS, 0.3 * done / total, f"features of {done} of {total} frames")
-    views = Views.from_features(cameras, np.array(poses), np.array(times), features)
+    views = Views.from_features(cameras, np.array(poses), np.array(times), features, np.concatenate(ranges_m))
     return views, HeldOut(tuple(held)), looks, tuple(pictures) if options.pictures else None
+
+
+def _ranges(walk: _Walk, row: int, features: FeatureSet) -> FloatArray:
+    """(F,) distances [m] of a frame's features from the camera, by its depth image; NaN where unknown."""
+    depth, camera = walk.recording.depth, walk.trajectory.camera
+    image = (
+        None
+        if depth is None or walk.trajectory.scale is not Scale.METRIC
+        else depth.of_frame(int(walk.trajectory.rows[row]), camera)
+    )
+    if image is None:
+        return np.full(len(features), np.nan)
+    rays = camera.rays(features.pixels)
+    return np.asarray(image.at(rays) / rays[:, 2])
 
 
 def reconstruct(
@@ -198,7 +215,7 @@ def reconstruct(
     """
     labels = link_observations(views, extractor.metric, progress)
     progress(Stage.DENSITIES, 0.0, f"{int(labels.max(initial=-1)) + 1} tracks")
-    landmarks = triangulate(views, labels)
+    landmarks = triangulate(views, with_ranged(views, labels))
     for round_ in range(_EXTENSION_ROUNDS):
         landmarks = extend_and_merge(views, landmarks, extractor.metric)
         progress(Stage.DENSITIES, 0.2 * (round_ + 1), f"{len(landmarks)} features")

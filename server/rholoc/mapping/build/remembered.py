@@ -11,11 +11,9 @@ import numpy as np
 from rholoc.density.ray import landmarks_from_information
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import BoolArray, FloatArray, IntArray
-from rholoc.mapping.build.landmarks import estimate_information
+from rholoc.mapping.build.landmarks import enough_observations, estimate_information
 from rholoc.maps import Map, check_memory, source_cameras, validate_map
 from rholoc.recordings import Recording
-
-_MIN_OBSERVATIONS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +27,7 @@ class ObservedRays:
         bearings: (V, 3) unit vectors in the map frame.
         positions: (V, 3) of the camera [m].
         focal_px: (V,) focal length of the camera.
+        ranges_m: (V,) measured distances from the camera, NaN where unknown.
     """
 
     features: IntArray
@@ -37,6 +36,7 @@ class ObservedRays:
     bearings: FloatArray
     positions: FloatArray
     focal_px: FloatArray
+    ranges_m: FloatArray
 
 
 def recording_id(recording: Recording) -> str:
@@ -64,7 +64,8 @@ def observed_rays(map_: Map) -> ObservedRays:
         focal_px[mine] = camera.focal
     bearings = np.einsum("vij,vj->vi", map_.views.T_map_camera[views, :3, :3], rays)
     features = map_.observations.features.astype(np.int64)
-    return ObservedRays(features, views, kept.pixels, bearings, map_.views.positions[views], focal_px)
+    ranges_m = map_.observations.known("ranges_m").astype(np.float64)
+    return ObservedRays(features, views, kept.pixels, bearings, map_.views.positions[views], focal_px, ranges_m)
 
 
 def solve_landmarks(
@@ -86,9 +87,10 @@ def solve_landmarks(
         observations.bearings[rows],
         observations.positions[rows],
         observations.focal_px[rows],
+        observations.ranges_m[rows],
     )
     solved, spread = landmarks_from_information(information, eta)
-    enough = np.bincount(tracks[kept], minlength=len(solved)) >= _MIN_OBSERVATIONS
+    enough = enough_observations(tracks[kept], observations.ranges_m[rows][kept], len(solved))
     positions, covariances = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     determined = np.zeros(count, dtype=bool)
     positions[wanted], covariances[wanted] = solved, spread

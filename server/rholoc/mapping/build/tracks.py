@@ -30,6 +30,7 @@ class Views(PosedCameras):
         features: all N detections, view after view.
         offsets: (K + 1,) detections of view k are rows offsets[k] : offsets[k + 1].
         bearings: (N, 3) unit vectors in the map frame.
+        ranges_m: (N,) measured distances along the bearings, NaN where unknown.
     """
 
     cameras: tuple[Camera, ...]
@@ -38,19 +39,26 @@ class Views(PosedCameras):
     features: FeatureSet
     offsets: IntArray
     bearings: FloatArray
+    ranges_m: FloatArray
 
     @classmethod
     def from_features(
-        cls, cameras: Sequence[Camera], T_map_camera: FloatArray, times: FloatArray, features: Sequence[FeatureSet]
+        cls,
+        cameras: Sequence[Camera],
+        T_map_camera: FloatArray,
+        times: FloatArray,
+        features: Sequence[FeatureSet],
+        ranges_m: FloatArray | None = None,
     ) -> Views:
-        """Views from one camera, pose, time and feature set each; at least one view."""
+        """Views from one camera, pose, time and feature set each, and the ranges (N,) of all; at least one view."""
         rays = [
             camera.rays(f.pixels) @ T[:3, :3].T for camera, f, T in zip(cameras, features, T_map_camera, strict=True)
         ]
         offsets = np.concatenate([[0], np.cumsum([len(f) for f in features])])
-        return cls(
-            tuple(cameras), T_map_camera, times, FeatureSet.concatenate(list(features)), offsets, np.concatenate(rays)
-        )
+        every = FeatureSet.concatenate(list(features))
+        if ranges_m is None:
+            ranges_m = np.full(len(every), np.nan)
+        return cls(tuple(cameras), T_map_camera, times, every, offsets, np.concatenate(rays), ranges_m)
 
     def __len__(self) -> int:
         return len(self.T_map_camera)

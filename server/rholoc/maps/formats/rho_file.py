@@ -126,6 +126,9 @@ _OBSERVATIONS: dict[str, Kind] = {
 _PIXELS: dict[str, Kind] = {
     "extras/observation_pixels": ("u2", (None, 2)),
 }
+_RANGES: dict[str, Kind] = {
+    "extras/observation_ranges": ("f4", (None,)),
+}
 _CLOUD: dict[str, Kind] = {
     "cloud_positions": ("f4", (None, 3)),
     "cloud_colours": ("u1", (None, 3)),
@@ -142,7 +145,7 @@ _PLAN: dict[str, Kind] = {
 }
 _MEMORY = ("extras/observation_pixels", "extras/view_sources", "extras/descriptor_sources")
 _KINDS = {stored.name: stored.kind for table in (_LANDMARKS, _DESCRIPTORS, _VIEWS) for stored in table.values()} | (
-    _PICTURES | _OBSERVATIONS | _PIXELS | _CLOUD | _ROOM | _PLAN
+    _PICTURES | _OBSERVATIONS | _PIXELS | _RANGES | _CLOUD | _ROOM | _PLAN
 )
 # int32 in memory; in a file of the smallest type that holds them
 _INDICES = tuple(name for name, (number, _) in _KINDS.items() if number == "i4")
@@ -315,6 +318,8 @@ def _packed(map_: Map) -> Arrays:
     }
     if map_.observations.pixels is not None:
         arrays["extras/observation_pixels"] = _packed_pixels(map_, map_.observations.pixels)
+        if map_.observations.ranges_m is not None:
+            arrays["extras/observation_ranges"] = map_.observations.ranges_m
     if map_.views.pictures is not None:
         ends = np.cumsum([len(picture) for picture in map_.views.pictures], dtype=np.int64)
         arrays["picture_bytes"] = np.frombuffer(b"".join(map_.views.pictures), dtype=np.uint8)
@@ -378,7 +383,10 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
         descriptors=_unpacked_table(MapDescriptors, arrays, _DESCRIPTORS),
         views=views,
         observations=MapObservations(
-            seen_from, arrays["view_features"], _unpacked_pixels(info, views, seen_from, arrays)
+            seen_from,
+            arrays["view_features"],
+            _unpacked_pixels(info, views, seen_from, arrays),
+            _unpacked_ranges(arrays),
         ),
         cloud=_unpacked_cloud(arrays),
         room=_unpacked_room(arrays),
@@ -453,6 +461,21 @@ def _packed_pixels(map_: Map, pixels: FloatArray) -> IntArray:
         rows = np.flatnonzero(sources == source)
         packed[rows] = packed_pixels(pixels[rows], camera)
     return packed
+
+
+def _unpacked_ranges(arrays: Arrays) -> FloatArray | None:
+    """The ranges (V,) of observations; None if the file has none.
+
+    Raises:
+        InvalidMap: they are not as many as the observations, or not positive.
+    """
+    if "extras/observation_ranges" not in arrays:
+        return None
+    _check_arrays(arrays, _RANGES)
+    ranges_m = arrays["extras/observation_ranges"]
+    if len(ranges_m) != len(arrays["view_features"]) or not (np.isnan(ranges_m) | (ranges_m > 0)).all():
+        raise InvalidMap("The ranges of the map's observations are inconsistent.", "Take another copy.")
+    return ranges_m
 
 
 def _unpacked_pixels(info: MapInfo, views: MapViews, seen_from: IntArray, arrays: Arrays) -> FloatArray | None:
