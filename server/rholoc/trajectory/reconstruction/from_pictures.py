@@ -89,7 +89,7 @@ def solve_from_set(
         reason: one line on why the IMU was not used, or empty.
 
     Raises:
-        MappingFailed: no mapper places anything, or no two of them agree to a tenth of the depth.
+        MappingFailed: no mapper places anything, or none agrees with another one to a tenth of the depth.
     """
     whole = with_depths(evidence.observations(sights), sights.depth, camera)
     parts: list[_Part] = []
@@ -105,7 +105,7 @@ def solve_from_set(
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
     best = _most_confirmed(parts, len(sights.rows))
     agreement = _best_agreement(best, parts)
-    if agreement is not None and not agreement.distance <= _CONTRADICTION:
+    if agreement is not None and agreement.distance > _CONTRADICTION:
         raise MappingFailed(
             f"Reconstructions of these pictures contradict each other: {agreement.why}",
             "Take more pictures in between, from places half a step apart, and let each show half of the one before.",
