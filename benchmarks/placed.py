@@ -8,7 +8,8 @@
 without IMU, poses and depth. Without times: two pictures a second (``set``), the same in any order and without
 intrinsics (``shuffled``), every second of them (``half``), with another recording's among them (``mixed``). With times:
 two, one or half a picture a second. A recording without times counts as a film of 30 Hz if it has more than 300
-pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, ``--seconds`` long. Any folder of ``--data`` may be named.
+pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, ``--seconds`` long. Any folder of ``--data`` may
+be named, with ``truth.csv`` where the truth is known.
 
 Plain pycolmap: its own SIFT, its mappers with default options, the intrinsics that the folder states; all pairs of up
 to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. rholoc: default options.
