@@ -7,7 +7,8 @@ Each case is a stretch of one recording's pictures, in a folder, to which one to
 were thinned, shuffled, cut out, doubled, rotated, rescaled or blanked, a second camera took some, the camera stood
 still; another recording's may be mixed in, and there may be times, wrong poses or wrong intrinsics. It is built into a
 map by default options, whose report is not made. A case fails that raises anything but an error of ``rholoc.errors``
-with a message and advice, or the message that asks to report the recording.
+with a message and advice, or the message that asks to report the recording; and one whose map is trusted, but wrong:
+places are off by a tenth of the walk, or another room is part of it.
 
 Prints each case and how it ended; exit status 1 where one failed. A case is made from the seed and its number. No case
 begins after so many minutes. With ``--write`` the totals go to benchmarks/results/fuzz.json.
@@ -22,8 +23,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -32,7 +33,7 @@ import numpy as np
 from figures import Figure, write_results
 from measuring import SHARED_DATA
 from rholoc.errors import RholocError
-from rholoc.geometry import ByteArray
+from rholoc.geometry import ByteArray, FloatArray, umeyama
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import read_recording
 
@@ -46,15 +47,42 @@ NAMES = (
     "coloured_lights",
 )
 _WIDTH_PX = 640  # to which pictures are shrunk
+_MIN_STRANGERS = 3  # pictures of another room that make a map wrong
+_MIN_KNOWN = 5  # positions, for a map to be checked
+_MAX_OFF = 0.1  # of the walk's extent, in all but a tenth of the pictures
 _PLEASE_REPORT = "report this recording"
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """An image, and where it was taken.
+
+    Attributes:
+        image: (H, W, 3).
+        room: the recording that it is of.
+        position: (3,) in the room, NaN where it is not known.
+    """
+
+    image: ByteArray
+    room: str
+    position: FloatArray
 
 
 @dataclass
 class Pictures:
     """Pictures of a case, and the names of what has befallen them."""
 
-    images: list[ByteArray]
+    pictures: list[Picture]
     log: list[str]
+
+    @property
+    def images(self) -> list[ByteArray]:
+        """Of all pictures."""
+        return [one.image for one in self.pictures]
+
+    def become(self, images: Sequence[ByteArray]) -> None:
+        """Replace the images."""
+        self.pictures = [replace(one, image=image) for one, image in zip(self.pictures, images, strict=True)]
 
 
 Happening = Callable[[Pictures, random.Random], None]
@@ -62,68 +90,76 @@ Happening = Callable[[Pictures, random.Random], None]
 
 def thinned(case: Pictures, choices: random.Random) -> None:
     """Every second, third or sixth picture."""
-    case.images = case.images[:: choices.choice((2, 3, 6))]
+    case.pictures = case.pictures[:: choices.choice((2, 3, 6))]
 
 
 def shuffled(case: Pictures, choices: random.Random) -> None:
     """In any order."""
-    choices.shuffle(case.images)
+    choices.shuffle(case.pictures)
 
 
 def cut(case: Pictures, choices: random.Random) -> None:
     """A piece is missing."""
-    start = choices.randrange(len(case.images))
-    del case.images[start : start + choices.randint(1, max(1, len(case.images) // 2))]
+    start = choices.randrange(len(case.pictures))
+    del case.pictures[start : start + choices.randint(1, max(1, len(case.pictures) // 2))]
 
 
 def doubled(case: Pictures, choices: random.Random) -> None:
     """Some pictures come again, next to themselves or at the end."""
-    again = choices.sample(case.images, k=min(len(case.images), choices.randint(1, 6)))
-    case.images += again
+    again = choices.sample(case.pictures, k=min(len(case.pictures), choices.randint(1, 6)))
+    case.pictures += again
     if choices.random() < 0.5:
-        case.images += case.images
+        case.pictures += case.pictures
 
 
 def rotated(case: Pictures, choices: random.Random) -> None:
     """Some or all were taken with the camera turned."""
     turn, share = choices.choice((cv2.ROTATE_90_CLOCKWISE, cv2.ROTATE_180)), choices.choice((0.3, 1.0))
-    case.images = [np.asarray(cv2.rotate(one, turn)) if choices.random() < share else one for one in case.images]
+    case.become([np.asarray(cv2.rotate(one, turn)) if choices.random() < share else one for one in case.images])
 
 
 def rescaled(case: Pictures, choices: random.Random) -> None:
     """Some or all are smaller, maybe tiny, maybe of another shape."""
     factors, share = (choices.uniform(0.05, 0.9), choices.uniform(0.05, 0.9)), choices.choice((0.3, 1.0))
     across, down = factors if choices.random() < 0.3 else (factors[0], factors[0])
-    case.images = [
-        np.asarray(cv2.resize(one, None, fx=across, fy=down)) if choices.random() < share else one
-        for one in case.images
-    ]
+    case.become(
+        [
+            np.asarray(cv2.resize(one, None, fx=across, fy=down)) if choices.random() < share else one
+            for one in case.images
+        ]
+    )
 
 
 def second_camera(case: Pictures, choices: random.Random) -> None:
     """A longer lens took the second half."""
-    middle, factor = len(case.images) // 2, choices.uniform(0.4, 0.9)
-    for k, one in enumerate(case.images[middle:], middle):
+    images = case.images
+    middle, factor = len(images) // 2, choices.uniform(0.4, 0.9)
+    for k, one in enumerate(images[middle:], middle):
         height, width = (round(factor * side) for side in one.shape[:2])
         top, left = (one.shape[0] - height) // 2, (one.shape[1] - width) // 2
-        case.images[k] = one[top : top + height, left : left + width].copy()
+        images[k] = one[top : top + height, left : left + width].copy()
+    case.become(images)
 
 
 def blanked(case: Pictures, choices: random.Random) -> None:
     """Some pictures are black, white or of noise."""
     rng = np.random.default_rng(choices.randrange(2**32))
-    for k in choices.sample(range(len(case.images)), k=choices.randint(1, len(case.images))):
-        shape = case.images[k].shape
+    images = case.images
+    for k in choices.sample(range(len(images)), k=choices.randint(1, len(images))):
+        shape = images[k].shape
         kind = choices.randrange(3)
-        case.images[k] = np.full(shape, 255 * kind, np.uint8) if kind < 2 else rng.integers(0, 255, shape, np.uint8)
+        images[k] = np.full(shape, 255 * kind, np.uint8) if kind < 2 else rng.integers(0, 255, shape, np.uint8)
+    case.become(images)
 
 
 def standing(case: Pictures, choices: random.Random) -> None:
     """The camera did not move: one picture, over and over, with noise."""
     rng = np.random.default_rng(choices.randrange(2**32))
-    one = choices.choice(case.images).astype(np.int16)
-    case.images = [
-        np.clip(one + rng.integers(-4, 5, one.shape, np.int16), 0, 255).astype(np.uint8) for _ in case.images
+    picture = choices.choice(case.pictures)
+    one = picture.image.astype(np.int16)
+    case.pictures = [
+        replace(picture, image=np.clip(one + rng.integers(-4, 5, one.shape, np.int16), 0, 255).astype(np.uint8))
+        for _ in case.pictures
     ]
 
 
@@ -140,38 +176,40 @@ HAPPENINGS: tuple[Happening, ...] = (
 )
 
 
-def stretch(name: str, pictures: int, choices: random.Random) -> list[ByteArray]:
+def stretch(name: str, pictures: int, choices: random.Random) -> list[Picture]:
     """Consecutive pictures of a recording, some steps apart."""
-    frames = read_recording(SHARED_DATA / name).frames
+    recording = read_recording(SHARED_DATA / name)
+    frames = recording.frames
     count = len(frames.times)
     step = choices.randint(1, max(1, min(12, count // pictures)))
     first = choices.randrange(max(1, count - step * pictures))
     rows = list(range(first, count, step))[:pictures]
     factor = min(1.0, _WIDTH_PX / frames.size[0])
+    known = np.full((count, 3), np.nan) if recording.poses is None else recording.poses.T_map_camera[:, :3, 3]
     return [
-        np.asarray(cv2.resize(one, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA))
-        for one in frames.images(rows)
+        Picture(np.asarray(cv2.resize(one, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)), name, known[row])
+        for row, one in zip(rows, frames.images(rows), strict=True)
     ]
 
 
-def make_case(names: list[str], number: int, seed: int, pictures: int, folder: Path) -> str:
-    """Write a case's recording; returns what it is."""
+def make_case(names: list[str], number: int, seed: int, pictures: int, folder: Path) -> tuple[list[Picture], str]:
+    """Write a case's recording; returns its pictures, and what has befallen them."""
     choices = random.Random(f"{seed} {number}")
     name = choices.choice(names)
     case = Pictures(stretch(name, pictures, choices), [name])
     if choices.random() < 0.25:
         other = choices.choice(names)
-        at = choices.randrange(len(case.images))
-        case.images[at:at] = stretch(other, choices.randint(1, pictures), choices)
+        at = choices.randrange(len(case.pictures))
+        case.pictures[at:at] = stretch(other, choices.randint(1, pictures), choices)
         case.log.append(f"mixed with {other}")
     for happening in choices.sample(HAPPENINGS, k=choices.randint(1, 3)):
-        if case.images:
+        if case.pictures:
             happening(case, choices)
             case.log.append(happening.__name__)
     for k, image in enumerate(case.images):
         assert cv2.imwrite(str(folder / f"{k:04d}.jpg"), image)
     _add_tables(case, choices, folder)
-    return ", ".join(case.log) + f": {len(case.images)} pictures"
+    return case.pictures, ", ".join(case.log) + f": {len(case.pictures)} pictures"
 
 
 def _add_tables(case: Pictures, choices: random.Random, folder: Path) -> None:
@@ -198,19 +236,37 @@ def _camera_of(images: list[ByteArray], focal: float) -> str:
     return json.dumps(members)
 
 
-def outcome(folder: Path) -> tuple[bool, str]:
+def mistake(pictures: Sequence[Picture], T_map_camera: FloatArray) -> str:
+    """What is wrong with the poses (N, 4, 4) of pictures; empty if nothing is, or if the truth is not known."""
+    rooms = Counter(one.room for one in pictures)
+    if len(rooms) > 1 and rooms.most_common(2)[1][1] >= _MIN_STRANGERS:
+        return f"pictures of {' and '.join(rooms)} in one map"
+    true = np.array([one.position for one in pictures])
+    known = np.isfinite(true).all(axis=1)
+    extent = np.linalg.norm(np.ptp(true[known], axis=0)) if known.sum() >= _MIN_KNOWN else 0.0
+    if extent == 0:
+        return ""
+    found = T_map_camera[known, :3, 3]
+    off = np.linalg.norm(umeyama(found, true[known]).points(found) - true[known], axis=1)
+    wrong = float(np.quantile(off, 0.9)) / extent
+    return f"a tenth of the pictures are off by {wrong:.0%} of the walk's extent" if wrong > _MAX_OFF else ""
+
+
+def outcome(folder: Path, pictures: Sequence[Picture]) -> tuple[bool, str]:
     """Whether a recording ends well, and how."""
     try:
-        info = build_map([read_recording(folder)], BuildOptions(report=False)).info
+        recording = read_recording(folder)
+        built = build_map([recording], BuildOptions(report=False))
     except RholocError as error:
         fine = bool(error.message and error.hint) and _PLEASE_REPORT not in f"{error.message} {error.hint}".lower()
         return fine, f"{type(error).__name__}: {error.message} {error.hint}"
     except Exception as error:
         return False, f"{type(error).__name__}: {error}"
-    return True, "map: " + "; ".join(
-        f"{one.frames} of {one.keyframes} placed, {'' if one.trusted else 'not '}trusted"
-        for one in info.report.trajectories
-    )
+    (report,) = built.info.report.trajectories
+    rows = np.searchsorted(recording.frames.times, built.views.times - 1e-6)
+    wrong = mistake([pictures[row] for row in rows.tolist()], built.views.T_map_camera)
+    ends = f"map: {report.frames} of {report.keyframes} placed, {'' if report.trusted else 'not '}trusted"
+    return not (wrong and report.trusted), f"{ends}, {wrong}" if wrong else ends
 
 
 def main() -> int:
@@ -230,9 +286,9 @@ def main() -> int:
         if time.monotonic() - begun > 60 * arguments.minutes:
             break
         with tempfile.TemporaryDirectory() as folder:
-            what = make_case(arguments.names, number, arguments.seed, arguments.pictures, Path(folder))
+            pictures, what = make_case(arguments.names, number, arguments.seed, arguments.pictures, Path(folder))
             start = time.monotonic()
-            fine, how = outcome(Path(folder))
+            fine, how = outcome(Path(folder), pictures)
         seconds = round(time.monotonic() - start, 1)
         ends[how.split(":")[0] if fine else "FAILED"] += 1
         found.append({"case": number, "what": what, "fine": fine, "how": how, "seconds": seconds})

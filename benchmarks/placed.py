@@ -8,7 +8,8 @@
 without IMU, poses and depth. Without times: two pictures a second (``set``), the same in any order and without
 intrinsics (``shuffled``), every second of them (``half``), with another recording's among them (``mixed``). With times:
 two, one or half a picture a second. A recording without times counts as a film of 30 Hz if it has more than 300
-pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, the latter ``--seconds`` long.
+pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, ``--seconds`` long. Any folder of ``--data`` may
+be named, with ``truth.csv`` where the truth is known.
 
 Plain pycolmap: its own SIFT, its mappers with default options, the intrinsics that the folder states; all pairs of up
 to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. rholoc: default options.
@@ -101,19 +102,19 @@ class Walk:
 
 def walk_of(name: str, data: Path, cache: Path, seconds: float) -> Walk:
     """A recording at hand, or a simulated one."""
+    path = data / name
     if name in (Site.ROOM, Site.BUILDING):
-        lasting_s, fps = (30.0, 30.0) if name == Site.ROOM else (seconds, 15.0)
-        folder = cache / f"{name}-0-walk1-{lasting_s:.0f}s-{fps:g}fps-0ms"
-        if not (folder / "made").exists():
-            simulate_site(folder, Site(name), seconds=lasting_s, fps=fps)
-            (folder / "made").touch()
-        return Walk(
-            replace(read_recording(folder), waypoints=()), read_trajectory_csv(folder / "truth.csv").T_map_camera
-        )
+        fps = 30.0 if name == Site.ROOM else 15.0
+        path = cache / f"{name}-0-walk1-{seconds:.0f}s-{fps:g}fps-0ms"
+        if not (path / "made").exists():
+            simulate_site(path, Site(name), seconds=seconds, fps=fps)
+            (path / "made").touch()
     kitchen = name == "redkitchen"
-    recording = read_recording(data / name, *((KITCHEN_CAMERA, "400:1000") if kitchen else ()))
+    recording = read_recording(path, *((KITCHEN_CAMERA, "400:1000") if kitchen else ()))
     truth = None if recording.poses is None else recording.poses.T_map_camera
-    return Walk(replace(recording, poses=None), truth)
+    if (path / "truth.csv").exists():
+        truth = read_trajectory_csv(path / "truth.csv").T_map_camera
+    return Walk(replace(recording, poses=None, waypoints=()), truth)
 
 
 def as_pictures(walk: Walk, kind: str, folder: Path, other: Recording | None) -> Walk:

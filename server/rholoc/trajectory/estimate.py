@@ -42,7 +42,8 @@ _FEWEST_GIVEN = 3
 _FEWEST_KEYFRAMES = 4
 _MAX_COMPARED = 1200  # pictures of a set, of which those least alike are used
 _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
-_MIN_PLACED = 0.5  # the share of the keyframes that a map must have
+_MIN_PLACED = 0.5  # the share of a walk's keyframes that a map must have …
+_MIN_OF_SET = 0.25  # … and of a set of pictures, of which some may show another place
 _WELL_PLACED = 0.9  # and that one which is trusted has
 _MAX_EXPECTED_ERROR_M = 0.10  # of a trajectory that is trusted
 _MAX_EXPECTED_ERROR_DEG = 2.0
@@ -51,6 +52,7 @@ _MAX_IMU_MISFIT = 2.0  # times the noise expected, from which the IMU's readings
 _MAX_IMU_RESIDUAL = 8.0  # times the noise expected, from which IMU and pictures contradict each other
 
 _MOVE = "Walk through the room while recording; keep texture in view."
+_DENSER = "Take more pictures in between, from places half a step apart, and let each show half of the one before."
 _SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
 
 
@@ -296,13 +298,14 @@ def _placed(
 
 
 def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, progress: ProgressListener) -> Trajectory:
-    """The keyframes that were placed. Raises MappingFailed if they are less than half."""
+    """The keyframes that were placed. Raises MappingFailed if they are too few."""
     flow, rows = sights.flow, sights.rows
     missing = missing_spans(flow, rows, found.placed)
     share = float(found.placed.mean())
-    if share < _MIN_PLACED:
+    what, fewest, advice = ("keyframes", _MIN_PLACED, _SLOWER) if sights.is_film else ("pictures", _MIN_OF_SET, _DENSER)
+    if share < fewest:
         raise MappingFailed(
-            f"Only {found.placed.sum()} of {len(rows)} keyframes could be placed. {describe(missing)}".strip(), _SLOWER
+            f"Only {found.placed.sum()} of {len(rows)} {what} could be placed. {describe(missing)}".strip(), advice
         )
     kept = np.flatnonzero(found.placed)
     doubts = _doubts(found, share, describe(missing))

@@ -89,7 +89,7 @@ def solve_from_set(
         reason: one line on why the IMU was not used, or empty.
 
     Raises:
-        MappingFailed: no mapper places anything, or no two of them agree to a tenth of the depth.
+        MappingFailed: no mapper places anything, or none agrees with another one to a tenth of the depth.
     """
     whole = with_depths(evidence.observations(sights), sights.depth, camera)
     parts: list[_Part] = []
@@ -103,14 +103,14 @@ def solve_from_set(
             break
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
-    parts.sort(key=lambda part: (_confirmed(part, parts), part.in_metres, -len(part.members)), reverse=True)
-    agreement = _best_agreement(parts[0], parts)
-    if agreement is not None and not agreement.distance <= _CONTRADICTION:
+    best = _most_confirmed(parts, len(sights.rows))
+    agreement = _best_agreement(best, parts)
+    if agreement is not None and agreement.distance > _CONTRADICTION:
         raise MappingFailed(
             f"Reconstructions of these pictures contradict each other: {agreement.why}",
             "Take more pictures in between, from places half a step apart, and let each show half of the one before.",
         )
-    part, evidence = _refined(parts[0], sights, camera, evidence, progress)
+    part, evidence = _refined(best, sights, camera, evidence, progress)
     found = _finished(sights, evidence, part, waypoints, reason, progress)
     if agreement is not None and agreement.common < _MOST * len(part.members):
         agreement = Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members))
@@ -220,6 +220,17 @@ def _agreement(part: _Part, other: _Part) -> Agreement:
     depth = median_depth_of(one.problem.observations, one.adjusted)
     held = held_keyframes(two.problem, two.adjusted)
     return compare(T, placed, two.members, two.adjusted.state.T_map_camera, held, depth)
+
+
+def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
+    """The part of which another one confirms most; of equal ones the metric, then the smallest, which adds least.
+
+    The largest instead, if less than half of all ``count`` pictures are confirmed.
+    """
+    confirmed = [_confirmed(part, parts) for part in parts]
+    sign = -1 if 2 * max(confirmed) >= count else 1
+    order = [(much, part.in_metres, sign * len(part.members)) for much, part in zip(confirmed, parts, strict=True)]
+    return parts[max(range(len(parts)), key=order.__getitem__)]
 
 
 def _confirmed(part: _Part, others: Sequence[_Part]) -> int:

@@ -24,7 +24,7 @@ from rholoc.trajectory.visual.two_view import PairRotation
 
 _CORNERS_PER_KEYFRAME = 90
 _FEATURES_PER_KEYFRAME = 150
-MANY_FEATURES = 400  # per keyframe, for the last adjustment of a set of pictures
+MANY_FEATURES = 800  # per keyframe, for the last adjustment of a set of pictures
 _USUAL_KEYFRAMES = 1000
 _FOLLOWED = 60  # corners that neighbouring keyframes share, in the median, where pictures are close enough to follow
 ADVICE = "Walk slower, keep more texture in view."

@@ -17,10 +17,12 @@ from rholoc.geometry import ByteArray, Camera, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import FrameSource
 from rholoc.trajectory.visual.keyframes import KeyframeSteps
+from rholoc.trajectory.visual.loop_candidates import MAX_EXHAUSTIVE
 
 _LONGER_SIDE_PX = 960  # larger images are reduced: more pixels cost time and place no more frames
 _THREADS = 2
-_EXTRACTOR = SiftExtractor(features=1000)
+_FEATURES, _MAX_FEATURES = 1000, 2000  # of a keyframe, and of few pictures, where they cost little and make it exact
+_EXTRACTOR = SiftExtractor(features=_FEATURES)
 
 _MAX_WAITING = 2 * _THREADS  # images in memory at a time
 
@@ -51,7 +53,7 @@ class KeyframeFeatures:
             camera: of the frames; needed for wide lenses.
         """
         self._frames = frames
-        self._extractor = widened(_EXTRACTOR, camera)
+        self._extractor = widened(SiftExtractor(features=_features_each(len(frames.times))), camera)
         self._longest_px = round(_LONGER_SIDE_PX * (1.0 if camera is None else camera.breadth))
         self._certain = certain
         self._show = show
@@ -108,6 +110,11 @@ class KeyframeFeatures:
         if self._show is not None:
             self._show(row, image)
         return _extract(image, self._extractor, self._longest_px)
+
+
+def _features_each(pictures: int) -> int:
+    """Number of features to extract per keyframe: matching all pairs of fewer pictures takes no longer with more."""
+    return round(float(np.clip(_FEATURES * np.sqrt(MAX_EXHAUSTIVE / pictures), _FEATURES, _MAX_FEATURES)))
 
 
 def _extract(image: ByteArray, extractor: Extractor = _EXTRACTOR, longest_px: int = _LONGER_SIDE_PX) -> FeatureSet:

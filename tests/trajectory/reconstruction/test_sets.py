@@ -1,0 +1,87 @@
+"""Which of several reconstructions of a set of pictures is taken, and when none is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import IntArray
+from rholoc.progress import silent
+from rholoc.trajectory.checks.agreement import Agreement
+from rholoc.trajectory.initialization.mapper_starts import Mapper
+from rholoc.trajectory.reconstruction import from_pictures
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
+
+COUNT = 20
+Compared = Callable[["Part", "Part"], Agreement]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A reconstruction of some pictures, of which nothing else is looked at here."""
+
+    members: IntArray
+    in_metres: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What becomes of it."""
+
+    part: Part
+    agreement: Agreement | None = None
+
+
+def taken(sizes: dict[Mapper, int], compared: Compared, monkeypatch: pytest.MonkeyPatch) -> Result:
+    """The result of a set whose mappers place so many pictures each."""
+    parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
+    evidence: Any = type("Evidence", (), {"observations": lambda *_: None})()
+    sights: Any = type("Sights", (), {"depth": None, "rows": np.arange(COUNT)})()
+    monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
+    monkeypatch.setattr(from_pictures, "_agreement", compared)
+    monkeypatch.setattr(from_pictures, "_refined", lambda part, *_: (part, evidence))
+    monkeypatch.setattr(from_pictures, "_finished", lambda sights, evidence, part, *_: Result(part))
+    camera: Any = None
+    found: Any = from_pictures.solve_from_set(sights, camera, evidence, (), "", AdjustmentProgress(silent))
+    assert isinstance(found, Result)
+    return found
+
+
+def agreeing(one: Part, other: Part) -> Agreement:
+    """Equal on all pictures of the smaller one."""
+    common = min(len(one.members), len(other.members))
+    return Agreement(0.001, 0.002, 0.1, common, common)
+
+
+def test_of_equally_confirmed_reconstructions_the_smaller_adds_nothing_unconfirmed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = taken({Mapper.OWN: 18, Mapper.INCREMENTAL: 12}, agreeing, monkeypatch)
+    assert len(found.part.members) == 12
+
+
+def test_a_small_confirmed_part_does_not_replace_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = taken({Mapper.OWN: 18, Mapper.INCREMENTAL: 6}, agreeing, monkeypatch)
+    assert len(found.part.members) == 18
+    assert found.agreement is not None
+    assert not found.agreement.same
+
+
+def test_reconstructions_that_share_few_pictures_do_not_contradict_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of sixteen pictures of a corridor one mapper placed twelve, the other eight of these: the job failed."""
+    apart = Agreement(np.nan, np.nan, np.nan, 6, 12)
+    found = taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 8}, lambda one, other: apart, monkeypatch)
+    assert len(found.part.members) == 12
+    assert found.agreement is not None
+    assert not found.agreement.same
+
+
+def test_reconstructions_that_contradict_each_other_make_no_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    apart = Agreement(0.3, 0.5, 9.0, 12, 12)
+    with pytest.raises(MappingFailed, match="contradict each other"):
+        taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 12}, lambda one, other: apart, monkeypatch)
