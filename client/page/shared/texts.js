@@ -215,6 +215,27 @@ export const GERMAN = {
   "{0}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets, Enter picks what is in the middle.":
     "{0}. Pfeiltasten drehen, mit Umschalttaste verschieben sie, Plus und Minus zoomen, Pos1 setzt zurück, die Eingabetaste wählt, was in der Mitte ist.",
   Surfaces: "Flächen",
+
+  // The visitor's page
+  "Point the camera around you.": "Die Kamera einmal umherblicken lassen.",
+  "Plan of the floor": "Plan des Stockwerks",
+  "Show me where I am": "Zeigen, wo ich bin",
+  "Lead me to": "Führe mich zu",
+  nowhere: "nirgendwohin",
+  "Pictures go to this site's own server, and are not kept.":
+    "Die Bilder gehen an den Server dieses Standorts und werden nicht aufbewahrt.",
+  "I do not know where you are. Point the camera around you.":
+    "Ich weiß nicht, wo Sie sind. Lassen Sie die Kamera umherblicken.",
+  "You are here, give or take {0} m.": "Sie sind hier, auf etwa {0} m genau.",
+  "{0} is on another floor: {1}.": "{0} ist auf einem anderen Stockwerk: {1}.",
+  "No walk leads from here to {0}.": "Kein bekannter Weg führt von hier zu {0}.",
+  "You are there: {0}.": "Sie sind da: {0}.",
+  "Turn left.": "Nach links drehen.",
+  "Turn right.": "Nach rechts drehen.",
+  "{0} m, then left": "{0} m, dann links",
+  "{0} m, then right": "{0} m, dann rechts",
+  "{0} m straight on": "{0} m geradeaus",
+
   "expected error ": "erwarteter Fehler ",
   "A robot here, looking there, is right to about {0}.":
     "Ein Roboter, der hier steht und dorthin blickt, liegt auf etwa {0} richtig.",
