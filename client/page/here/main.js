@@ -1,12 +1,12 @@
 // A visitor's page: the camera looks around, a dot on the plan says where one is, an arrow where to go.
 
+import { drawFloor, endsOf, placedPlan } from "../console/floor.js";
 import { readRoom } from "../console/scene_data.js";
 import { openCamera } from "../record/camera.js";
 import { call, get, path, request, takeKeyOfLink } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { decimal, t, translatePage } from "../shared/text.js";
 import { Belief } from "./belief.js";
-import { drawFloor, endsOf, placedPlan } from "./floor.js";
 import { groundOf, guidance, Step, wayBetween } from "./way.js";
 
 const EVERY_MS = 1000; // at most one request in

@@ -1,8 +1,8 @@
 // A floor from above: its rooms, the walks, and what is drawn on them.
 
-import { drawFloorPlan } from "../console/plan_view.js";
-import { planOf, surfaces } from "../console/room.js";
 import { resolvedColour } from "../shared/colours.js";
+import { drawFloorPlan } from "./plan_view.js";
+import { planOf, surfaces } from "./room.js";
 
 const MARGIN = 0.06; // of the canvas on each side
 const LEAST_M = 4; // that a canvas shows
@@ -16,8 +16,8 @@ export function placedPlan({ positions, faces, colours }, T) {
   return planOf(surfaces({ positions: placed, faces, colours }));
 }
 
-/** Ends `[[west, east], [south, north]]` of plans and positions. */
-export function endsOf(plans, positions) {
+/** Ends `[[west, east], [south, north]]` of plans and positions, at least so many metres apart. */
+export function endsOf(plans, positions, least = LEAST_M) {
   const corners = plans.flatMap(({ corner: [x, y], perPixel, image: { width, height } }) => [
     [x, y],
     [x + width * perPixel, y + height * perPixel],
@@ -25,7 +25,7 @@ export function endsOf(plans, positions) {
   return [0, 1].map((k) => {
     const values = [...corners, ...positions].map((point) => point[k]);
     const [low, high] = [Math.min(...values), Math.max(...values)];
-    const missing = Math.max(0, LEAST_M - (high - low)) / 2;
+    const missing = Math.max(0, least - (high - low)) / 2;
     return Number.isFinite(low) ? [low - missing, high + missing] : [-LEAST_M / 2, LEAST_M / 2];
   });
 }
