@@ -12,6 +12,7 @@ import { showMaps } from "./maps.js";
 import { goOn, problem } from "./parts.js";
 import { showRecording } from "./recording.js";
 import { showRecordings } from "./recordings.js";
+import { showRefusals } from "./refusals.js";
 import { showSite, showSites } from "./sites.js";
 import { showTry } from "./try.js";
 
@@ -19,6 +20,7 @@ const ROUTES = [
   [/^\/maps$/, t`Maps`, showMaps],
   [/^\/maps\/([^/]+)$/, t`Map`, showMap],
   [/^\/maps\/([^/]+)\/correct$/, t`Make it right`, showCorrections],
+  [/^\/maps\/([^/]+)\/refusals$/, t`Refused`, showRefusals],
   [/^\/try(?:\/([^/]+))?$/, t`Try it`, showTry],
   [/^\/jobs$/, t`Jobs`, showJobs],
   [/^\/jobs\/([^/]+)$/, t`Job`, showJob],

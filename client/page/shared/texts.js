@@ -216,6 +216,29 @@ export const GERMAN = {
     "{0}. Pfeiltasten drehen, mit Umschalttaste verschieben sie, Plus und Minus zoomen, Pos1 setzt zurück, die Eingabetaste wählt, was in der Mitte ist.",
   Surfaces: "Flächen",
 
+  // What a map refused
+  Refused: "Abgelehnt",
+  "Refused in {0}": "Abgelehnt in {0}",
+  "Nothing was refused": "Nichts wurde abgelehnt",
+  "Pictures that this map refuses in the next day are shown here, as far as they are kept.":
+    "Bilder, die diese Karte innerhalb eines Tages ablehnt, stehen hier, soweit sie aufbewahrt werden.",
+  "By cause": "Nach Ursache",
+  "By robot": "Nach Roboter",
+  "By hour": "Nach Stunde",
+  "Refused pictures": "Abgelehnte Bilder",
+  "Compare with the map": "Mit der Karte vergleichen",
+  "too dark": "zu dunkel",
+  blurred: "unscharf",
+  "too little texture": "zu wenig Struktur",
+  "other light": "anderes Licht",
+  "focal length": "Brennweite",
+  rolled: "gekippt",
+  gravity: "Schwerkraft",
+  "too little time": "zu wenig Zeit",
+  "inexact map": "ungenaue Karte",
+  "too inexact": "zu ungenau",
+  "another place": "anderer Ort",
+
   // Sites and keys
   Sites: "Standorte",
   "New site": "Neuer Standort",

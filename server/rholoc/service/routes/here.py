@@ -139,7 +139,7 @@ async def localize_here(site: Visited, request: Request, service: Service, optio
     clock = Stopwatch()
     maps = await RequestedMaps(site=site).choice(service)
     async with read_frame(request, options, service) as frame:
-        answer = await service.frames.localize(frame, maps, clock)
+        answer = await service.frames.localize(frame, maps, clock, private=True)
     return _here(answer)
 
 
