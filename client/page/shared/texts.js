@@ -227,8 +227,6 @@ export const GERMAN = {
   "By hour": "Nach Stunde",
   "Refused pictures": "Abgelehnte Bilder",
   "Compare with the map": "Mit der Karte vergleichen",
-  "too dark": "zu dunkel",
-  blurred: "unscharf",
   "too little texture": "zu wenig Struktur",
   "other light": "anderes Licht",
   "focal length": "Brennweite",

@@ -146,8 +146,8 @@ class Settings(BaseSettings):
         default=0,
         ge=0,
         le=500,
-        description="How many refused pictures are kept in memory, small, with who sent them, for those who may make maps to "
-        "see why; 0: none. Visitors' are never kept.",
+        description="How many refused pictures are kept in memory, small, with who sent them, for those who may make "
+        "maps to see why; 0: none. Visitors' are never kept.",
     )
     learn: bool = Field(
         default=False,
