@@ -937,4 +937,59 @@ export const GERMAN_OF_SERVER = {
   "{0} of {1} pairs of keyframes matched": "{0} von {1} Paaren von Schlüsselbildern verglichen",
   "{0} of {1} keyframes placed": "{0} von {1} Schlüsselbildern eingeordnet",
   "features of {0} of {1} frames": "Merkmale von {0} von {1} Bildern",
+  "Stand still for a second at each waypoint: {0} of {1} have a pause, and a place measured in passing is centimetres off.":
+    "An jedem Wegpunkt eine Sekunde still stehen: {0} von {1} haben eine Pause, und ein im Gehen gemessener Ort liegt um Zentimeter daneben.",
+  "Come back to where you have been, looking the same way: the end of the walk stays {0} of its length off its beginning, and errors grow along an open path.":
+    "Dorthin zurückkommen, wo Sie schon waren, mit demselben Blick: Das Ende des Rundgangs bleibt {0} seiner Länge vom Anfang entfernt, und auf einem offenen Weg wachsen Fehler.",
+  "The pictures have no times, so the IMU cannot be used: add frames.csv with frame,timestamp.":
+    "Die Bilder haben keine Zeiten, daher ist die IMU nicht zu verwenden: frames.csv mit frame,timestamp hinzufügen.",
+  "There are {0} gaps between frames, the longest {1} s; the path may break there.":
+    "Zwischen Bildern sind {0} Lücken, die längste {1} s; dort kann der Weg abreißen.",
+  "The IMU covers {0} of the frames; the rest is placed by the images alone.":
+    "Die IMU deckt {0} der Bilder ab; die übrigen ordnen die Bilder allein ein.",
+  "Show more of the room, or closer things, or allow a larger {0}.":
+    "Mehr vom Raum oder nähere Dinge zeigen, oder ein größeres {0} erlauben.",
+  "Walk there again and update the map, or lower RHOLOC_MIN_RECOGNIZED.":
+    "Dort noch einmal entlanggehen und die Karte ergänzen, oder RHOLOC_MIN_RECOGNIZED senken.",
+  "Only {0} frames with different views have a pose; a map needs at least {1}.":
+    "Nur {0} Bilder mit verschiedenen Ansichten haben eine Pose; eine Karte braucht mindestens {1}.",
+  "Record a longer walk, or give poses for more frames.":
+    "Einen längeren Rundgang aufnehmen oder Posen für mehr Bilder angeben.",
+  "Only {0} features are stable; a map needs at least {1}.":
+    "Nur {0} Merkmale sind beständig; eine Karte braucht mindestens {1}.",
+  "Walk slower and sideways rather than turning on the spot, with more light and texture in view.":
+    "Langsamer und seitwärts gehen statt auf der Stelle zu drehen, mit mehr Licht und Struktur im Bild.",
+  "A job is using the recording.": "Ein Auftrag verwendet die Aufnahme.",
+  "Cancel the job, or wait until it has ended.": "Den Auftrag abbrechen oder warten, bis er beendet ist.",
+  "This link is for another site.": "Dieser Link gilt für einen anderen Standort.",
+  "Open the link or the code of this one.": "Bitte den Link oder Code dieses Standorts öffnen.",
+  "This room has no place on the plan yet.": "Dieser Raum hat noch keinen Platz auf dem Plan.",
+  "There is no map yet.": "Es gibt noch keine Karte.",
+  "There is no map {0}.": "Es gibt keine Karte {0}.",
+  "There are none yet.": "Es gibt noch keine.",
+  "There is already a map {0}.": "Es gibt schon eine Karte {0}.",
+  "Choose another name, or delete that map first.": "Einen anderen Namen wählen oder jene Karte zuerst löschen.",
+  "The map {0} was changed in the meantime.": "Die Karte {0} wurde inzwischen geändert.",
+  "Try again: the change will start from the new one.":
+    "Noch einmal versuchen: Die Änderung beginnt dann mit der neuen.",
+  "There is no landmark to remove.": "Es gibt keine Landmarke zu entfernen.",
+  "Choose another region.": "Eine andere Fläche wählen.",
+  "Only {0} landmarks would be left.": "Nur {0} Landmarken blieben übrig.",
+  "Remove less, or delete the map instead.": "Weniger entfernen oder stattdessen die Karte löschen.",
+  "This is not an image that can be read.": "Das ist kein lesbares Bild.",
+  "Send a whole JPEG, PNG or WebP file.": "Eine vollständige JPEG-, PNG- oder WebP-Datei senden.",
+  "Too many large requests are in progress.": "Zu viele große Anfragen sind gerade in Arbeit.",
+  "Try again after Retry-After.": "Bitte gleich noch einmal versuchen.",
+  "This server does not show who asks for poses.": "Dieser Server zeigt nicht, wer nach Posen fragt.",
+  "This server keeps no refused pictures.": "Dieser Server bewahrt keine abgelehnten Bilder auf.",
+  "The refused picture {0} is no longer kept.": "Das abgelehnte Bild {0} wird nicht mehr aufbewahrt.",
+  "The maps of the site {0} are being placed already.":
+    "Für die Karten des Standorts {0} wird schon ein Platz gesucht.",
+  "Wait for the job {0}.": "Bitte auf den Auftrag {0} warten.",
+  "There is no picture of the recording yet.": "Von der Aufnahme gibt es noch kein Bild.",
+  "The mapping process ended unexpectedly ({0}).": "Das Erstellen der Karte endete unerwartet ({0}).",
+  "It may have run out of memory: retry, record a shorter walk, or give the worker more memory.":
+    "Vielleicht fehlte Speicher: noch einmal versuchen, einen kürzeren Rundgang aufnehmen oder dem Worker mehr geben.",
+  "Mapping took longer than the limit of {0} s.": "Das Erstellen der Karte dauerte länger als die erlaubten {0} s.",
+  "There is already a key called {0}.": "Es gibt schon einen Schlüssel namens {0}.",
 };
