@@ -29,7 +29,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import notes_of
-from rholoc.mapping import BuildOptions, build_map, set_labels, set_names
+from rholoc.mapping import BuildOptions, build_map, draw_room, set_labels, set_names
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_map
 from rholoc.recordings import Recording, read_recording
 from rholoc.service import Settings, create_app
@@ -47,6 +47,9 @@ PAGES = {
     "map": "#/maps/testsite",
     "map-in-doubt": "#/maps/hall",
     "room": "#/maps/testsite",
+    "site": "#/sites/plant-2",
+    "here": "here/plant-2",
+    "refused": "#/maps/testsite/refusals",
     "map-made-right": "#/maps/testsite/correct",
     "live": "#/maps/testsite",
     "try": "#/try/testsite",
@@ -84,10 +87,12 @@ def main() -> None:
     folder = Path(tempfile.mkdtemp())
     simulate_recording(folder / "walk")
     walk = read_recording(folder / "walk")
-    map_ = build_map([walk], BuildOptions(pictures=True))
+    map_ = draw_room(build_map([walk], BuildOptions(pictures=True)), [walk])
     url, server = start(folder, map_)
     recording, job = fill(url, folder, walk)
     lay_plan(url, map_)
+    make_site(url)
+    refuse(url, walk)
     pages = {
         name: f"{url}/{where.replace('RECORDING', recording).replace('JOB', job)}" for name, where in PAGES.items()
     }
@@ -122,6 +127,7 @@ def start(folder: Path, map_: Map) -> tuple[str, uvicorn.Server]:
         live=True,
         keep_failures=True,
         keep_pictures=True,
+        keep_refused=20,
     )
     app = create_app(settings)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error"))
@@ -177,6 +183,22 @@ def lay_plan(url: str, map_: Map) -> None:
     httpx.put(f"{url}/v1/maps/testsite/plan", params=where, content=picture, headers=kind).raise_for_status()
 
 
+def make_site(url: str) -> None:
+    """The map on a floor of a site, and one that has no place there."""
+    maps = [{"map": "testsite", "floor": "1", "pose": {}}, {"map": "hall"}]
+    httpx.put(f"{url}/v1/sites/plant-2", json={"maps": maps}).raise_for_status()
+
+
+def refuse(url: str, walk: Recording) -> None:
+    """Ask with pictures that the map refuses: too dark, blurred."""
+    image = next(iter(walk.frames.images([TRIED_FRAME])))
+    for spoiled in (image // 20, cv2.GaussianBlur(image, (0, 0), 25)):
+        picture = cv2.imencode(".jpg", spoiled)[1].tobytes()
+        kind = {"Content-Type": "image/jpeg"}
+        answer = httpx.post(f"{url}/v1/maps/testsite/localize", content=picture, headers=kind, timeout=120)
+        answer.raise_for_status()
+
+
 def write_film(path: Path, walk: Recording) -> None:
     """A piece of the walk as a video that the page can play."""
     film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"VP80"), TRACKED_HZ, walk.frames.size)
@@ -194,10 +216,10 @@ def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, 
         page.goto(address)
         page.locator("main h1").first.wait_for()
         page.locator("main [aria-busy]").first.wait_for(state="detached")
-        if name == "map":
-            page.get_by_role("button", name="more points").click()
-            page.get_by_role("button", name="Landmarks only").wait_for()
+        if name == "refused":
+            page.get_by_role("button", name="Compare with the map").first.click()
         if name == "room":
+            page.get_by_role("button", name="Surfaces").click()
             room = page.locator("canvas.scene-canvas")
             landmark = page.get_by_text("it is looked for within the cone")
             for _ in range(MOST_TURNS):  # until a landmark is in the middle, not a view

@@ -53,7 +53,7 @@ export function coverageView(coverage, map, signal, look, rightAt, failures = []
     planUnder(map, signal).then(
       (kept) => {
         plan = kept;
-        draw();
+        if (plan && canvas.isConnected) draw();
       },
       () => {}, // without it, the drawing is as right as before
     );

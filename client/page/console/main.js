@@ -6,23 +6,30 @@ import { t, translatePage } from "../shared/text.js";
 import { showCameras } from "./cameras.js";
 import { showCorrections } from "./correct.js";
 import { showJob, showJobs } from "./jobs.js";
+import { showKeys } from "./keys.js";
 import { showMap } from "./map.js";
 import { showMaps } from "./maps.js";
 import { goOn, problem } from "./parts.js";
 import { showRecording } from "./recording.js";
 import { showRecordings } from "./recordings.js";
+import { showRefusals } from "./refusals.js";
+import { showSite, showSites } from "./sites.js";
 import { showTry } from "./try.js";
 
 const ROUTES = [
   [/^\/maps$/, t`Maps`, showMaps],
   [/^\/maps\/([^/]+)$/, t`Map`, showMap],
   [/^\/maps\/([^/]+)\/correct$/, t`Make it right`, showCorrections],
+  [/^\/maps\/([^/]+)\/refusals$/, t`Refused`, showRefusals],
   [/^\/try(?:\/([^/]+))?$/, t`Try it`, showTry],
   [/^\/jobs$/, t`Jobs`, showJobs],
   [/^\/jobs\/([^/]+)$/, t`Job`, showJob],
   [/^\/recordings$/, t`Recordings`, showRecordings],
   [/^\/recordings\/([^/]+)$/, t`Recording`, showRecording],
   [/^\/cameras$/, t`Cameras`, showCameras],
+  [/^\/sites$/, t`Sites`, showSites],
+  [/^\/sites\/([^/]+)$/, t`Site`, showSite],
+  [/^\/keys$/, t`Keys`, showKeys],
 ];
 
 let shown = new AbortController();

@@ -61,9 +61,13 @@ export async function showMap(main, name, signal) {
   );
   const address = path`v1/maps/${name}`;
   const map = await get(address, { signal }); // of a map that is gone the page says so, and nothing else
+  if (map.keeps_refused) {
+    const where = `#/maps/${encodeURIComponent(name)}/refusals`;
+    watching.append(h("a", { class: "button", href: where }, t`Refused`));
+  }
   if (map.live) {
     const watcher = liveView(map, scene, signal);
-    fill(watching, watcher.button);
+    watching.append(watcher.button);
     fill(live, watcher.element);
   }
   const report = get(`${address}/report`, { signal }).then(({ report }) => report);

@@ -8,8 +8,17 @@ import { when } from "./format.js";
 
 const DAY_S = 86400;
 
-/** Ask for how long, and show the link. */
-export async function share(name) {
+/** Ask for how long somebody may look at a map, and show the link. */
+export const share = (name) =>
+  shareLink(
+    t`Share a link`,
+    t`Whoever has the link can look at all maps of this server until it expires, and change nothing.`,
+    `#/maps/${encodeURIComponent(name)}`,
+    { scope: Purpose.LOOK },
+  );
+
+/** Ask for how long a link to a page is to be valid, and show it, with a key for what it is handed on for. */
+export async function shareLink(title, text, where, key) {
   const days = h(
     "select",
     {},
@@ -17,22 +26,12 @@ export async function share(name) {
   );
   const place = h("div", { class: "stack" });
   const done = await ask(
-    t`Share a link`,
-    [
-      h(
-        "p",
-        { class: "muted" },
-        t`Whoever has the link can look at all maps of this server until it expires, and change nothing.`,
-      ),
-      field(t`Valid for`, days),
-    ],
+    title,
+    [h("p", { class: "muted" }, text), field(t`Valid for`, days)],
     h("button", { class: "primary" }, t`Make the link`),
-    async () => {
-      const where = `#/maps/${encodeURIComponent(name)}`;
-      await showLink(place, await linkWithKey(where, Purpose.LOOK, days.value * DAY_S));
-    },
+    async () => showLink(place, await linkWithKey(where, { ...key, lifetime_s: days.value * DAY_S })),
   );
-  if (done) await ask(t`Share a link`, place, h("button", { class: "primary" }, t`Done`));
+  if (done) await ask(title, place, h("button", { class: "primary" }, t`Done`));
 }
 
 async function showLink(place, { link, expires }) {

@@ -5,14 +5,14 @@ import { h } from "./dom.js";
 import { t } from "./text.js";
 
 /** What a key is handed on for. */
-export const Purpose = Object.freeze({ RECORD: "map", LOOK: "read" });
+export const Purpose = Object.freeze({ RECORD: "map", LOOK: "read", VISIT: "visit" });
 
 /**
  * A link to a page of this server, `where` with its part behind the `#`, with a key of its own where the server asks for
- * keys: `{link, expires}`, the time in seconds since the epoch or null.
+ * keys: `{link, expires}`, the time in seconds since the epoch or null. `wanted` is what `POST /v1/keys` takes.
  */
-export async function linkWithKey(where, purpose, lifetime) {
-  const { key, expires } = await call("POST", "v1/keys", { body: { scope: purpose, lifetime_s: lifetime } });
+export async function linkWithKey(where, wanted) {
+  const { key, expires } = await call("POST", "v1/keys", { body: wanted });
   const address = new URL(where, new URL("../../", import.meta.url));
   if (key) address.hash = `#/key/${key}${address.hash.slice(1)}`;
   return { link: address.href, expires };

@@ -215,6 +215,106 @@ export const GERMAN = {
   "{0}. Arrow keys turn, shift and arrow keys move, plus and minus zoom, Home resets, Enter picks what is in the middle.":
     "{0}. Pfeiltasten drehen, mit Umschalttaste verschieben sie, Plus und Minus zoomen, Pos1 setzt zurück, die Eingabetaste wählt, was in der Mitte ist.",
   Surfaces: "Flächen",
+
+  // What a map refused
+  Refused: "Abgelehnt",
+  "Refused in {0}": "Abgelehnt in {0}",
+  "Nothing was refused": "Nichts wurde abgelehnt",
+  "Pictures that this map refuses in the next day are shown here, as far as they are kept.":
+    "Bilder, die diese Karte innerhalb eines Tages ablehnt, stehen hier, soweit sie aufbewahrt werden.",
+  "By cause": "Nach Ursache",
+  "By robot": "Nach Roboter",
+  "By hour": "Nach Stunde",
+  "Refused pictures": "Abgelehnte Bilder",
+  "Compare with the map": "Mit der Karte vergleichen",
+  "too little texture": "zu wenig Struktur",
+  "other light": "anderes Licht",
+  "focal length": "Brennweite",
+  rolled: "gekippt",
+  gravity: "Schwerkraft",
+  "too little time": "zu wenig Zeit",
+  "inexact map": "ungenaue Karte",
+  "too inexact": "zu ungenau",
+  "another place": "anderer Ort",
+
+  // Sites and keys
+  Sites: "Standorte",
+  "New site": "Neuer Standort",
+  "Maps of rooms and floors in one frame: one plan, one pose for a whole building.":
+    "Karten von Räumen und Stockwerken in einem System: ein Plan und eine Pose für das ganze Gebäude.",
+  "No sites yet": "Noch keine Standorte",
+  "A site is made of two maps or more.": "Ein Standort besteht aus zwei Karten oder mehr.",
+  "{0} maps on {1} floors": "{0} Karten auf {1} Stockwerken",
+  "{0} without a place": "{0} ohne Platz",
+  "Without a place": "Ohne Platz",
+  "Link for visitors": "Link für Besucher",
+  "Choose maps": "Karten wählen",
+  "Nothing has a place yet": "Noch nichts hat seinen Platz",
+  'Rooms get their place by links: "Place them" looks for overlaps.':
+    "Räume erhalten ihren Platz durch Verbindungen: „Platz finden“ sucht Überschneidungen.",
+  "Where rooms overlap, their place is found from pictures of one that are recognised in another.":
+    "Wo Räume sich überschneiden, ergibt sich ihr Platz aus Bildern des einen, die im anderen erkannt werden.",
+  "Place them": "Platz finden",
+  "Floor {0}": "Stockwerk {0}",
+  "Floor of {0}": "Stockwerk von {0}",
+  "Delete the site?": "Standort löschen?",
+  "{0}. Its maps stay.": "{0}. Seine Karten bleiben.",
+  "Whoever has the link finds the way in this site with a phone's camera until it expires, and can do nothing else.":
+    "Wer den Link hat, findet sich an diesem Standort mit der Kamera eines Telefons zurecht, bis er abläuft, und kann sonst nichts.",
+  Keys: "Schlüssel",
+  "find the way in a site": "den Weg an einem Standort finden",
+  "look at everything": "alles ansehen",
+  "ask for poses, too": "auch nach Posen fragen",
+  "make and change maps, too": "auch Karten erstellen und ändern",
+  everything: "alles",
+  "Requests a second": "Anfragen je Sekunde",
+  "Bytes stored": "Gespeicherte Bytes",
+  "Jobs at once": "Aufträge zugleich",
+  "Hand on a key": "Schlüssel weitergeben",
+  "Keys without an end are made on the server, with rholoc key create. Those that are made here expire.":
+    "Unbefristete Schlüssel erstellt man auf dem Server mit rholoc key create. Die von hier laufen ab.",
+  "This server asks nobody for a key, or has given out none.":
+    "Dieser Server verlangt keinen Schlüssel oder hat noch keinen ausgegeben.",
+  "No keys yet": "Noch keine Schlüssel",
+  expired: "abgelaufen",
+  " of {0}": " ({0})",
+  "Without an end": "Unbefristet",
+  "Until {0}": "Bis {0}",
+  ", handed on by {0}": ", weitergegeben von {0}",
+  Limits: "Grenzen",
+  "Limits of {0}": "Grenzen von {0}",
+  Revoke: "Widerrufen",
+  "It holds {0} maps, {1} and {2} jobs.": "Er hält {0} Karten, {1} und {2} Aufträge.",
+  "empty: no limit": "leer: keine Grenze",
+  "Revoke the key?": "Schlüssel widerrufen?",
+  "{0}, and all keys that it handed on, are refused from now on.":
+    "{0} und alle Schlüssel, die damit weitergegeben wurden, gelten ab sofort nicht mehr.",
+  "It may": "Er darf",
+  Days: "Tage",
+  "Make the key": "Schlüssel erstellen",
+  "This server needs no key.": "Dieser Server braucht keinen Schlüssel.",
+  "It is not shown again.": "Er wird nicht noch einmal gezeigt.",
+
+  // The visitor's page
+  "Point the camera around you.": "Die Kamera einmal umherblicken lassen.",
+  "Plan of the floor": "Plan des Stockwerks",
+  "Show me where I am": "Zeigen, wo ich bin",
+  "Lead me to": "Führe mich zu",
+  nowhere: "nirgendwohin",
+  "Pictures go to this site's own server, and are not kept.":
+    "Die Bilder gehen an den Server dieses Standorts und werden nicht aufbewahrt.",
+  "I do not know where you are. Point the camera around you.":
+    "Ich weiß nicht, wo Sie sind. Lassen Sie die Kamera umherblicken.",
+  "You are here, give or take {0} m.": "Sie sind hier, auf etwa {0} m genau.",
+  "{0} is on another floor: {1}.": "{0} ist auf einem anderen Stockwerk: {1}.",
+  "No walk leads from here to {0}.": "Kein bekannter Weg führt von hier zu {0}.",
+  "You are there: {0}.": "Sie sind da: {0}.",
+  "Turn left.": "Nach links drehen.",
+  "Turn right.": "Nach rechts drehen.",
+  "{0} m, then left": "{0} m, dann links",
+  "{0} m, then right": "{0} m, dann rechts",
+  "{0} m straight on": "{0} m geradeaus",
+
   "expected error ": "erwarteter Fehler ",
   "A robot here, looking there, is right to about {0}.":
     "Ein Roboter, der hier steht und dorthin blickt, liegt auf etwa {0} richtig.",
@@ -838,4 +938,59 @@ export const GERMAN_OF_SERVER = {
   "{0} of {1} pairs of keyframes matched": "{0} von {1} Paaren von Schlüsselbildern verglichen",
   "{0} of {1} keyframes placed": "{0} von {1} Schlüsselbildern eingeordnet",
   "features of {0} of {1} frames": "Merkmale von {0} von {1} Bildern",
+  "Stand still for a second at each waypoint: {0} of {1} have a pause, and a place measured in passing is centimetres off.":
+    "An jedem Wegpunkt eine Sekunde still stehen: {0} von {1} haben eine Pause, und ein im Gehen gemessener Ort liegt um Zentimeter daneben.",
+  "Come back to where you have been, looking the same way: the end of the walk stays {0} of its length off its beginning, and errors grow along an open path.":
+    "Dorthin zurückkommen, wo Sie schon waren, mit demselben Blick: Das Ende des Rundgangs bleibt {0} seiner Länge vom Anfang entfernt, und auf einem offenen Weg wachsen Fehler.",
+  "The pictures have no times, so the IMU cannot be used: add frames.csv with frame,timestamp.":
+    "Die Bilder haben keine Zeiten, daher ist die IMU nicht zu verwenden: frames.csv mit frame,timestamp hinzufügen.",
+  "There are {0} gaps between frames, the longest {1} s; the path may break there.":
+    "Zwischen Bildern sind {0} Lücken, die längste {1} s; dort kann der Weg abreißen.",
+  "The IMU covers {0} of the frames; the rest is placed by the images alone.":
+    "Die IMU deckt {0} der Bilder ab; die übrigen ordnen die Bilder allein ein.",
+  "Show more of the room, or closer things, or allow a larger {0}.":
+    "Mehr vom Raum oder nähere Dinge zeigen, oder ein größeres {0} erlauben.",
+  "Walk there again and update the map, or lower RHOLOC_MIN_RECOGNIZED.":
+    "Dort noch einmal entlanggehen und die Karte ergänzen, oder RHOLOC_MIN_RECOGNIZED senken.",
+  "Only {0} frames with different views have a pose; a map needs at least {1}.":
+    "Nur {0} Bilder mit verschiedenen Ansichten haben eine Pose; eine Karte braucht mindestens {1}.",
+  "Record a longer walk, or give poses for more frames.":
+    "Einen längeren Rundgang aufnehmen oder Posen für mehr Bilder angeben.",
+  "Only {0} features are stable; a map needs at least {1}.":
+    "Nur {0} Merkmale sind beständig; eine Karte braucht mindestens {1}.",
+  "Walk slower and sideways rather than turning on the spot, with more light and texture in view.":
+    "Langsamer und seitwärts gehen statt auf der Stelle zu drehen, mit mehr Licht und Struktur im Bild.",
+  "A job is using the recording.": "Ein Auftrag verwendet die Aufnahme.",
+  "Cancel the job, or wait until it has ended.": "Den Auftrag abbrechen oder warten, bis er beendet ist.",
+  "This link is for another site.": "Dieser Link gilt für einen anderen Standort.",
+  "Open the link or the code of this one.": "Bitte den Link oder Code dieses Standorts öffnen.",
+  "This room has no place on the plan yet.": "Dieser Raum hat noch keinen Platz auf dem Plan.",
+  "There is no map yet.": "Es gibt noch keine Karte.",
+  "There is no map {0}.": "Es gibt keine Karte {0}.",
+  "There are none yet.": "Es gibt noch keine.",
+  "There is already a map {0}.": "Es gibt schon eine Karte {0}.",
+  "Choose another name, or delete that map first.": "Einen anderen Namen wählen oder jene Karte zuerst löschen.",
+  "The map {0} was changed in the meantime.": "Die Karte {0} wurde inzwischen geändert.",
+  "Try again: the change will start from the new one.":
+    "Noch einmal versuchen: Die Änderung beginnt dann mit der neuen.",
+  "There is no landmark to remove.": "Es gibt keine Landmarke zu entfernen.",
+  "Choose another region.": "Eine andere Fläche wählen.",
+  "Only {0} landmarks would be left.": "Nur {0} Landmarken blieben übrig.",
+  "Remove less, or delete the map instead.": "Weniger entfernen oder stattdessen die Karte löschen.",
+  "This is not an image that can be read.": "Das ist kein lesbares Bild.",
+  "Send a whole JPEG, PNG or WebP file.": "Eine vollständige JPEG-, PNG- oder WebP-Datei senden.",
+  "Too many large requests are in progress.": "Zu viele große Anfragen sind gerade in Arbeit.",
+  "Try again after Retry-After.": "Bitte gleich noch einmal versuchen.",
+  "This server does not show who asks for poses.": "Dieser Server zeigt nicht, wer nach Posen fragt.",
+  "This server keeps no refused pictures.": "Dieser Server bewahrt keine abgelehnten Bilder auf.",
+  "The refused picture {0} is no longer kept.": "Das abgelehnte Bild {0} wird nicht mehr aufbewahrt.",
+  "The maps of the site {0} are being placed already.":
+    "Für die Karten des Standorts {0} wird schon ein Platz gesucht.",
+  "Wait for the job {0}.": "Bitte auf den Auftrag {0} warten.",
+  "There is no picture of the recording yet.": "Von der Aufnahme gibt es noch kein Bild.",
+  "The mapping process ended unexpectedly ({0}).": "Das Erstellen der Karte endete unerwartet ({0}).",
+  "It may have run out of memory: retry, record a shorter walk, or give the worker more memory.":
+    "Vielleicht fehlte Speicher: noch einmal versuchen, einen kürzeren Rundgang aufnehmen oder dem Worker mehr geben.",
+  "Mapping took longer than the limit of {0} s.": "Das Erstellen der Karte dauerte länger als die erlaubten {0} s.",
+  "There is already a key called {0}.": "Es gibt schon einen Schlüssel namens {0}.",
 };

@@ -42,6 +42,7 @@ from rholoc.service.frames.answerer import Answerer
 from rholoc.service.frames.learning import Learner
 from rholoc.service.frames.live import Live
 from rholoc.service.frames.localizers import Localizers
+from rholoc.service.frames.refusals import Refusals
 from rholoc.service.housekeeping import clean_up_regularly, follow_keys
 from rholoc.service.http import web
 from rholoc.service.http.bodies import HeldBodies
@@ -206,6 +207,7 @@ def _start(
         compute,
         learner,
         Live(settings.live, settings.keep_failures),
+        Refusals(settings.keep_refused),
         metrics,
         lanes,
     )

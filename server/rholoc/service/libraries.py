@@ -101,6 +101,7 @@ class AsyncMaps:
         here = {
             "live": settings.live,
             "keeps_failures": settings.keep_failures,
+            "keeps_refused": settings.keep_refused > 0,
             "pictures": detail.pictures and settings.keep_pictures,
         }
         return detail.model_copy(update=here)

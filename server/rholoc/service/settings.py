@@ -142,6 +142,13 @@ class Settings(BaseSettings):
         description="Whether the places where requests failed or were unsure are kept in memory for a day, without "
         "pictures and without who asked.",
     )
+    keep_refused: int = Field(
+        default=0,
+        ge=0,
+        le=500,
+        description="How many refused pictures are kept in memory, small, with who sent them, for those who may make "
+        "maps to see why; 0: none. Visitors' are never kept.",
+    )
     learn: bool = Field(
         default=False,
         description="Whether maps learn from their users: the features of frames that were localized surely are kept, "

@@ -14,7 +14,10 @@ export function onPhone() {
 
   async function showCode() {
     try {
-      const { link, expires } = await linkWithKey(`record${location.hash || "#/"}`, Purpose.RECORD, GOOD_FOR_S);
+      const { link, expires } = await linkWithKey(`record${location.hash || "#/"}`, {
+        scope: Purpose.RECORD,
+        lifetime_s: GOOD_FOR_S,
+      });
       const good = expires
         ? t`Point the phone's camera at it. The key in it is valid for two hours.`
         : t`Point the phone's camera at it.`;

@@ -38,9 +38,10 @@ def create(
     name: Name,
     scope: Annotated[
         str,
-        typer.Option(metavar="read|localize|map|admin", help="What it allows; each scope includes the ones before."),
+        typer.Option(metavar="visit|read|localize|map|admin", help="What it allows; each includes the ones before."),
     ] = "localize",
     expires: Annotated[float | None, typer.Option(metavar="DAYS", min=0, help="How many days it is valid.")] = None,
+    site: Annotated[str, typer.Option(metavar="SITE", help="Of a key to visit: the only site that it is for.")] = "",
     requests_per_s: RequestsPerS = None,
     burst: Burst = None,
     maps: Maps = None,
@@ -53,7 +54,7 @@ def create(
 
     wanted = choice(Scope, scope, "--scope")
     limits = KeyLimits(requests_per_s, burst, maps, stored_bytes, jobs)
-    secret = _store(data).create(name, wanted, None if expires is None else expires * _DAY_S, limits)
+    secret = _store(data).create(name, wanted, None if expires is None else expires * _DAY_S, limits, site=site)
     print_notice(f"The key of {name}, for {wanted}. It is not shown again:")
     typer.echo(secret)
 

@@ -32,6 +32,7 @@ _NAME_BYTES = 4  # of a key that is handed on
 class Scope(StrEnum):
     """Scope of a key; each scope includes the ones before it."""
 
+    VISIT = "visit"  # find oneself in a site, see its rooms and named points
     READ = "read"  # look at maps, jobs, cameras
     LOCALIZE = "localize"  # ask for poses
     MAP = "map"  # upload, build, update, merge, rename
@@ -84,6 +85,7 @@ class ApiKey:
         limits: of the key.
         holder: id of the key that handed it on, whose limits include this key; empty if there is none.
         id: hash of the secret.
+        site: only site that a key of scope ``visit`` is for; empty for all.
     """
 
     name: str
@@ -93,6 +95,7 @@ class ApiKey:
     limits: KeyLimits = field(default_factory=KeyLimits)
     holder: str = ""
     id: str = ""
+    site: str = ""
 
     @property
     def expired(self) -> bool:
@@ -138,6 +141,7 @@ class KeyStore:
         lifetime_s: float | None = None,
         limits: KeyLimits | None = None,
         handed_by: ApiKey | None = None,
+        site: str = "",
     ) -> str:
         """Make a key and return its secret, which cannot be retrieved again.
 
@@ -147,6 +151,7 @@ class KeyStore:
             lifetime_s: None for an unlimited lifetime.
             limits: of the key.
             handed_by: parent key, whose scope, lifetime and limits bound the new key's.
+            site: only site that a key of scope ``visit`` is for; empty for all.
 
         Raises:
             InvalidName: the name is empty, too long or not printable.
@@ -162,11 +167,13 @@ class KeyStore:
         limits, holder = limits or KeyLimits(), ""
         if handed_by is not None:
             limits, holder = limits.within(handed_by.limits), handed_by.id
-        key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s, limits, holder)
+        key = ApiKey(name, scope, now, None if lifetime_s is None else now + lifetime_s, limits, holder, site=site)
         self._write(_hash(secret), key)
         return secret
 
-    def hand_on(self, scope: Scope, lifetime_s: float, limits: KeyLimits, by: ApiKey | None) -> tuple[str, str]:
+    def hand_on(
+        self, scope: Scope, lifetime_s: float, limits: KeyLimits, by: ApiKey | None, site: str = ""
+    ) -> tuple[str, str]:
         """Make a temporary key. Returns its name, and its secret, which cannot be retrieved again.
 
         Args:
@@ -174,6 +181,7 @@ class KeyStore:
             lifetime_s: its lifetime.
             limits: of the key.
             by: parent key; None if the server needs no keys.
+            site: only site that a key of scope ``visit`` is for; empty for all.
 
         Raises:
             QuotaExceeded: the parent has handed on too many.
@@ -195,7 +203,7 @@ class KeyStore:
         if len(valid) >= _MAX_HANDED:
             raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
         name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
-        return name, self.create(name, scope, lifetime_s, limits, by)
+        return name, self.create(name, scope, lifetime_s, limits, by, site)
 
     def limit(self, name: str, limits: KeyLimits) -> ApiKey:
         """Set the limits of the key called ``name``, from the next request on; returns the key.
@@ -288,9 +296,9 @@ class KeyStore:
         except FileNotFoundError:
             return None
         limits = KeyLimits(**stored.get("limits", {}))
-        holder = stored.get("holder", "")
+        holder, site = stored.get("holder", ""), stored.get("site", "")
         return ApiKey(
-            stored["name"], Scope(stored["scope"]), stored["created"], stored["expires"], limits, holder, hashed
+            stored["name"], Scope(stored["scope"]), stored["created"], stored["expires"], limits, holder, hashed, site
         )
 
 

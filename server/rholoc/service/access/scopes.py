@@ -110,6 +110,7 @@ def check_stream_granted(socket: WebSocket, needed: SecurityScopes) -> None:
 
 
 STREAM_NEEDS_LOCALIZE = Security(check_stream_granted, scopes=[Scope.LOCALIZE])
+NEEDS_VISIT = Security(check_granted, scopes=[Scope.VISIT])
 NEEDS_READ = Security(check_granted, scopes=[Scope.READ])
 NEEDS_LOCALIZE = Security(check_granted, scopes=[Scope.LOCALIZE])
 NEEDS_MAP = Security(check_granted, scopes=[Scope.MAP])

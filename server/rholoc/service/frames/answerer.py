@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from starlette.concurrency import run_in_threadpool
+
 from rholoc.errors import DeadlineExceeded, RholocError, StorageUnavailable
 from rholoc.library import MapLibrary, SiteLibrary
 from rholoc.localization import AnyLocalizer, MapFinder
@@ -19,6 +21,7 @@ from rholoc.service.frames.live import Live
 from rholoc.service.frames.localizers import Localizers, LocalizerSource, MapNotHereError
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame
+from rholoc.service.frames.refusals import LikenessOut, Refusal, Refusals, likeness
 from rholoc.service.frames.several_frames import Frames, localize_frames
 from rholoc.service.frames.single_frame import likeliest_places, localize_frame
 from rholoc.service.frames.site_answers import on_earth
@@ -44,7 +47,7 @@ class Answerer:
         localizers: of the maps.
         finder: chooses from many maps.
         compute: threads for localization.
-        learner, live, metrics: observers of answers.
+        learner, live, refusals, metrics: observers of answers.
         lanes: threads for looking up and fetching maps.
     """
 
@@ -56,6 +59,7 @@ class Answerer:
     compute: ComputePool
     learner: Learner
     live: Live
+    refusals: Refusals
     metrics: Metrics
     lanes: StorageLanes
 
@@ -79,15 +83,17 @@ class Answerer:
         """Drop the localizers of maps that are no longer in the library."""
         await self.lanes.files(self.localizers.forget_missing)
 
-    async def localize(self, frame: Frame, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
+    async def localize(self, frame: Frame, maps: MapChoice, clock: Stopwatch, private: bool = False) -> LocalizationOut:
         """The most confident answer of several maps for one frame, by its deadline.
+
+        Of a ``private`` frame nothing is kept or learned.
 
         Raises:
             RholocError: as :func:`rholoc.service.frames.single_frame.localize_frame`, and Busy.
         """
-        listener = self.learner.listener(ASKER.get())
+        listener = None if private else self.learner.listener(ASKER.get())
         prior = frame.options.prior
-        return await self._by_deadline(
+        answer = await self._by_deadline(
             lambda localizers: localize_frame(frame, maps, localizers, self.settings, clock, listener),
             maps,
             clock,
@@ -96,6 +102,13 @@ class Answerer:
             None if prior is None else prior.position,
             frame.options.geopose,
         )
+        if self.refusals.wanted and not private and frame.image is not None:
+            await run_in_threadpool(self.refusals.keep, answer, frame.image)
+        return answer
+
+    async def likeness(self, refusal: Refusal) -> LikenessOut:
+        """The view of its map that a refused picture resembles most."""
+        return await self._compute(lambda localizers: likeness(localizers.get(refusal.map), refusal), Effort.LARGE)
 
     async def localize_together(self, frames: Frames, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
         """As :meth:`localize`, for several frames."""

@@ -13,7 +13,7 @@ from starlette.staticfiles import StaticFiles
 from rholoc.service.access.scopes import OPEN
 
 PREFIX = "/web"
-PAGES = {"/": "index.html", "/record": "record/index.html", "/docs": "docs.html"}
+PAGES = {"/": "index.html", "/record": "record/index.html", "/here/{site}": "here/index.html", "/docs": "docs.html"}
 _SWAGGER_UI = ("fastapi_offline", "static")  # the package that has its files
 _TYPES = {".js": "text/javascript", ".webmanifest": "application/manifest+json", ".svg": "image/svg+xml"}
 _SERVICE_WORKER = "service-worker.js"

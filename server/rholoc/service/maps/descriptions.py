@@ -89,6 +89,7 @@ class MapDetail(MapSummary):
         description="3×3, a rotation of the map for display that makes up z and walls parallel to x and y, both as "
         "estimated; null where the map is upright, or where up cannot be estimated"
     )
+    keeps_refused: bool = Field(default=False, description="whether this server keeps refused pictures")
     live: bool = Field(default=False, description="whether this server shows who asks for poses in it")
     keeps_failures: bool = Field(default=False, description="whether this server keeps where requests fail in it")
 

@@ -54,6 +54,9 @@ class KeyIn(RequestModel):
     lifetime_s: Number = Field(
         default=86400, ge=60, le=31 * 86400, description="how long it is valid, s: a minute to 31 days"
     )
+    site: str | None = Field(
+        default=None, max_length=100, description="the only site that a key of scope `visit` is for; null: any"
+    )
     limits: KeyLimitsIn = Field(
         default_factory=KeyLimitsIn, description="how much it allows; never more than the request's own key"
     )
@@ -67,6 +70,7 @@ class KeyOut(AnswerModel):
     created: float = Field(description="s since the epoch")
     expires: float | None = Field(description="s since the epoch; null: never")
     limits: KeyLimitsOut = Field(description="how much it allows")
+    site: str | None = Field(default=None, description="the only site that it is for; null: any")
     handed_on_by: str | None = Field(default=None, description="the name of the key that handed it on; null: none did")
 
 
@@ -115,7 +119,7 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
         return HandedKeyOut(key=None, name=None, scope=wanted.scope, expires=None)
     lifetime_s = wanted.lifetime_s if expires is None else min(wanted.lifetime_s, expires - time.time())
     by = request_key(request.scope)
-    name, key = await service.keys.hand_on(wanted.scope, lifetime_s, _limits(wanted.limits), by)
+    name, key = await service.keys.hand_on(wanted.scope, lifetime_s, _limits(wanted.limits), by, wanted.site or "")
     return HandedKeyOut(key=key, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
 
 
@@ -179,6 +183,7 @@ def _fields(key: ApiKey, service: State) -> dict[str, Any]:
         "created": key.created,
         "expires": key.expires,
         "limits": KeyLimitsOut(**asdict(key.limits)),
+        "site": key.site or None,
         "handed_on_by": next((one.name for one in service.keys.chain(key)[1:]), None),
     }
 

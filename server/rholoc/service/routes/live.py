@@ -11,12 +11,14 @@ from functools import lru_cache
 from fastapi import APIRouter, Request, Response
 from pydantic import Field
 
-from rholoc.errors import Conflict, InvalidName, UnknownMap
+from rholoc.errors import Busy, Conflict, InvalidMap, InvalidName, UnknownMap, UnknownPicture
+from rholoc.localization import Cause
 from rholoc.service.access.open_streams import EventStream, StreamKind
-from rholoc.service.access.scopes import NEEDS_READ
+from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.frames.live import Sighting
+from rholoc.service.frames.refusals import LikenessOut
 from rholoc.service.http.models import AnswerModel
-from rholoc.service.http.openapi import declared, event_stream
+from rholoc.service.http.openapi import content, declared, event_stream
 from rholoc.service.state import Service, State
 
 
@@ -36,8 +38,26 @@ class FailuresOut(AnswerModel):
     failures: list[FailureOut]
 
 
+class RefusalOut(AnswerModel):
+    """A picture that was refused."""
+
+    number: int
+    time: float = Field(description="s since the epoch")
+    asker: str = Field(description="the name of the key, or the address where no key is required")
+    cause: Cause
+    message: str = Field(description="one sentence: what it looks like")
+    hint: str = Field(description="one sentence: what to try")
+
+
+class RefusalsOut(AnswerModel):
+    """The refused pictures of the last day that are kept, the newest first."""
+
+    refusals: list[RefusalOut]
+
+
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
 
+_SHOWN = RefusalOut.model_fields
 _EVERY_S = 0.1  # answers in between are sent together
 _QUIET_S = 15.0
 _EVENT = (
@@ -105,3 +125,44 @@ async def list_failures(map_name: str, service: Service) -> FailuresOut:
     since this server started."""
     await service.maps.stat(map_name)
     return FailuresOut.model_validate({"failures": service.frames.live.failures(map_name)})
+
+
+@router.get(
+    "/{map_name}/refusals", **declared(NEEDS_MAP, "Refused pictures of the last day", UnknownMap, InvalidName, Conflict)
+)
+async def list_refusals(map_name: str, service: Service) -> RefusalsOut:
+    """The last pictures that this map refused, and why. Only if the setting `keep_refused` is above 0, and only since
+    this server started."""
+    await service.maps.stat(map_name)
+    kept = [asdict(one) for one in service.frames.refusals.of_map(map_name)]
+    return RefusalsOut.model_validate({"refusals": [{k: v for k, v in one.items() if k in _SHOWN} for one in kept]})
+
+
+@router.get(
+    "/{map_name}/refusals/{number}",
+    **declared(
+        NEEDS_MAP,
+        "What a refused picture resembles",
+        UnknownMap,
+        InvalidName,
+        InvalidMap,
+        Conflict,
+        UnknownPicture,
+        Busy,
+    ),
+)
+async def get_likeness(map_name: str, number: int, service: Service) -> LikenessOut:
+    """The map's view that it resembles most, and the matches between the two."""
+    return await service.frames.likeness(service.frames.refusals.get(map_name, number))
+
+
+@router.get(
+    "/{map_name}/refusals/{number}/picture.jpg",
+    **declared(
+        NEEDS_MAP, "A refused picture", UnknownMap, InvalidName, Conflict, UnknownPicture,
+        also=content("A picture.", "image/jpeg"),
+    ),
+)  # fmt: skip
+async def get_refused_picture(map_name: str, number: int, service: Service) -> Response:
+    """A small copy of what the camera sent."""
+    return Response(service.frames.refusals.get(map_name, number).picture, media_type="image/jpeg")

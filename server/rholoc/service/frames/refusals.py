@@ -1,0 +1,144 @@
+"""Refused pictures, in memory only, for people to see why. Kept only if the setting ``keep_refused`` says how many."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from itertools import count
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from rholoc.errors import Conflict, UnknownPicture
+from rholoc.features.matching import LIMITS, descriptor_distances
+from rholoc.geometry import FloatArray, IntArray
+from rholoc.localization import AnyLocalizer, Cause, likeliest_views
+from rholoc.maps import Map
+from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image
+from rholoc.service.caller import ASKER
+from rholoc.service.frames.answers import LocalizationOut
+from rholoc.service.http.models import AnswerModel
+
+_PICTURE_PX, _QUALITY = 480, 75
+_MAX_PIXELS = 2**24
+_DAY_S = 24 * 3600.0
+_MAX_LINES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Refusal:
+    """A refused picture.
+
+    Attributes:
+        number: unique for this server's process.
+        map: name of the map that refused it.
+        time: seconds since the epoch.
+        asker: name of the key, or address.
+        cause, message, hint: of the diagnosis.
+        picture: a small JPEG.
+    """
+
+    number: int
+    map: str
+    time: float
+    asker: str
+    cause: Cause
+    message: str
+    hint: str
+    picture: bytes
+
+
+class LikenessOut(AnswerModel):
+    """A refused picture beside the view that it resembles most."""
+
+    view: int | None = Field(description="its number in the map; null where nothing looks alike")
+    lines: list[list[float]] = Field(
+        description="matches: u and v in the refused picture, u and v in the view, as shares of width and height"
+    )
+
+
+class Refusals:
+    """The last refused pictures of a day. Safe to use from any thread.
+
+    Args:
+        most: number of pictures; 0 keeps none.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._kept: deque[Refusal] = deque(maxlen=most)
+        self._numbers = count(1)
+        self.wanted = most > 0
+
+    def keep(self, answer: LocalizationOut, image: bytes) -> None:
+        """Keep a small copy of a picture that was refused for a known cause."""
+        why = answer.diagnosis
+        if not self.wanted or answer.localized or why is None:
+            return
+        whole = decode_image(image, _MAX_PIXELS, SENT_FORMATS)
+        scale = min(1.0, _PICTURE_PX / max(whole.shape[:2]))
+        small = cv2.resize(whole, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        picture = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+        asker = ASKER.get()
+        refusal = Refusal(
+            next(self._numbers), answer.map, time.time(), asker, why.cause, why.message, why.hint, picture
+        )
+        self._kept.append(refusal)
+
+    def of_map(self, name: str) -> list[Refusal]:
+        """The refusals of the last day in a map, the newest first.
+
+        Raises:
+            Conflict: this server keeps none.
+        """
+        if not self.wanted:
+            raise Conflict(
+                "This server keeps no refused pictures.", "Set RHOLOC_KEEP_REFUSED=100 to keep the last hundred."
+            )
+        since = time.time() - _DAY_S
+        return [one for one in reversed(tuple(self._kept)) if one.map == name and one.time >= since]
+
+    def get(self, name: str, number: int) -> Refusal:
+        """A refusal of a map by its number.
+
+        Raises:
+            Conflict: this server keeps none.
+            UnknownPicture: it is no longer kept.
+        """
+        for one in self.of_map(name):
+            if one.number == number:
+                return one
+        raise UnknownPicture(f"The refused picture {number} is no longer kept.", "Choose a later one.")
+
+
+def likeness(localizer: AnyLocalizer, refusal: Refusal) -> LikenessOut:
+    """The view that a refused picture resembles most, and the matches between the two."""
+    image = decode_image(refusal.picture, _MAX_PIXELS, SENT_FORMATS)
+    features = localizer.extractor.extract(image)
+    views = likeliest_views(localizer, features, 1)
+    if not views:
+        return LikenessOut(view=None, lines=[])
+    map_, view = localizer.map, views[0].view
+    seen, pixels = _seen_by(map_, view)
+    if pixels is None or not len(seen):
+        return LikenessOut(view=view, lines=[])
+    first = np.searchsorted(map_.descriptors.features, seen)
+    distances = descriptor_distances(features.descriptors, map_.descriptors.values[first], localizer.extractor.metric)
+    nearest = distances.argmin(axis=1)
+    mutual = distances.argmin(axis=0)[nearest] == np.arange(len(nearest))
+    close = distances[np.arange(len(nearest)), nearest] < LIMITS[localizer.extractor.metric].strict
+    rows = np.flatnonzero(mutual & close)
+    rows = rows[np.argsort(distances[rows, nearest[rows]])][:_MAX_LINES]
+    height, width = image.shape[:2]
+    camera = map_.info.camera
+    ours = features.pixels[rows] / (width, height)
+    theirs = pixels[nearest[rows]] / (camera.width, camera.height)
+    return LikenessOut(view=view, lines=np.column_stack([ours, theirs]).round(4).tolist())
+
+
+def _seen_by(map_: Map, view: int) -> tuple[IntArray, FloatArray | None]:
+    """Features (N,) that a view saw, and their pixels (N, 2) in it; None if the map does not keep them."""
+    rows = slice(int(map_.view_offsets[view]), int(map_.view_offsets[view + 1]))
+    pixels = map_.observations.pixels
+    return map_.observations.features[rows], None if pixels is None else pixels[rows]

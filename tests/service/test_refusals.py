@@ -1,0 +1,60 @@
+"""Refused pictures: kept only where the setting says so, bounded, and compared with the map."""
+
+from __future__ import annotations
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+
+from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.settings import KeyPolicy
+
+
+@pytest.fixture(scope="module")
+def keeping(serve, picture_world):
+    """A service that keeps two refused pictures, with the map ``room`` and the keys of a robot and an operator."""
+    running = serve(keep_refused=2, keys=KeyPolicy.ALWAYS)
+    store = KeyStore(running.settings.data_dir)
+    headers = {
+        scope: {"Authorization": f"Bearer {store.create(f'robot-{scope}', scope)}"}
+        for scope in (Scope.VISIT, Scope.LOCALIZE, Scope.MAP)
+    }
+    url = f"{running.url}/v1/maps/room"
+    assert httpx.put(url, content=picture_world.rho(), headers=headers[Scope.MAP]).status_code == 201
+    return running.url, headers
+
+
+def png(image) -> bytes:
+    return cv2.imencode(".png", image)[1].tobytes()
+
+
+def ask(url, headers, image):
+    where = f"{url}/v1/maps/room/localize"
+    kind = {"Content-Type": "image/png"}
+    return httpx.post(where, content=png(image), headers={**headers[Scope.LOCALIZE], **kind}, timeout=60).json()
+
+
+def test_the_last_refused_pictures_are_kept_with_their_cause_and_sender(keeping, picture_world):
+    url, headers = keeping
+    noise = np.random.default_rng(5).integers(0, 255, (480, 640, 3), np.uint8)
+    assert ask(url, headers, picture_world.image)["localized"]
+    for image in (noise, np.zeros((480, 640, 3), np.uint8), noise[::-1]):
+        assert not ask(url, headers, image)["localized"]
+    where = f"{url}/v1/maps/room/refusals"
+    assert httpx.get(where, headers=headers[Scope.LOCALIZE]).status_code == 403
+    last, before = httpx.get(where, headers=headers[Scope.MAP]).json()["refusals"]
+    assert (before["cause"], before["asker"]) == ("too_dark", "robot-localize")
+    assert last["message"]
+    picture = httpx.get(f"{where}/{last['number']}/picture.jpg", headers=headers[Scope.MAP]).content
+    assert cv2.imdecode(np.frombuffer(picture, np.uint8), 1).shape == (360, 480, 3)
+    assert httpx.get(f"{where}/{before['number'] - 1}", headers=headers[Scope.MAP]).status_code == 404
+    likeness = httpx.get(f"{where}/{last['number']}", headers=headers[Scope.MAP]).json()
+    assert set(likeness) == {"view", "lines"}
+    assert all(0 <= share <= 1 for line in likeness["lines"] for share in line)
+
+
+def test_nothing_is_kept_unless_the_setting_says_so(service):
+    answer = httpx.get(f"{service.url}/v1/maps/testsite/refusals")
+    if answer.status_code != 404:
+        assert (answer.status_code, answer.json()["code"]) == (409, "conflict")
