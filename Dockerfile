@@ -21,7 +21,8 @@ COPY pyproject.toml server/constraints.txt /src/server/
 COPY client/pyproject.toml /src/client/
 RUN python3 -c "import tomllib; \
 server, client = (tomllib.load(open(of + '/pyproject.toml', 'rb'))['project'] for of in ('server', 'client')); \
-needed = [*server['dependencies'], *server['optional-dependencies']['telemetry'], *client['dependencies']]; \
+extras = server['optional-dependencies']; \
+needed = [*server['dependencies'], *extras['server'], *extras['telemetry'], *client['dependencies']]; \
 print(*(name for name in needed if not name.startswith('rholoc-client')), sep='\n')" \
         > /tmp/requirements.txt \
     && /opt/rholoc/bin/pip install -r /tmp/requirements.txt

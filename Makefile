@@ -66,5 +66,5 @@ $(INSTALLED): pyproject.toml client/pyproject.toml benchmarks/lab/pyproject.toml
 	@$(if $(PYTHON),,echo "rholoc needs Python 3.11 or later; none was found. Install one, or name it: make PYTHON=/path/to/python3.12"; exit 1)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { echo "$(PYTHON) is not Python 3.11 or later. Name one that is: make PYTHON=/path/to/python3.12"; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) has no venv module: install it (Debian: apt install python3-venv)."; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c server/constraints.txt -e ./client -e ./benchmarks/lab -e . -e '.[dev,docs]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c server/constraints.txt -e ./client -e ./benchmarks/lab -e . -e '.[server,dev,docs]'
 	@touch $@

@@ -1,10 +1,12 @@
-"""Attributes that are computed when they are first asked for."""
+"""Attributes that are computed, and names that are imported, when they are first asked for."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import importlib
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["lazy"]
+__all__ = ["lazy", "loader"]
 
 if TYPE_CHECKING:
     from functools import cached_property as lazy
@@ -28,3 +30,14 @@ else:
                 return self
             value = instance.__dict__[self._name] = self._compute(instance)
             return value
+
+
+def loader(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """``__getattr__`` of a package: each name is imported from its home, a module, when it is first asked for."""
+
+    def load(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(importlib.import_module(homes[name]), name)
+
+    return load

@@ -18,6 +18,7 @@ from rholoc.errors import RholocError
 
 EXIT_ERROR = 1
 EXIT_INTERRUPTED = 130
+_OF_MAPPING = frozenset({"gtsam", "matplotlib", "poselib", "pycolmap"})
 DEBUG_VARIABLE = "RHOLOC_DEBUG"  # if set, bugs are shown with their traceback
 
 app = typer.Typer(
@@ -79,11 +80,20 @@ def main() -> None:
     except OSError as error:
         print_error(*_os_error(error))
         sys.exit(EXIT_ERROR)
+    except ModuleNotFoundError as error:
+        print_error(*_missing(error))
+        sys.exit(EXIT_ERROR)
     except Exception as error:
         if os.environ.get(DEBUG_VARIABLE):
             raise
         print_error(f"rholoc itself failed: {type(error).__name__}: {error}.", f"{DEBUG_VARIABLE}=1 shows where.")
         sys.exit(EXIT_ERROR)
+
+
+def _missing(error: ModuleNotFoundError) -> tuple[str, str]:
+    """The error for a command of which a library is not installed: localizing alone takes few."""
+    extra = "mapping" if error.name in _OF_MAPPING else "server"
+    return f"This command needs {error.name}, which is not installed.", f"pip install 'rholoc[{extra}]'."
 
 
 def _os_error(error: OSError) -> tuple[str, str]:

@@ -1,5 +1,7 @@
 """Absolute pose from rays and points of which many do not belong together: LO-RANSAC, by poselib (Larsson and others).
 
+Where poselib is not installed, :mod:`rholoc.geometry.sampling` takes its place.
+
 Rays of wide lenses have no place on one image plane. They are divided among the faces of a cube, which are pinhole
 cameras at one centre: a rig, for which poselib has a solver.
 """
@@ -10,11 +12,16 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import poselib
 
+from rholoc.geometry import sampling
 from rholoc.geometry.arrays import FloatArray, IntArray
 from rholoc.geometry.camera import on_plane
 from rholoc.geometry.pose import pose_matrix
+
+try:
+    import poselib
+except ImportError:  # ARM64 Linux has no wheel
+    poselib = None
 
 NARROW_COSINE = 0.5
 """Rays up to 60° off the optical axis have a place on the plane z = 1 that is not stretched too far."""
@@ -56,6 +63,8 @@ def resected(
     Returns:
         T_map_rig (4, 4) and how many matches agree with it.
     """
+    if poselib is None:
+        return sampling.sampled_pose(rays, points, T_rig_camera, focal_px, settings)
     seen = [
         (R_face_camera, T, on_plane(some[rows] @ R_face_camera.T) * focal_px, of[rows])
         for some, of, T in zip(rays, points, T_rig_camera, strict=True)
@@ -74,6 +83,18 @@ def resected(
     return pose_matrix(R_rig_map.T, -R_rig_map.T @ np.asarray(pose.t)), int(report["num_inliers"])
 
 
+def three_point_poses(rays: FloatArray, points: FloatArray) -> FloatArray:
+    """Poses (S, 4, 4) T_map_camera, at most four of each sample: unit rays (N, 3, 3) of points (N, 3, 3)."""
+    if poselib is None:
+        return sampling.three_point_poses(rays, points)
+    poses = [pose for three, seen in zip(rays, points, strict=True) for pose in poselib.p3p(three, seen)]
+    if not poses:
+        return np.zeros((0, 4, 4))
+    R = np.array([pose.R for pose in poses]).transpose(0, 2, 1)
+    T = pose_matrix(R, -np.einsum("hij,hj->hi", R, np.array([pose.t for pose in poses])))
+    return T[np.isfinite(T).all(axis=(1, 2))]
+
+
 def _faces(rays: FloatArray) -> Iterator[tuple[FloatArray, IntArray]]:
     """R_face_camera (3, 3) of the pinhole cameras that unit rays (N, 3) are divided among, and the rows of each's."""
     if is_narrow(rays):
@@ -90,7 +111,7 @@ def _mounted(R_face_camera: FloatArray, T_rig_camera: FloatArray) -> FloatArray:
     return pose_matrix(R_face_rig, -R_face_rig @ T_rig_camera[:3, 3])
 
 
-def _poselib_pose(T_face_rig: FloatArray) -> poselib.CameraPose:
+def _poselib_pose(T_face_rig: FloatArray) -> Any:
     pose = poselib.CameraPose()
     pose.R, pose.t = T_face_rig[:3, :3], T_face_rig[:3, 3]
     return pose

@@ -1,4 +1,4 @@
-"""Small files by name, in a folder or in the catalogue that several servers share."""
+"""Small files by name, in a folder."""
 
 from __future__ import annotations
 
@@ -8,13 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, TypeVar
 
-import sqlalchemy as sa
-
 from rholoc.disk import locked_folder, make_folder, replace_file
 from rholoc.errors import InvalidInput, NotFound
 from rholoc.maps.naming import check_name, is_name, some_of
-from rholoc.storage.replica import Replica
-from rholoc.storage.tables import documents_table
 
 _SUFFIX = ".json"
 _TICK_NS = 2 * 10**9  # a folder may change again within a tick of its clock without a new time of change
@@ -101,43 +97,6 @@ class FolderDocuments(Documents):
                 path.unlink()
             else:
                 replace_file(path, content, called)
-        return True
-
-
-class StoredDocuments(Documents):
-    """The small files of one kind, read from memory and written to the database.
-
-    Args:
-        replica: the catalogue.
-        kind: first part of their paths.
-    """
-
-    def __init__(self, replica: Replica, kind: str) -> None:
-        self._replica = replica
-        self._prefix = f"{kind}/"
-
-    def names(self) -> list[str]:
-        return [path.removeprefix(self._prefix) for path in self._replica.documents if path.startswith(self._prefix)]
-
-    def read(self, name: str) -> bytes:
-        try:
-            return self._replica.documents[self._prefix + name]
-        except KeyError as error:
-            raise FileNotFoundError(name) from error
-
-    def stamp(self) -> object:
-        return self._replica.revision
-
-    def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
-        table, path = documents_table, self._prefix + name
-        with self._replica.changing() as (connection, revision):
-            present = connection.execute(sa.select(table.c.content).where(table.c.path == path)).scalar()
-            if (content is None and present is None) or (accepts is not None and not accepts(present)):
-                return False
-            values = {"content": content, "revision": revision}
-            changed = connection.execute(table.update().where(table.c.path == path).values(**values))
-            if not changed.rowcount:
-                connection.execute(table.insert().values(path=path, **values))
         return True
 
 

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from rholoc.disk import reporting_full_disk
 from rholoc.lazy import lazy
-from rholoc.library.documents import Documents, FolderDocuments, StoredDocuments
+from rholoc.library.documents import Documents, FolderDocuments
 from rholoc.library.maps import MapLibrary
 from rholoc.library.recordings import RecordingStore
 from rholoc.library.shared_maps import ActOnPublishing, StoredMaps
+from rholoc.library.stored_documents import StoredDocuments
 from rholoc.storage import ObjectStorage
 from rholoc.storage.database import check_database, database_engine, reporting_full_database
 from rholoc.storage.object_cache import Copies

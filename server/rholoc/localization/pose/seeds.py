@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-import poselib
 
 from rholoc.density import Evidence
-from rholoc.geometry import FloatArray, IntArray, angles_between, pose_matrix
+from rholoc.geometry import FloatArray, IntArray, angles_between
+from rholoc.geometry.resection import three_point_poses
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import gains
@@ -104,20 +104,15 @@ def minimal_samples(
 ) -> FloatArray:
     """Poses (S, 4, 4), S ≤ ``keep``, from samples of three matches, highest density first.
 
-    Matches are drawn with their probabilities; poselib solves the three-point problem.
+    Matches are drawn with their probabilities.
     """
     if len(chances) < 4:
         return np.zeros((0, 4, 4))
     rng = np.random.default_rng(_SEED)
     draws = _draw_triples(rng, chances, detections, samples)
-    poses = [pose for triple in draws for pose in poselib.p3p(evidence.rays[triple], evidence.landmarks[triple])]
-    if not poses:
-        return np.zeros((0, 4, 4))
-    R_camera_map = np.array([p.R for p in poses])
-    t = np.array([p.t for p in poses])
-    R = R_camera_map.transpose(0, 2, 1)
-    T = pose_matrix(R, -np.einsum("hij,hj->hi", R, t))
-    T = T[np.isfinite(T).all(axis=(1, 2))]
+    T = three_point_poses(evidence.rays[draws], evidence.landmarks[draws])
+    if not len(T):
+        return T
     value = gains(evidence, T, _SCORE_TOLERANCE_PX)
     best = np.argsort(-value, kind="stable")[:keep]
     return np.asarray(T[best])

@@ -220,7 +220,7 @@ def _libraries(_: Settings) -> _Found:
             wanted = Requirement(text)
         except InvalidRequirement:
             continue
-        if wanted.marker is not None and not wanted.marker.evaluate({"extra": ""}):
+        if wanted.marker is not None and not wanted.marker.evaluate({"extra": "server"}):
             continue
         count += 1
         try:
