@@ -152,15 +152,15 @@ def _camera(sensor: Element, lens: Lens) -> Camera:
     calibration = sensor.find("calibration[@class='adjusted']")
     calibration = sensor.find("calibration") if calibration is None else calibration
     resolution = sensor.find("resolution")
+    size = {} if resolution is None else resolution.attrib
+    numbers = [] if calibration is None else [one for one in calibration if one.tag != "resolution" and len(one) == 0]
     try:
-        assert resolution is not None
-        width, height = int(resolution.attrib["width"]), int(resolution.attrib["height"])
+        width, height = int(size["width"]), int(size["height"])
         if lens is Lens.EQUIRECTANGULAR:
             return Camera.panorama(width, height)
-        assert calibration is not None
-        found = {one.tag: float(one.text or "") for one in calibration if one.tag != "resolution" and len(one) == 0}
+        found = {one.tag: float(one.text or "") for one in numbers}
         focal = found["f"]
-    except (AssertionError, KeyError, ValueError) as error:
+    except (KeyError, ValueError) as error:
         raise InvalidCamera(f"The sensor {str(sensor.get('label'))[:60]} has no valid calibration.", _ADVICE) from error
     cx, cy = width / 2 + found.get("cx", 0.0), height / 2 + found.get("cy", 0.0)
     centre = cx - CENTRE_SHIFT, cy - CENTRE_SHIFT
