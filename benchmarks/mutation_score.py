@@ -39,6 +39,7 @@ def prepare(folder: Path, part: str) -> None:
     """Copy what mutmut needs: sources whose package lies at the top, tests, and which of both."""
     shutil.copytree(ROOT / "server" / "rholoc", folder / "rholoc")
     shutil.copytree(ROOT / "tests", folder / "tests")
+    (folder / "client").symlink_to(ROOT / "client")  # the page, which the service shows
     options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
     lines = ["[pytest]", f"addopts = {options['addopts']}", "markers =", *(f"    {one}" for one in options["markers"])]
     (folder / "pytest.ini").write_text("\n".join(lines) + "\n", encoding="utf-8")
