@@ -74,11 +74,12 @@ class LiveCamera:
                     self._ended = True
                 self._arrived.notify()
 
-    def stop(self) -> None:
-        """Stop reading."""
+    def stop(self) -> bool:
+        """Stop reading. Returns False if the camera still keeps its reader waiting."""
         self._ended = True
         if self._reader.is_alive():
             self._reader.join(_SILENCE_S)
+        return not self._reader.is_alive()
 
 
 @contextmanager
@@ -89,17 +90,15 @@ def opened_camera(source: str) -> Iterator[LiveCamera]:
         InvalidInput: there is none, or it gives no pictures.
     """
     capture = cv2.VideoCapture(int(source)) if source.isdecimal() else cv2.VideoCapture(source)
+    if not capture.isOpened():
+        message = f"The camera {_shown(source)} cannot be opened."
+        raise InvalidInput(message, "Check its number (see /dev/video*), or its address, and your permissions.")
+    camera = LiveCamera(source, capture)
     try:
-        if not capture.isOpened():
-            message = f"The camera {_shown(source)} cannot be opened."
-            raise InvalidInput(message, "Check its number (see /dev/video*), or its address, and your permissions.")
-        camera = LiveCamera(source, capture)
-        try:
-            yield camera
-        finally:
-            camera.stop()
+        yield camera
     finally:
-        capture.release()
+        if camera.stop():  # what is being read must not be released
+            capture.release()
 
 
 def _shown(source: str) -> str:
