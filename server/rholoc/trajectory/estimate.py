@@ -30,6 +30,7 @@ from rholoc.trajectory.reconstruction import (
     reconstruct_from_poses,
     unmoved_frame,
 )
+from rholoc.trajectory.reconstruction.sights import DENSER
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.visual.flow import Flow, track_corners
 from rholoc.trajectory.visual.keyframe_features import ImageListener, KeyframeFeatures
@@ -52,7 +53,6 @@ _MAX_IMU_MISFIT = 2.0  # times the noise expected, from which the IMU's readings
 _MAX_IMU_RESIDUAL = 8.0  # times the noise expected, from which IMU and pictures contradict each other
 
 _MOVE = "Walk through the room while recording; keep texture in view."
-_DENSER = "Take more pictures in between, from places half a step apart, and let each show half of the one before."
 _SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
 
 
@@ -302,7 +302,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
     flow, rows = sights.flow, sights.rows
     missing = missing_spans(flow, rows, found.placed)
     share = float(found.placed.mean())
-    what, fewest, advice = ("keyframes", _MIN_PLACED, _SLOWER) if sights.is_film else ("pictures", _MIN_OF_SET, _DENSER)
+    what, fewest, advice = ("keyframes", _MIN_PLACED, _SLOWER) if sights.is_film else ("pictures", _MIN_OF_SET, DENSER)
     if share < fewest:
         raise MappingFailed(
             f"Only {found.placed.sum()} of {len(rows)} {what} could be placed. {describe(missing)}".strip(), advice

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import IntArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.progress import silent
 from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.initialization.mapper_starts import Mapper
@@ -34,18 +34,34 @@ class Result:
     """What becomes of it."""
 
     part: Part
+    covariances: FloatArray
     agreement: Agreement | None = None
 
+    @property
+    def placed(self) -> BoolArray:
+        """Whether each picture has a pose: all have."""
+        return np.ones(COUNT, np.bool_)
 
-def taken(sizes: dict[Mapper, int], compared: Compared, monkeypatch: pytest.MonkeyPatch) -> Result:
+    @property
+    def T_map_camera(self) -> FloatArray:
+        """Along a line of 19 m."""
+        T = np.tile(np.eye(4), (COUNT, 1, 1))
+        T[:, 0, 3] = np.arange(COUNT)
+        return T
+
+
+def taken(
+    sizes: dict[Mapper, int], compared: Compared, monkeypatch: pytest.MonkeyPatch, sigma_m: float = 0.01
+) -> Result:
     """The result of a set whose mappers place so many pictures each."""
+    covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
     evidence: Any = type("Evidence", (), {"observations": lambda *_: None})()
     sights: Any = type("Sights", (), {"depth": None, "rows": np.arange(COUNT)})()
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "_agreement", compared)
     monkeypatch.setattr(from_pictures, "_refined", lambda part, *_: (part, evidence))
-    monkeypatch.setattr(from_pictures, "_finished", lambda sights, evidence, part, *_: Result(part))
+    monkeypatch.setattr(from_pictures, "_finished", lambda sights, evidence, part, *_: Result(part, covariances))
     camera: Any = None
     found: Any = from_pictures.solve_from_set(sights, camera, evidence, (), "", AdjustmentProgress(silent))
     assert isinstance(found, Result)
@@ -85,3 +101,13 @@ def test_reconstructions_that_contradict_each_other_make_no_map(monkeypatch: pyt
     apart = Agreement(0.3, 0.5, 9.0, 12, 12)
     with pytest.raises(MappingFailed, match="contradict each other"):
         taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 12}, lambda one, other: apart, monkeypatch)
+
+
+@pytest.mark.parametrize("sigma_m", [3.0, np.nan])
+def test_what_nothing_confirms_and_little_ties_together_is_no_map(
+    sigma_m: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a building at a picture a second, 66 of 90 pictures were published, 263 cm off."""
+    apart = Agreement(np.nan, np.nan, np.nan, 6, 12)
+    with pytest.raises(MappingFailed, match="Too little ties these pictures together"):
+        taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 8}, lambda one, other: apart, monkeypatch, sigma_m)

@@ -36,7 +36,7 @@ from rholoc.trajectory.reconstruction.rounds import (
     adjusted_in_rounds,
     camera_sigmas,
 )
-from rholoc.trajectory.reconstruction.sights import ADVICE, MANY_FEATURES, Evidence, Sights
+from rholoc.trajectory.reconstruction.sights import ADVICE, DENSER, MANY_FEATURES, Evidence, Sights
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
@@ -49,6 +49,7 @@ _SIGMAS = 4.0  # … and as many standard deviations of theirs
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
+_LOOSE = 0.1  # of the extent, by which poses are uncertain that nothing confirms, for them to be worth nothing
 
 
 def solve_from_pictures(
@@ -89,7 +90,8 @@ def solve_from_set(
         reason: one line on why the IMU was not used, or empty.
 
     Raises:
-        MappingFailed: no mapper places anything, or none agrees with another one to a tenth of the depth.
+        MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
+            hardly overlap.
     """
     whole = with_depths(evidence.observations(sights), sights.depth, camera)
     parts: list[_Part] = []
@@ -106,12 +108,11 @@ def solve_from_set(
     best = _most_confirmed(parts, len(sights.rows))
     agreement = _best_agreement(best, parts)
     if agreement is not None and agreement.distance > _CONTRADICTION:
-        raise MappingFailed(
-            f"Reconstructions of these pictures contradict each other: {agreement.why}",
-            "Take more pictures in between, from places half a step apart, and let each show half of the one before.",
-        )
+        raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
     part, evidence = _refined(best, sights, camera, evidence, progress)
     found = _finished(sights, evidence, part, waypoints, reason, progress)
+    if (agreement is None or not agreement.same) and _is_loose(found):
+        raise MappingFailed("Too little ties these pictures together.", DENSER)
     if agreement is not None and agreement.common < _MOST * len(part.members):
         agreement = Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members))
     return replace(found, agreement=agreement or Agreement(np.nan, np.nan, np.nan, 0, len(sights.rows)))
@@ -220,6 +221,13 @@ def _agreement(part: _Part, other: _Part) -> Agreement:
     depth = median_depth_of(one.problem.observations, one.adjusted)
     held = held_keyframes(two.problem, two.adjusted)
     return compare(T, placed, two.members, two.adjusted.state.T_map_camera, held, depth)
+
+
+def _is_loose(found: Reconstruction) -> bool:
+    """Whether poses are uncertain by more than a tenth of the reconstruction's extent, in the median."""
+    variances = np.trace(found.covariances[found.placed, :3, :3], axis1=1, axis2=2)
+    extent = np.linalg.norm(np.ptp(found.T_map_camera[found.placed, :3, 3], axis=0))
+    return bool(np.median(np.sqrt(np.nan_to_num(variances, nan=np.inf))) > _LOOSE * extent)
 
 
 def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:

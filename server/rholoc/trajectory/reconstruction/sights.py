@@ -28,6 +28,7 @@ MANY_FEATURES = 800  # per keyframe, for the last adjustment of a set of picture
 _USUAL_KEYFRAMES = 1000
 _FOLLOWED = 60  # corners that neighbouring keyframes share, in the median, where pictures are close enough to follow
 ADVICE = "Walk slower, keep more texture in view."
+DENSER = "Take more pictures in between, from places half a step apart, and let each show half of the one before."
 
 
 @dataclass(frozen=True, eq=False)
