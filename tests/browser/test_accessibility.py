@@ -29,6 +29,10 @@ PAGES = (
     "#/recordings",
     "#/recordings/RECORDING",
     "#/cameras",
+    "#/sites",
+    "#/sites/plant",
+    "#/keys",
+    "here/plant",
     "#/nothing",
     "record",
     "record#/live",
@@ -55,6 +59,8 @@ def addresses(service, picture_world):
     """The addresses of all pages: there is a camera, a job that waits, and its recording, which was read."""
     camera = {"width": 640, "height": 480, "fx": 520, "fy": 520, "cx": 319.5, "cy": 239.5}
     assert httpx.put(f"{service.url}/v1/cameras/pixel", json=camera).is_success
+    site = {"maps": [{"map": "room", "floor": "1", "pose": {}}]}
+    assert httpx.put(f"{service.url}/v1/sites/plant", json=site).is_success
     walk = {"file": ("walk.mp4", b"\0\0\0\x18ftypmp42" + b"\0" * 5000)}
     job = httpx.post(f"{service.url}/v1/recordings", files=walk, data={"map": "hall"}).json()
     frames = MemoryFrames([cv2.resize(picture_world.image, (160, 120))] * 75, 1.0)

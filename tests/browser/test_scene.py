@@ -35,7 +35,7 @@ PAINTED = """async () => {
         const canvas = Object.assign(document.createElement('canvas'), { width: 300, height: 200 });
         const painter = new Painter(canvas);
         painter.setPoints(positions, tints);
-        painter.setSurface(corners, new Uint8Array(12).fill(90), Uint32Array.of(0, 1, 2, 0, 2, 3, 0, 2, 1));
+        painter.setSurface(corners, tints.subarray(0, 12), Uint32Array.of(0, 1, 2, 0, 2, 3, 0, 2, 1));
         painter.setLines('gone', lines);
         painter.setLines('gone', new Float32Array(0));
         painter.setLines('seen', lines);

@@ -7,7 +7,9 @@ import httpx
 import numpy as np
 import pytest
 
+from rholoc.features import Metric
 from rholoc.service.access.keys import KeyStore, Scope
+from rholoc.service.frames.refusals import lines_between
 from rholoc.service.settings import KeyPolicy
 
 
@@ -58,3 +60,12 @@ def test_nothing_is_kept_unless_the_setting_says_so(service):
     answer = httpx.get(f"{service.url}/v1/maps/testsite/refusals")
     if answer.status_code != 404:
         assert (answer.status_code, answer.json()["code"]) == (409, "conflict")
+
+
+def test_a_picture_is_joined_with_the_view_where_they_show_the_same(point_room):
+    poses = point_room.walk(30)
+    map_ = point_room.map_of(poses, "walk")
+    features = point_room.see(poses[12], seed=99)
+    lines = lines_between(features, (640, 480), map_, 12, Metric.HAMMING)
+    assert len(lines) > 20
+    np.testing.assert_allclose(lines[:, :2], lines[:, 2:], atol=0.01)  # it is the view's own pose

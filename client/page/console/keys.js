@@ -72,7 +72,7 @@ function keyCard(key, reload) {
     h(
       "p",
       { class: "muted small" },
-      key.expires === null ? t`Without an end` : t`Until ${when(key.expires * 1000)}`,
+      key.expires === null ? t`Without an end` : t`Until ${when(key.expires)}`,
       key.handed_on_by && t`, handed on by ${key.handed_on_by}`,
     ),
     limits.length > 0 &&

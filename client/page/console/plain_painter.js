@@ -54,7 +54,7 @@ export class PlainPainter {
     this.nearness.fill(0);
   }
 
-  /** Triangles in the colour of their first vertex, those that turn away or reach behind the eye left out. */
+  /** Triangles, those that turn away or reach behind the eye left out. */
   drawSurface(matrix) {
     const { positions, tints, triangles } = this.surface;
     const { width, height } = this.canvas;
@@ -68,11 +68,11 @@ export class PlainPainter {
     for (let i = 0; i < triangles.length; i += 3) {
       const [a, b, c] = [triangles[i], triangles[i + 1], triangles[i + 2]];
       const area = (xs[b] - xs[a]) * (ys[c] - ys[a]) - (xs[c] - xs[a]) * (ys[b] - ys[a]);
-      if (area < 0 && nears[a] && nears[b] && nears[c]) this.drawTriangle(xs, ys, nears, [a, b, c], area, tints[a]);
+      if (area < 0 && nears[a] && nears[b] && nears[c]) this.drawTriangle(xs, ys, nears, [a, b, c], area, tints);
     }
   }
 
-  drawTriangle(xs, ys, nears, [a, b, c], area, tint) {
+  drawTriangle(xs, ys, nears, [a, b, c], area, tints) {
     const { pixels, nearness } = this;
     const { width, height } = this.canvas;
     const [left, right] = [Math.min(xs[a], xs[b], xs[c]), Math.max(xs[a], xs[b], xs[c])];
@@ -89,7 +89,7 @@ export class PlainPainter {
         const at = row * width + column;
         if (near <= nearness[at]) continue;
         nearness[at] = near;
-        pixels[at] = tint;
+        pixels[at] = mixed(tints[a], tints[b], tints[c], u, v);
       }
     }
   }
@@ -154,6 +154,13 @@ export class PlainPainter {
 
 /** A pixel as image data has it, read as one little-endian number. */
 const packed = (red, green, blue) => ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+
+/** The pixel between three, by the weights of the first two. */
+function mixed(a, b, c, u, v) {
+  const w = 1 - u - v;
+  const part = (shift) => u * ((a >> shift) & 255) + v * ((b >> shift) & 255) + w * ((c >> shift) & 255);
+  return packed(part(0), part(8), part(16));
+}
 
 /** Colours, three bytes each, as pixels. */
 const packedAll = (tints) =>

@@ -44,7 +44,7 @@ const nothing = () =>
   );
 
 function overview(name, refusals, signal) {
-  const hour = ({ time }) => when(3_600_000 * Math.floor(time / 3600));
+  const hour = ({ time }) => when(3600 * Math.floor(time / 3600));
   return [
     h(
       "div",
@@ -98,7 +98,7 @@ function card(name, refusal, signal) {
       "div",
       { class: "row spread" },
       h("span", { class: "badge warn" }, CAUSES[refusal.cause] ?? refusal.cause),
-      h("span", { class: "muted small" }, `${refusal.asker} · ${when(1000 * refusal.time)}`),
+      h("span", { class: "muted small" }, `${refusal.asker} · ${when(refusal.time)}`),
     ),
     h("p", {}, h("strong", {}, heard(refusal.message)), " ", heard(refusal.hint)),
     canvas,

@@ -567,7 +567,9 @@ export class SceneView {
       surface: this.isSolid,
       count: this.isSolid ? 0 : this.restless ? this.budget : this.count,
       size: this.pointSize * height,
-      styles: [...this.styles].map(([name, { token, alpha }]) => [name, [...this.colour(token), alpha]]),
+      styles: [...this.styles]
+        .filter(([name]) => !(this.isSolid && name === "headings"))
+        .map(([name, { token, alpha }]) => [name, [...this.colour(token), alpha]]),
     });
     this.placeLabels(matrix);
   }

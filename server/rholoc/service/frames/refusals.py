@@ -12,8 +12,9 @@ import numpy as np
 from pydantic import Field
 
 from rholoc.errors import Conflict, UnknownPicture
-from rholoc.features.matching import LIMITS, descriptor_distances
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.features import FeatureSet, Metric
+from rholoc.features.matching import LIMITS, mutual_matches
+from rholoc.geometry import FloatArray
 from rholoc.localization import AnyLocalizer, Cause, likeliest_views
 from rholoc.maps import Map
 from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image
@@ -119,26 +120,34 @@ def likeness(localizer: AnyLocalizer, refusal: Refusal) -> LikenessOut:
     views = likeliest_views(localizer, features, 1)
     if not views:
         return LikenessOut(view=None, lines=[])
-    map_, view = localizer.map, views[0].view
-    seen, pixels = _seen_by(map_, view)
-    if pixels is None or not len(seen):
-        return LikenessOut(view=view, lines=[])
-    first = np.searchsorted(map_.descriptors.features, seen)
-    distances = descriptor_distances(features.descriptors, map_.descriptors.values[first], localizer.extractor.metric)
-    nearest = distances.argmin(axis=1)
-    mutual = distances.argmin(axis=0)[nearest] == np.arange(len(nearest))
-    close = distances[np.arange(len(nearest)), nearest] < LIMITS[localizer.extractor.metric].strict
-    rows = np.flatnonzero(mutual & close)
-    rows = rows[np.argsort(distances[rows, nearest[rows]])][:_MAX_LINES]
-    height, width = image.shape[:2]
-    camera = map_.info.camera
-    ours = features.pixels[rows] / (width, height)
-    theirs = pixels[nearest[rows]] / (camera.width, camera.height)
-    return LikenessOut(view=view, lines=np.column_stack([ours, theirs]).round(4).tolist())
+    view, height, width = views[0].view, *image.shape[:2]
+    lines = lines_between(features, (width, height), localizer.map, view, localizer.extractor.metric)
+    return LikenessOut(view=view, lines=lines.round(4).tolist())
 
 
-def _seen_by(map_: Map, view: int) -> tuple[IntArray, FloatArray | None]:
-    """Features (N,) that a view saw, and their pixels (N, 2) in it; None if the map does not keep them."""
+def lines_between(features: FeatureSet, size: tuple[int, int], map_: Map, view: int, metric: Metric) -> FloatArray:
+    """Mutual matches (M, 4) of a picture with one of a map's views: u and v in either, as shares of width and height.
+
+    Args:
+        features: of the picture.
+        size: of the picture, width and height [pixels].
+        map_: the map.
+        view: row of the view.
+        metric: of the descriptors.
+    """
     rows = slice(int(map_.view_offsets[view]), int(map_.view_offsets[view + 1]))
-    pixels = map_.observations.pixels
-    return map_.observations.features[rows], None if pixels is None else pixels[rows]
+    seen, pixels = map_.observations.features[rows], map_.observations.pixels
+    if pixels is None or not len(seen) or not len(features):
+        return np.zeros((0, 4))
+    of_view = FeatureSet(
+        pixels[rows].astype(np.float32),
+        map_.landmarks.channels[seen],
+        map_.descriptors.values[np.searchsorted(map_.descriptors.features, seen)],
+        np.zeros(len(seen), np.float32),
+        np.full(len(seen), np.nan, np.float32),
+    )
+    ours, theirs = mutual_matches(features, of_view, metric, LIMITS[metric].strict)[:_MAX_LINES].T
+    camera = map_.info.camera
+    return np.column_stack(
+        [features.pixels[ours] / size, of_view.pixels[theirs] / (camera.width, camera.height)]
+    ).astype(np.float64)
