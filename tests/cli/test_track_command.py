@@ -170,6 +170,7 @@ def test_localizing_needs_no_network_and_no_extra(walk, arguments):
         (("map", "correct", "origin", "room.rho", "--at", "0,0,0"), "mapping"),
         (("serve",), "server"),
         (("doctor",), "server"),
+        (("demo",), "server"),
         (("key", "list"), "server"),
     ],
     ids=str,
