@@ -77,6 +77,31 @@ def test_what_cannot_be_tracked_is_said_in_a_line(command, walk, monkeypatch, ar
     assert sorted(path.name for path in walk.iterdir()) == ["frames", "room.rho"]
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [("frames", "--mqtt", "mqtt://127.0.0.1:9"), ("frames", "--motion", "imu"), ("frames", "--mavlink", "5")],
+)
+def test_what_fails_at_once_replaces_nothing(command, walk, monkeypatch, arguments):
+    monkeypatch.chdir(walk)
+    for name in ("t.mcap", "t.csv"):
+        (walk / name).write_text("yesterday's")
+    status, _, errors = command("track", "room.rho", *arguments, "-o", "t.mcap", "-o", "t.csv")
+    assert status, errors
+    assert [(walk / name).read_text() for name in ("t.mcap", "t.csv")] == ["yesterday's"] * 2
+
+
+def test_what_was_tracked_before_a_damaged_picture_is_kept(command, walk):
+    whole = (walk / "frames" / "6.png").read_bytes()
+    (walk / "frames" / "6.png").write_bytes(whole[: len(whole) // 2])
+    status, _, errors = command(
+        "track", walk / "room.rho", walk / "frames", "-o", walk / "t.mcap", "-o", walk / "t.csv"
+    )
+    assert status
+    assert "6.png" in errors
+    assert len(read_trajectory_csv(walk / "t.csv")) > 0
+    assert topics(walk / "t.mcap").count("/visual_localization/status") == 6
+
+
 ON_BOARD = """
 import socket, sys
 
@@ -145,6 +170,7 @@ def test_localizing_needs_no_network_and_no_extra(walk, arguments):
         (("map", "correct", "origin", "room.rho", "--at", "0,0,0"), "mapping"),
         (("serve",), "server"),
         (("doctor",), "server"),
+        (("demo",), "server"),
         (("key", "list"), "server"),
     ],
     ids=str,

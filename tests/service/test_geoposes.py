@@ -208,5 +208,7 @@ def test_what_cannot_be_answered_is_404_and_another_version_is_refused(located, 
     assert (nowhere.status_code, nowhere.json()["message"]) == (404, "The map elsewhere has no place on Earth.")
     other = post(located, oscp(picture_world), Accept="application/vnd.oscp+json;version=3.0")
     assert other.status_code == 422
+    mistyped = httpx.post(f"{located.url}/geopose", params={"map": "room"}, json=oscp(picture_world))
+    assert (mistyped.status_code, mistyped.json()["code"]) == (422, "invalid_request")
     for body in ([], {"id": "1"}, {"id": "1", "timestamp": 1, "sensorReadings": []}, {"sensorReadings": [3, None]}):
         assert post(located, body).status_code == 422

@@ -95,6 +95,8 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
 ) -> None:
     """Simulate two walks, map the first through the server, localize the second over HTTP, print the errors."""
+    import fastapi  # noqa: F401 - of the extra "server": a demo without it would end after its simulation
+
     files = _Files(out)
     with interruptible():
         files.clear()

@@ -89,11 +89,16 @@ def track(
             users.append(stack.enter_context(MavlinkSender(mavlink, T_base_camera, localizer.map.info.earth)))
         if mqtt is not None:
             users.append(stack.enter_context(MqttSender(mqtt, map_file.stem, T_base_camera)))
-        for path in tables:  # written at the end, however it comes
-            stack.callback(lambda target: write_trajectory_csv(target, table.table()), path)
         advance = stack.enter_context(frame_progress("tracking", followed.count))
         steps = follow(localizer, followed.camera, followed.motion, followed.moments, followed.answering)
-        _hand_out(steps, users, advance)
+        try:
+            _hand_out(steps, users, advance)
+        except BaseException:
+            tables = tables if table.rows else []  # what failed before the first pose replaces nothing
+            raise
+        finally:
+            for path in tables:
+                write_trajectory_csv(path, table.table())
     figures = {"motion": str(followed.motion), **tally.figures(), "out": [str(path) for path in out or []]}
     if as_json:
         print_json(figures)

@@ -41,7 +41,7 @@ _TOPICS = {
 
 
 class PoseBag:
-    """A bag that is being written; the file appears when the block ends.
+    """A bag that is being written; the file appears when the block ends, unless it fails before the first message.
 
     Args:
         path: of the ``.mcap`` file; an existing one is replaced.
@@ -51,7 +51,7 @@ class PoseBag:
     def __init__(self, path: Path, T_base_camera: FloatArray) -> None:
         self._path, self._T_base_camera = path, T_base_camera
         self._stack = ExitStack()
-        self._is_begun = False
+        self._is_begun = self._has_messages = False
 
     def __enter__(self) -> PoseBag:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -75,6 +75,8 @@ class PoseBag:
     ) -> None:
         with self._stack, reporting_full_disk():
             self._writer.close()
+            if error is not None and not self._has_messages:
+                return  # what failed before it began replaces nothing
             (written,) = self._bag.glob("*.mcap")
             written.replace(self._path)
 
@@ -124,6 +126,7 @@ class PoseBag:
         data = self._store.serialize_cdr(message, _TOPICS[topic])
         with reporting_full_disk():
             self._writer.write(self._connections[topic], round(time_s * _S_NS), bytes(data))
+        self._has_messages = True
 
     def _transforms(self, topic: str, time_s: float, *transforms: tuple[str, str, FloatArray]) -> None:
         messages = []

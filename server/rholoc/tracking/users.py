@@ -59,27 +59,31 @@ class Tally:
 
 
 class TableOfTrack:
-    """Table 6 of a track: a row for each frame at which it was not searching or lost."""
+    """Table 6 of a track: a row for each frame at which it was not searching or lost.
+
+    Attributes:
+        rows: time, frame's number, T_map_camera (4, 4) and expected position error of each.
+    """
 
     def __init__(self) -> None:
-        self._rows: list[tuple[float, int, np.ndarray, float]] = []
+        self.rows: list[tuple[float, int, np.ndarray, float]] = []
 
     def take(self, step: Step) -> None:
         """As :meth:`StepUser.take`."""
         if step.tracked.status is TrackStatus.TRACKING and step.tracked.pose is not None:
             T_map_camera = np.array(step.tracked.pose.T_map_camera)
-            self._rows.append((step.moment.time_s, step.moment.number, T_map_camera, step.sigma_m))
+            self.rows.append((step.moment.time_s, step.moment.number, T_map_camera, step.sigma_m))
 
     def table(self) -> TrajectoryTable:
         """The rows so far; confidences and inliers are unknown between answers."""
-        count = len(self._rows)
+        count = len(self.rows)
         return TrajectoryTable(
-            times=np.array([time_s for time_s, _, _, _ in self._rows], dtype=np.float64),
-            frames=np.array([number for _, number, _, _ in self._rows], dtype=np.int64),
-            T_map_camera=np.reshape([T for _, _, T, _ in self._rows], (-1, 4, 4)).astype(np.float64),
+            times=np.array([time_s for time_s, _, _, _ in self.rows], dtype=np.float64),
+            frames=np.array([number for _, number, _, _ in self.rows], dtype=np.int64),
+            T_map_camera=np.reshape([T for _, _, T, _ in self.rows], (-1, 4, 4)).astype(np.float64),
             confidences=np.full(count, np.nan),
             inliers=np.zeros(count, dtype=np.int64),
-            expected_errors_m=np.array([sigma_m for _, _, _, sigma_m in self._rows], dtype=np.float64),
+            expected_errors_m=np.array([sigma_m for _, _, _, sigma_m in self.rows], dtype=np.float64),
         )
 
 

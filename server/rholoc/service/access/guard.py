@@ -30,7 +30,9 @@ from rholoc.service.settings import KeyPolicy, is_loopback, keys_needed
 from rholoc.service.threads.storage import StorageLanes
 
 _READING = ("GET", "HEAD", "OPTIONS")
-_API_PREFIX = "/v1/"
+API_PATHS = ("/v1/", "/geopose")
+"""Where paths of the API begin; all others are of pages."""
+
 _KEY_HINT = "Make one on the server with rholoc key create, and send it as Authorization: Bearer KEY."
 
 SECURITY_HEADERS = {
@@ -184,7 +186,7 @@ def _authorization(scope: Scope, headers: Headers) -> str:
 
 def check_query(scope: Scope, route: RouteAccess) -> None:
     """Raise InvalidRequest for an unknown query parameter: a mistyped option would be silently ignored."""
-    if not route.path.startswith(_API_PREFIX):
+    if not route.path.startswith(API_PATHS):
         return
     given = QueryParams(scope["query_string"])
     unknown = next((name for name in given if name not in route.query), None)

@@ -6,6 +6,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rholoc import telemetry
+from rholoc.service.access.guard import API_PATHS
 from rholoc.service.access.scopes import found_route, request_key
 
 _FAILED = 500  # statuses from here on
@@ -23,7 +24,7 @@ class Traced:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
-        if not telemetry.is_on() or scope["type"] != "http" or not scope["path"].startswith("/v1/"):
+        if not telemetry.is_on() or scope["type"] != "http" or not scope["path"].startswith(API_PATHS):
             await self._app(scope, receive, send)
             return
         method = scope["method"]
