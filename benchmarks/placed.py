@@ -379,8 +379,8 @@ def main() -> None:
     print_table(shown_rows, list(COLUMNS.values()))
     print_table(judgements, ["recording", "as", "placed", "by pycolmap", "median cm", "pycolmap's", "judgement"])
     if options.write:
-        command = "python benchmarks/placed.py --write"
-        write_results("placed", figures_of(judgements, table), command)
+        command = ["python benchmarks/placed.py", *options.recordings, "--as", *options.kinds, "--write"]
+        write_results("placed", figures_of(judgements, table), " ".join(command))
 
 
 if __name__ == "__main__":
