@@ -254,7 +254,8 @@ def answer_of(name: str, kind: str, method: str, options: argparse.Namespace, ca
     if process.is_alive() and "seconds" not in found:
         process.terminate()
     process.join()
-    kept.write_bytes(pickle.dumps(found))
+    if "seconds" in found:
+        kept.write_bytes(pickle.dumps(found))
     return found
 
 
