@@ -224,7 +224,7 @@ def _agreement(part: _Part, other: _Part) -> Agreement:
 
 
 def _is_loose(found: Reconstruction) -> bool:
-    """Whether poses are uncertain by more than a tenth of the reconstruction's extent, in the median, or there are none."""
+    """Whether there are no poses, or their median uncertainty is more than a tenth of their extent."""
     if not found.placed.any():
         return True
     variances = np.trace(found.covariances[found.placed, :3, :3], axis1=1, axis2=2)
