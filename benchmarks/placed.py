@@ -254,7 +254,8 @@ def answer_of(name: str, kind: str, method: str, options: argparse.Namespace, ca
     if process.is_alive() and "seconds" not in found:
         process.terminate()
     process.join()
-    kept.write_bytes(pickle.dumps(found))
+    if "seconds" in found:
+        kept.write_bytes(pickle.dumps(found))
     return found
 
 
@@ -379,8 +380,8 @@ def main() -> None:
     print_table(shown_rows, list(COLUMNS.values()))
     print_table(judgements, ["recording", "as", "placed", "by pycolmap", "median cm", "pycolmap's", "judgement"])
     if options.write:
-        command = "python benchmarks/placed.py --write"
-        write_results("placed", figures_of(judgements, table), command)
+        command = ["python benchmarks/placed.py", *options.recordings, "--as", *options.kinds, "--write"]
+        write_results("placed", figures_of(judgements, table), " ".join(command))
 
 
 if __name__ == "__main__":

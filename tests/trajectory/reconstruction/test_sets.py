@@ -35,12 +35,8 @@ class Result:
 
     part: Part
     covariances: FloatArray
+    placed: BoolArray
     agreement: Agreement | None = None
-
-    @property
-    def placed(self) -> BoolArray:
-        """Whether each picture has a pose: all have."""
-        return np.ones(COUNT, np.bool_)
 
     @property
     def T_map_camera(self) -> FloatArray:
@@ -51,9 +47,14 @@ class Result:
 
 
 def taken(
-    sizes: dict[Mapper, int], compared: Compared, monkeypatch: pytest.MonkeyPatch, sigma_m: float = 0.01
+    sizes: dict[Mapper, int],
+    compared: Compared,
+    monkeypatch: pytest.MonkeyPatch,
+    sigma_m: float = 0.01,
+    held: bool = True,
 ) -> Result:
-    """The result of a set whose mappers place so many pictures each."""
+    """The result of a set whose mappers place so many pictures each, which sightings hold or do not."""
+    placed = np.full(COUNT, held)
     covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
     evidence: Any = type("Evidence", (), {"observations": lambda *_: None})()
@@ -61,7 +62,9 @@ def taken(
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "_agreement", compared)
     monkeypatch.setattr(from_pictures, "_refined", lambda part, *_: (part, evidence))
-    monkeypatch.setattr(from_pictures, "_finished", lambda sights, evidence, part, *_: Result(part, covariances))
+    monkeypatch.setattr(
+        from_pictures, "_finished", lambda sights, evidence, part, *_: Result(part, covariances, placed)
+    )
     camera: Any = None
     found: Any = from_pictures.solve_from_set(sights, camera, evidence, (), "", AdjustmentProgress(silent))
     assert isinstance(found, Result)
@@ -103,11 +106,11 @@ def test_reconstructions_that_contradict_each_other_make_no_map(monkeypatch: pyt
         taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 12}, lambda one, other: apart, monkeypatch)
 
 
-@pytest.mark.parametrize("sigma_m", [3.0, np.nan])
+@pytest.mark.parametrize(("sigma_m", "held"), [(3.0, True), (np.nan, True), (0.01, False)])
 def test_what_nothing_confirms_and_little_ties_together_is_no_map(
-    sigma_m: float, monkeypatch: pytest.MonkeyPatch
+    sigma_m: float, held: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a building at a picture a second, 66 of 90 pictures were published, 263 cm off."""
     apart = Agreement(np.nan, np.nan, np.nan, 6, 12)
     with pytest.raises(MappingFailed, match="Too little ties these pictures together"):
-        taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 8}, lambda one, other: apart, monkeypatch, sigma_m)
+        taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 8}, lambda one, other: apart, monkeypatch, sigma_m, held)

@@ -224,7 +224,9 @@ def _agreement(part: _Part, other: _Part) -> Agreement:
 
 
 def _is_loose(found: Reconstruction) -> bool:
-    """Whether poses are uncertain by more than a tenth of the reconstruction's extent, in the median."""
+    """Whether there are no poses, or their median uncertainty is more than a tenth of their extent."""
+    if not found.placed.any():
+        return True
     variances = np.trace(found.covariances[found.placed, :3, :3], axis1=1, axis2=2)
     extent = np.linalg.norm(np.ptp(found.T_map_camera[found.placed, :3, 3], axis=0))
     return bool(np.median(np.sqrt(np.nan_to_num(variances, nan=np.inf))) > _LOOSE * extent)
@@ -233,7 +235,7 @@ def _is_loose(found: Reconstruction) -> bool:
 def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
     """The part of which another one confirms most; of equal ones the metric, then the smallest, which adds least.
 
-    The largest instead, if less than half of all ``count`` pictures are confirmed.
+    Where less than half of all ``count`` pictures are confirmed, the largest of equal ones.
     """
     confirmed = [_confirmed(part, parts) for part in parts]
     sign = -1 if 2 * max(confirmed) >= count else 1

@@ -21,7 +21,7 @@ from rholoc.trajectory.visual.loop_candidates import MAX_EXHAUSTIVE
 
 _LONGER_SIDE_PX = 960  # larger images are reduced: more pixels cost time and place no more frames
 _THREADS = 2
-_FEATURES, _MAX_FEATURES = 1000, 2000  # of a keyframe, and of few pictures, where they cost little and make it exact
+_FEATURES, _MAX_FEATURES = 1000, 1500  # of a keyframe, and of few pictures, where they cost little and make it exact
 _EXTRACTOR = SiftExtractor(features=_FEATURES)
 
 _MAX_WAITING = 2 * _THREADS  # images in memory at a time
