@@ -133,8 +133,9 @@ class FakePipeline(MappingPipeline):
         self._kill_once(task, "after-publishing", os.getpid())
         return doubts
 
-    def furnish(self, *_: object) -> None:
+    def furnish(self, task: MappingTask, *_: object) -> None:
         """Draw nothing."""
+        self._wait(f"furnish {task.map_name}")
 
     def _wait(self, point: str) -> None:
         if self.control.held(point):

@@ -50,6 +50,16 @@ def test_a_recording_becomes_a_published_map(busy_site: Site) -> None:
     until(lambda: not list((busy_site.data_dir / "work").iterdir()))
 
 
+def test_a_room_is_drawn_after_its_map_is_published(busy_site: Site) -> None:
+    busy_site.control.hold("furnish shown")
+    job = busy_site.submit(map_name="shown")
+    until(lambda: busy_site.control.count("furnish shown") == 1)
+    assert busy_site.queue.get(job.id).state is JobState.PUBLISHED
+    assert len(MapLibrary(busy_site.maps_dir).get("shown")) == 1
+    busy_site.control.let_go("furnish shown")
+    until(lambda: not list((busy_site.data_dir / "work").iterdir()))
+
+
 @pytest.mark.parametrize(
     ("content", "code", "message"),
     [

@@ -993,8 +993,9 @@ export const GERMAN_OF_SERVER = {
     "Vielleicht fehlte Speicher: noch einmal versuchen, einen kürzeren Rundgang aufnehmen oder dem Worker mehr geben.",
   "Mapping took longer than the limit of {0} s.": "Das Erstellen der Karte dauerte länger als die erlaubten {0} s.",
   "There is already a key called {0}.": "Es gibt schon einen Schlüssel namens {0}.",
-  "The recording's own poses came without intrinsics; its pictures were used.":
-    "Die Posen der Aufnahme kamen ohne intrinsische Parameter; verwendet wurden ihre Bilder.",
+  "The recording's own poses {0}; its pictures were used.":
+    "Die Posen der Aufnahme wurden nicht verwendet ({0}), sondern ihre Bilder.",
+  "came without intrinsics": "sie kamen ohne intrinsische Parameter",
   "The recording's own poses, adjusted to its pictures by {0} in the median.":
     "Die Posen der Aufnahme, an ihre Bilder angeglichen um {0} im Median.",
   "The poses were given.": "Die Posen waren gegeben.",
