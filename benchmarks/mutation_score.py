@@ -28,7 +28,7 @@ TESTS = {
     "density": ("density", "mapping/test_tensor_fit.py", "localization/test_tensor_ascent.py"),
     "localization": ("localization",),
     "trajectory": ("trajectory",),
-    "service": ("service/test_guard.py", "service/test_access.py", "service/test_streams.py"),
+    "service": ("service/test_guard.py", "service/test_streams.py"),
 }
 NEVER_MUTATED = ("raise ", "einsum", "strict=")
 VERDICT = re.compile(r"^(?P<sign>\S+) (?P<name>rholoc\.\S+__mutmut_\d+)$", re.MULTILINE)
