@@ -55,7 +55,8 @@ def test_points_stay_where_they_are_when_the_frame_moves(turn_deg, shift):
     similarity = Similarity(1.0, Rotation.from_euler("z", turn_deg, degrees=True).as_matrix(), np.array(shift))
     moved = TRUE.moved(similarity)
     for point in POINTS:
-        assert apart_m(moved.place(similarity.points(point[None])[0]), TRUE.place(point)) < 5e-3  # 100 m of curvature
+        # Over 150 m the Earth curves by 2 mm, and meridians converge by 3e-5 rad, which is 5 mm.
+        assert apart_m(moved.place(similarity.points(point[None])[0]), TRUE.place(point)) < 1e-2
 
 
 def test_the_origin_stays_where_it_is_when_the_scale_changes():

@@ -298,7 +298,12 @@ def test_calls_that_take_too_long_are_given_up_and_further_ones_refused_at_once(
 @pytest.mark.parametrize("shared", [False, True], ids=["alone", "shared"])
 def test_nothing_is_asked_of_a_disk_or_a_database_in_the_loops_thread(serve, loops, tmp_path, picture_world, shared):
     """All routes that read, and one of each kind that writes, once with everything cold."""
-    running = serve(keep_failures=True, live=True, **({"storage_url": f"file://{tmp_path}/storage"} if shared else {}))
+    running = serve(
+        keep_failures=True,
+        keep_refused=10,
+        live=True,
+        **({"storage_url": f"file://{tmp_path}/storage"} if shared else {}),
+    )
     json, video = {"Content-Type": "application/json"}, b"\0\0\0\x18ftypisom" + b"x" * 100
     camera = {"width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 320, "cy": 240}
     site = {"maps": [{"map": "room", "pose": {}}]}
