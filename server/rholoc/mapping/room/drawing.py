@@ -20,7 +20,7 @@ from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording
 
 MAX_VERTICES = 65_000
-_PAIRS_PER_SECOND = 2.0  # of a walk: a room takes less than half its length
+_PAIRS_PER_SECOND = 2.5  # of a walk: a room takes less than half its length
 _FRAMES_PER_SECOND = 30.0  # of frames without times
 _PAIRS = (30, 150)  # fewest and most of them
 _FINEST = 1 / 85  # edge of a voxel as a share of the median depth
