@@ -125,6 +125,9 @@ def test_pairs_whose_rotations_contradict_all_triangles_are_weak() -> None:
     turned = Rotation.from_euler("y", 20, degrees=True).as_matrix()
     wrong = replace(_pair(0, 3, 200), R_second_first=turned)
     assert clear_pairs([*walk, wrong], 6) == (walk, [wrong])
+    chain = [_pair(k, k + 1, 200) for k in range(5)]
+    alike = replace(_pair(1, 3, 20), R_second_first=turned)  # few matches contradict nothing
+    assert clear_pairs([*chain, alike], 6) == (chain, [alike])
     bridge = replace(_pair(5, 6, 200), R_second_first=turned)  # in no triangle: nothing contradicts it
     assert clear_pairs([*walk, bridge], 7) == ([*walk, bridge], [])
 

@@ -153,7 +153,7 @@ def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[Verifie
     """Pairs that have a fair share of their pictures' best pairs' matches or link the parts these leave, and the rest.
 
     What looks alike elsewhere, such as doors along a corridor, has few matches beside those of the same place. Pairs
-    that contradict all others (:func:`contradicted`) are never clear.
+    that contradict all of these (:func:`contradicted`) are left out.
 
     Args:
         pairs: verified.
@@ -165,11 +165,12 @@ def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[Verifie
     for k in range(count):
         own = np.sort(matches[(ends == k).any(axis=1)])
         best[k] = own[-min(_BEST, len(own))] if len(own) else 0
-    consistent = ~contradicted(pairs)
-    clear = consistent & (matches >= _FAIR_SHARE * best[ends].min(axis=1))
+    clear = matches >= _FAIR_SHARE * best[ends].min(axis=1)
     graph = coo_matrix((np.ones(clear.sum()), ends[clear].T), shape=(count, count))
     part = connected_components(graph, directed=False)[1]
-    kept = clear | (consistent & (part[ends[:, 0]] != part[ends[:, 1]]))
+    kept = clear | (part[ends[:, 0]] != part[ends[:, 1]])
+    rows = np.flatnonzero(kept)
+    kept[rows[contradicted([pairs[k] for k in rows.tolist()])]] = False
     places = np.flatnonzero(kept).tolist(), np.flatnonzero(~kept).tolist()
     return [pairs[k] for k in places[0]], [pairs[k] for k in places[1]]
 
