@@ -323,7 +323,7 @@ def test_nothing_is_asked_of_a_disk_or_a_database_in_the_loops_thread(serve, loo
             "feature": "1",
             "view": "0",
         }
-        known |= {"camera": "phone", "site": "campus", "name": "nosuch"}
+        known |= {"camera": "phone", "site": "campus", "name": "nosuch", "number": "0"}
         for path, methods in running.app.openapi()["paths"].items():
             if "get" in methods and not path.endswith(("/events", "/live")):
                 assert client.get(path.format(**known)).status_code in (200, 404), path
