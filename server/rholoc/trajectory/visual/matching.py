@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
-from rholoc.geometry import BoolArray, FloatArray, IntArray, rotation_angles
+from rholoc.geometry import FloatArray, IntArray, rotation_angles
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.inertial.gyroscope import allowed_apart
 from rholoc.trajectory.visual.loop_candidates import (
@@ -43,7 +42,6 @@ _LOOPS_EACH = 3
 _TRANSITIVE_EACH = 8  # mean number of transitive pairs to try per picture
 _FAIR_SHARE = 0.33  # of the matches of its pictures' best pairs, from which a pair shows the same place
 _BEST = 2  # the best but one: a picture may be there twice
-_MAX_TRIANGLE_RAD = np.radians(5.0)  # by which the rotations around three pictures may fail to return
 _EXPLAINED = 0.8  # minimum share of the image rotation's inliers that the gyroscope's rotation explains
 _BESIDE_WALK = (1, 2, 4)  # offsets of keyframes to match with if corners were tracked …
 _BESIDE_JUMPS = (1, 2, 3, 4, 5, 6, 8, 12)  # … and if pictures are too far apart for tracking
@@ -152,8 +150,7 @@ def match_pictures(
 def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
     """Pairs that have a fair share of their pictures' best pairs' matches or link the parts these leave, and the rest.
 
-    What looks alike elsewhere, such as doors along a corridor, has few matches beside those of the same place. Pairs
-    that contradict all of these (:func:`contradicted`) are left out.
+    What looks alike elsewhere, such as doors along a corridor, has few matches beside those of the same place.
 
     Args:
         pairs: verified.
@@ -169,28 +166,8 @@ def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[Verifie
     graph = coo_matrix((np.ones(clear.sum()), ends[clear].T), shape=(count, count))
     part = connected_components(graph, directed=False)[1]
     kept = clear | (part[ends[:, 0]] != part[ends[:, 1]])
-    rows = np.flatnonzero(kept)
-    kept[rows[contradicted([pairs[k] for k in rows.tolist()])]] = False
     places = np.flatnonzero(kept).tolist(), np.flatnonzero(~kept).tolist()
     return [pairs[k] for k in places[0]], [pairs[k] for k in places[1]]
-
-
-def contradicted(pairs: Sequence[VerifiedPair]) -> BoolArray:
-    """Mask of the pairs that form triangles of three pictures, none of whose rotations return to where they began.
-
-    So are planes seen from the wrong side of their two solutions, and much of what merely looks alike.
-    """
-    R = {(pair.second, pair.first): pair.R_second_first for pair in pairs}
-    R |= {(first, second): turned.T for (second, first), turned in R.items()}
-    beside: dict[int, set[int]] = defaultdict(set)
-    for a, b in R:
-        beside[a].add(b)
-    found = np.zeros(len(pairs), dtype=np.bool_)
-    for k, pair in enumerate(pairs):
-        others = list(beside[pair.first] & beside[pair.second])
-        around = [R[pair.first, one] @ R[one, pair.second] @ pair.R_second_first for one in others]
-        found[k] = bool(around) and bool(np.all(rotation_angles(np.array(around), np.eye(3)) > _MAX_TRIANGLE_RAD))
-    return found
 
 
 def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
