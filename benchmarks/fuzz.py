@@ -64,6 +64,7 @@ SETTINGS = {
     "RHOLOC_LEARN": "1",
     "RHOLOC_LIVE": "1",
     "RHOLOC_KEEP_FAILURES": "1",
+    "RHOLOC_KEEP_REFUSED": "10",
     "RHOLOC_WORKER": "0",
     "RHOLOC_KEYS": "always",
 }

@@ -241,6 +241,7 @@ def good_requests(world: World) -> dict[str, list[Request]]:
         ],
         "POST /v1/maps/{map_name}/merge": [request("POST", f"{of_map}/merge", {"other": "annex", "into": "merged"})],
         "POST /v1/maps/{map_name}/forget": [request("POST", f"{of_map}/forget", {"source": "walk-1"})],
+        "GET /v1/maps/{map_name}/room": [request("GET", f"{of_map}/room", level="true")],
         "GET /v1/maps/{map_name}/scene": [request("GET", f"{of_map}/scene", landmarks=100, level="true")],
         "GET /v1/maps/{map_name}/features/{feature}": [request("GET", f"{of_map}/features/7")],
         "GET /v1/maps/{map_name}/points": [request("GET", f"{of_map}/points")],
@@ -251,6 +252,14 @@ def good_requests(world: World) -> dict[str, list[Request]]:
         "DELETE /v1/maps/{map_name}/learning": [request("DELETE", f"{of_map}/learning", asker="127.0.0.1")],
         "GET /v1/maps/{map_name}/live": [request("GET", f"{of_map}/live")],
         "GET /v1/maps/{map_name}/failures": [request("GET", f"{of_map}/failures")],
+        "GET /v1/maps/{map_name}/refusals": [request("GET", f"{of_map}/refusals")],
+        "GET /v1/maps/{map_name}/refusals/{number}": [request("GET", f"{of_map}/refusals/0")],
+        "GET /v1/maps/{map_name}/refusals/{number}/picture.jpg": [request("GET", f"{of_map}/refusals/0/picture.jpg")],
+        "GET /v1/here/{site}": [request("GET", f"/v1/here/{SITE}")],
+        "GET /v1/here/{site}/rooms/{map_name}": [request("GET", f"/v1/here/{SITE}/rooms/{MAP}")],
+        "POST /v1/here/{site}/localize": asked(f"/v1/here/{SITE}/localize")[::2],
+        "GET /geopose": [request("GET", "/geopose")],
+        "POST /geopose": [geopose_request()],
         "GET /v1/sites": [request("GET", "/v1/sites")],
         "GET /v1/sites/{site}": [request("GET", f"/v1/sites/{SITE}")],
         "PUT /v1/sites/{site}": [site_request()],
@@ -319,6 +328,15 @@ def asked(path: str) -> list[Request]:
         request("POST", path, picture, JPEG, intrinsics="unknown", deadline_ms=30_000),
         request("POST", path, {**options, "features": features}),
     ]  # fmt: skip
+
+
+def geopose_request() -> Request:
+    """A frame by OSCP's GeoPoseProtocol 2."""
+    params = {"model": "PINHOLE", "modelParams": [520, 520, 320, 240]}
+    picture = base64.b64encode(a_picture()).decode()
+    readings = [{"size": [640, 480], "imageBytes": picture, "params": params}]
+    body = {"id": "a1", "timestamp": 1767607200000, "type": "geopose", "sensorReadings": {"cameraReadings": readings}}
+    return request("POST", "/geopose", body, site=SITE)
 
 
 def asked_together(path: str) -> Request:

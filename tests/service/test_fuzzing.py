@@ -20,6 +20,8 @@ REFUSED = {  # for want of a second walk, of many queries, of pictures, of a wor
     "POST /v1/maps/{map_name}/learn": 409,
     "GET /v1/maps/{map_name}/views/{view}/picture.jpg": 404,
     "GET /v1/recordings/{recording}/thumbnail.jpg": 404,
+    "GET /v1/maps/{map_name}/refusals/{number}": 404,
+    "GET /v1/maps/{map_name}/refusals/{number}/picture.jpg": 404,
     "DELETE /v1/streams/{stream}": 404,
 }
 pytestmark = pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import structlog
 from fastapi import FastAPI, Request
@@ -14,6 +15,7 @@ from pydantic import ValidationError
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
+from starlette.middleware.cors import CORSMiddleware
 
 from rholoc import __version__, telemetry
 from rholoc.errors import RholocError
@@ -80,6 +82,19 @@ from rholoc.storage.holdings import Holdings
 from rholoc.worker import EmbeddedWorker
 
 _log = structlog.get_logger("rholoc.service")
+_CORS: dict[str, Any] = {
+    "allow_methods": ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
+    "allow_headers": ["*"],
+    "expose_headers": [
+        "Location",
+        "Upload-Offset",
+        "Upload-Length",
+        "Rholoc-Job",
+        "ETag",
+        "Retry-After",
+        "X-Request-ID",
+    ],
+}
 _MIN_UNDER_WAY = 8  # concurrent requests of a client, regardless of the limit of connections
 _BODIES_AT_ONCE = 8  # of the largest size allowed
 
@@ -134,9 +149,11 @@ def _middlewares(
     app: FastAPI, settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, lanes: StorageLanes
 ) -> list[Middleware]:
     """What a request passes on its way to its route, from the outermost to the innermost."""
+    origins = [origin for origin in settings.origins.split(",") if origin]
     return [
         Middleware(Metered, metrics=metrics),
         Middleware(SecurityHeaders),
+        *([Middleware(CORSMiddleware, allow_origins=origins, **_CORS)] if origins else []),
         Middleware(Traced),
         Middleware(RequestBoundary),
         Middleware(Audited, log=audit, lanes=lanes),
@@ -149,6 +166,7 @@ def _middlewares(
             policy=settings.keys,
             host=settings.host,
             open_paths=("/metrics",) if settings.open_metrics else (),
+            origins=origins,
         ),
         Middleware(ProbesOnly),
         Middleware(ConcurrencyLimited, max_of_client=max(_MIN_UNDER_WAY, settings.max_connections // 4)),

@@ -121,6 +121,11 @@ class Settings(BaseSettings):
     export_time_limit_s: float = Field(
         default=300, gt=0, description="How long the export of a map into another format may take."
     )
+    origins: str = Field(
+        default="",
+        pattern=r"^(https?://[\w.-]+(:\d+)?(,https?://[\w.-]+(:\d+)?)*)?$",
+        description="Web sites whose pages may use the API from a browser, with commas: `https://app.example`.",
+    )
     open_metrics: bool = Field(default=False, description="Whether `/metrics` needs no API key.")
     max_connections: int = Field(default=500, ge=1, description="The most connections that are open at a time.")
     max_streams: int = Field(

@@ -81,6 +81,7 @@ class Guard:
         policy: when a request needs a key.
         host: the address that the server listens on.
         open_paths: routes that need no key, whatever they declare.
+        origins: sites whose pages may send requests.
     """
 
     def __init__(
@@ -92,11 +93,13 @@ class Guard:
         policy: KeyPolicy,
         host: str,
         open_paths: Collection[str] = (),
+        origins: Collection[str] = (),
     ) -> None:
         self._app = app
         self._routes = route_access(routes)
         self._keys, self._lanes = keys, lanes
         self._open_paths = frozenset(open_paths)
+        self._origins = frozenset(origins)
         self._keys_needed = keys_needed(policy, host)
         self._looking: asyncio.Task[None] | None = None
         self._local_only = policy is KeyPolicy.AUTO and not self._keys_needed
@@ -112,7 +115,7 @@ class Guard:
         """
         if scope["type"] in ("http", "websocket"):
             headers = Headers(scope=scope)
-            check_same_site(scope.get("method", "GET"), headers, self._local_only)
+            check_same_site(scope.get("method", "GET"), headers, self._local_only, self._origins)
             found = find_route(self._routes, scope)
             access = Access(KeyScope.READ) if found.route is None else found.route.access
             if access is None:
@@ -195,11 +198,11 @@ def check_query(scope: Scope, route: RouteAccess) -> None:
         raise InvalidRequest(f"The query has '{unknown[:64]}', which this route does not take.", f"It takes: {known}.")
 
 
-def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
+def check_same_site(method: str, headers: Headers, local_only: bool, origins: Collection[str] = ()) -> None:
     """Refuse requests that a page of another site makes a browser send. Programs send none of these headers.
 
-    Following a link from another site is allowed. A server that listens on this machine alone accepts local host names
-    only, against DNS rebinding.
+    Following a link from another site is allowed, and what comes from one of ``origins``. A server that listens on this
+    machine alone accepts local host names only, against DNS rebinding.
 
     Raises:
         CrossSite: another site sent it.
@@ -207,6 +210,8 @@ def check_same_site(method: str, headers: Headers, local_only: bool) -> None:
     host, origin, site = headers.get("host", ""), headers.get("origin"), headers.get("sec-fetch-site")
     if local_only and not is_loopback(_host_name(host)):
         raise CrossSite(f"This server does not answer to the name {host[:64]}.", "Use localhost.")
+    if origin in origins:
+        return
     if site is not None:
         followed = method in _READING and headers.get("sec-fetch-mode") == "navigate"
         foreign = site not in ("same-origin", "none") and not followed

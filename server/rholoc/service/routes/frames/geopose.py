@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 from fastapi import APIRouter, Request, Response
+from fastapi.responses import JSONResponse
 from pydantic import ConfigDict, Field, model_validator
 from starlette.concurrency import run_in_threadpool
 
@@ -117,6 +118,10 @@ class OscpAnswer(AnswerModel):
     geopose: GeoPoseQuaternionOut
 
 
+class _OscpResponse(JSONResponse):
+    media_type = MEDIA_TYPE
+
+
 class OscpStatus(AnswerModel):
     """The service runs."""
 
@@ -139,6 +144,7 @@ async def geopose_status() -> OscpStatus:
         InvalidCamera, InvalidInput, InvalidMap, Busy, DeadlineExceeded,
     ),
     response_model=OscpAnswer,
+    response_class=_OscpResponse,
 )  # fmt: skip
 async def find_geopose(request: Request, service: Service, requested: Requested) -> Response:
     """Versions 1 and 2 are told apart by the body. The maps are chosen as for `/v1/localize`; only those with a place

@@ -1,0 +1,172 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { Axes, camera, Client, inverse, MapSession, multiply, RholocError, toOpenCV, turned } from "../../client/js/index.js";
+
+const IDENTITY = [0, 1, 2, 3].map((i) => [0, 1, 2, 3].map((j) => Number(i === j)));
+const near = (A, B, within = 1e-9) =>
+  A.forEach((row, i) => row.forEach((value, j) => assert.ok(Math.abs(value - B[i][j]) <= within, `${A} is not ${B}`)));
+
+/** A generator of numbers from a normal distribution. */
+function normal(seed) {
+  let state = seed + 1;
+  const uniform = () => ((state = (state * 48271) % 2147483647) / 2147483647);
+  return () => Math.sqrt(-2 * Math.log(uniform())) * Math.cos(2 * Math.PI * uniform());
+}
+
+function pose([ax, ay, az], [x, y, z]) {
+  const angle = Math.hypot(ax, ay, az) || 1e-12;
+  const [u, v, w] = [ax / angle, ay / angle, az / angle];
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  const k = 1 - c;
+  return [
+    [c + u * u * k, u * v * k - w * s, u * w * k + v * s, x],
+    [v * u * k + w * s, c + v * v * k, v * w * k - u * s, y],
+    [w * u * k - v * s, w * v * k + u * s, c + w * w * k, z],
+    [0, 0, 0, 1],
+  ];
+}
+
+const COLUMNS = (T) => Float64Array.from({ length: 16 }, (_, k) => T[k % 4][Math.floor(k / 4)]);
+
+test("poses of every framework become the service's", () => {
+  const T = pose([0.3, -0.2, 0.5], [1, 2, 3]);
+  near(toOpenCV(T, Axes.OPENCV), T);
+  const opengl = multiply(T, [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]);
+  near(toOpenCV(COLUMNS(opengl), Axes.OPENGL), T);
+  // Unity: a camera at (1, 2, 3) that looks along z, with y up, looks along −z of the right-handed frame from (1, 2, −3)
+  const unity = toOpenCV(pose([0, 0, 0], [1, 2, 3]), Axes.UNITY);
+  near(unity, [[1, 0, 0, 1], [0, -1, 0, 2], [0, 0, -1, -3], [0, 0, 0, 1]]);
+  // turned to the right by a quarter, it looks along x
+  const right = toOpenCV(pose([0, Math.PI / 2, 0], [0, 0, 0]), Axes.UNITY);
+  near([right.slice(0, 3).map((row) => row[2])], [[1, 0, 0]]);
+  for (const bad of [[1, 2], COLUMNS(multiply(T, [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))])
+    assert.throws(() => toOpenCV(bad, Axes.OPENGL), RangeError);
+  assert.throws(() => toOpenCV(T, "sideways"), /sideways/);
+});
+
+test("a picture that is cropped, scaled or turned shows the same rays", () => {
+  const sensor = { width: 1920, height: 1440, fx: 1500, fy: 1490, cx: 961, cy: 715 };
+  const part = camera(sensor, { crop: { x: 240, y: 180, width: 1440, height: 1080 }, width: 720, height: 540 });
+  const ray = ({ fx, fy, cx, cy }, u, v) => [(u - cx) / fx, (v - cy) / fy];
+  near([ray(part, 99.5, 49.5)], [ray(sensor, 240 + 199.5, 180 + 99.5)]);
+  assert.deepEqual([part.width, part.height], [720, 540]);
+  // clockwise by a quarter: what was at the top is at the right
+  const [up, here] = [[0, -1, 0], inverse(turned(IDENTITY, 1))];
+  near([here.slice(0, 3).map((row) => row[0] * up[0] + row[1] * up[1] + row[2] * up[2])], [[1, 0, 0]]);
+  near(turned(turned(turned(turned(IDENTITY, 1), 1), 1), 1), IDENTITY);
+  near(turned(IDENTITY, -1), turned(IDENTITY, 3));
+});
+
+/** A walk of a session whose place is known, and answers with errors of a sigma; some are of another place. */
+async function walked(seed, { wrong = () => false, recognized = 0.95, sigmaM = 0.01, ...options } = {}) {
+  const random = normal(seed);
+  const T_map_session = pose([0.1, -1.2, 0.4], [3, -2, 1]);
+  let nowMs = 0;
+  const events = [];
+  let truth = IDENTITY;
+  const covariance = IDENTITY.concat(IDENTITY).slice(0, 6).map((_, i) => Array.from({ length: 6 }, (_, j) => (i === j) * (i < 3 ? sigmaM ** 2 : 0.3 ** 2)));
+  const locate = async () => {
+    const off = pose([0, 1, 2].map(() => 0.005 * random()), [0, 1, 2].map(() => sigmaM * random()));
+    const T = multiply(multiply(T_map_session, truth), off);
+    if (wrong(nowMs)) T[0][3] += 4;
+    return { localized: true, recognized, covariance, pose: { T_map_camera: T } };
+  };
+  const session = new MapSession(locate, {
+    ...options,
+    axes: Axes.OPENCV,
+    now: () => nowMs,
+    onLocalized: () => events.push("localized"),
+    onLost: () => events.push("lost"),
+  });
+  const errors = [];
+  for (; nowMs < 40_000; nowMs += 100) {
+    truth = pose([0, nowMs / 9000, 0], [Math.sin(nowMs / 5000), 0.2, Math.cos(nowMs / 5000)]);
+    await session.offer({ pose: truth, picture: null, camera: {} });
+    const said = session.inMap(truth);
+    const T = multiply(T_map_session, truth);
+    if (said) errors.push(Math.hypot(...[0, 1, 2].map((i) => said[i][3] - T[i][3])));
+  }
+  return { session, errors, events, T_map_session };
+}
+
+test("a session is placed to two centimetres, ten times of ten", async () => {
+  for (let seed = 0; seed < 10; seed++) {
+    const { errors } = await walked(seed);
+    assert.ok(errors.length > 390);
+    assert.ok(Math.max(...errors.slice(50)) < 0.02, `seed ${seed}: ${Math.max(...errors.slice(50))}`);
+  }
+});
+
+test("single wrong answers change nothing, and a doubtful one begins nothing", async () => {
+  const { errors } = await walked(3, { wrong: (ms) => ms > 9000 && ms < 10_500 });
+  assert.ok(Math.max(...errors.slice(50)) < 0.03);
+  const doubtful = await walked(4, { recognized: 0.65 });
+  assert.ok(doubtful.errors.length < 400); // the first frames wait for a second answer
+  assert.ok(Math.max(...doubtful.errors) < 0.05);
+});
+
+test("a session that jumped is found again, and one that nobody confirms is lost", async () => {
+  const { session, events, T_map_session } = await walked(5, { wrong: (ms) => ms > 15_000 });
+  assert.ok(Math.abs(session.T_map_session[0][3] - T_map_session[0][3] - 4) < 0.05);
+  assert.equal(events.includes("lost"), false);
+  const alone = await walked(6, { wrong: (ms) => ms > 5000 && Math.floor(ms / 1500) % 2 === 0, lostAfterMs: 1000 });
+  assert.ok(alone.events.includes("lost"));
+});
+
+test("points of the map are drawn in the session's axes", async () => {
+  const { session, T_map_session } = await walked(7);
+  const point = [1, 2, 0.5];
+  const T = inverse(T_map_session);
+  const expected = [0, 1, 2].map((i) => T[i][0] + T[i][1] * 2 + T[i][2] * 0.5 + T[i][3]);
+  near([session.toSession(point)], [expected], 0.03);
+  session.axes = Axes.UNITY;
+  near([session.toSession(point)], [[expected[0], expected[1], -expected[2]]], 0.03);
+  assert.equal(new MapSession(async () => {}).toSession(point), null);
+});
+
+test("errors have a code, and say whether to try again", async () => {
+  const answers = [
+    async () => new Response(JSON.stringify({ code: "unknown_map", message: "No.", hint: "Ask." }), { status: 404 }),
+    async () => new Response("<html>", { status: 503 }),
+    async () => {
+      throw new TypeError("fetch failed");
+    },
+  ];
+  const found = [];
+  for (const fetch of answers) {
+    const rholoc = new Client("http://localhost:1/", { fetch });
+    await rholoc.localize("hall", new Uint8Array(3)).catch((error) => found.push(error));
+  }
+  assert.ok(found.every((error) => error instanceof RholocError));
+  assert.deepEqual(found.map(({ code, status, passes }) => [code, status, passes]), [
+    ["unknown_map", 404, false],
+    ["error", 503, true],
+    ["unreachable", 0, true],
+  ]);
+  assert.equal(found[0].message, "No. Ask.");
+});
+
+test("an upload goes on from the last byte that the server has", async () => {
+  const server = new Uint8Array(5 * 2 ** 20);
+  let [offset, broken] = [0, 0];
+  const fetch = async (address, { method, headers, body }) => {
+    const standing = () => ({ "Upload-Offset": String(offset), ...(offset === server.length ? { "Rholoc-Job": "j1" } : {}) });
+    if (method === "POST") return new Response(null, { status: 201, headers: { Location: "/v1/uploads/u1" } });
+    if (method === "HEAD") return new Response(null, { headers: standing() });
+    assert.equal(Number(headers["Upload-Offset"]), offset);
+    if (offset > 2 ** 21 && broken++ < 1) throw new TypeError("connection lost");
+    const piece = new Uint8Array(await body.arrayBuffer());
+    server.set(piece, offset);
+    offset += piece.length;
+    return new Response(null, { status: 204, headers: standing() });
+  };
+  const sent = Uint8Array.from(server, (_, i) => i % 251);
+  const heard = [];
+  const rholoc = new Client("http://localhost:1", { fetch });
+  const job = await rholoc.upload(new Blob([sent]), { map: "hall", onProgress: (bytes) => heard.push(bytes) });
+  assert.equal(job, "j1");
+  assert.deepEqual(server, sent);
+  assert.equal(broken, 2);
+  assert.equal(heard.at(-1), sent.length);
+});
