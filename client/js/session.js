@@ -138,7 +138,8 @@ export class MapSession {
 /** Whether two samples place the second one's camera alike. */
 function agree(a, b) {
   const sigmaM = Math.hypot(a.sigmaM, b.sigmaM);
-  const apart = Math.hypot(...carried(a.T, b.at).map((value, i) => value - carried(b.T, b.at)[i]));
+  const [there, here] = [carried(a.T, b.at), carried(b.T, b.at)];
+  const apart = Math.hypot(...there.map((value, i) => value - here[i]));
   const turn = angleBetween(a.T, b.T);
   return apart < DRIFT_M + SIGMAS * sigmaM && turn < DRIFT_RAD + SIGMAS * Math.hypot(a.sigmaRad, b.sigmaRad);
 }

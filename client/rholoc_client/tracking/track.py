@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -148,9 +149,12 @@ class Answer:
             modes.insert(
                 0, cls(rigid(answer.pose.T_map_camera), in_radians(answer.covariance), answer.recognized, metric)
             )
-        if not modes:
-            return None
-        return replace(modes[0], alternatives=tuple(modes[1:]), localized=answer.localized)
+        return cls.of_modes(modes, answer.localized)
+
+    @classmethod
+    def of_modes(cls, modes: Sequence[Answer], localized: bool) -> Answer | None:
+        """An answer that names several poses, the likeliest first; None where there are none."""
+        return replace(modes[0], alternatives=tuple(modes[1:]), localized=localized) if modes else None
 
     @property
     def modes(self) -> tuple[Answer, ...]:

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -176,4 +176,4 @@ def answer_of(found: Localization, metric: bool) -> Answer | None:
     modes = [Answer(one.pose.T_map_camera, one.covariance, one.weight, metric) for one in found.alternatives]
     if found.pose is not None and found.covariance is not None:
         modes.insert(0, Answer(found.pose.T_map_camera, found.covariance, found.recognized, metric))
-    return replace(modes[0], alternatives=tuple(modes[1:]), localized=found.localized) if modes else None
+    return Answer.of_modes(modes, found.localized)

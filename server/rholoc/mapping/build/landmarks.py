@@ -282,8 +282,14 @@ class _Observed:
     def sums(self, weights: FloatArray, range_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Λ (count, 3, 3) and η (count, 3) of the tracks, of observations weighted with (O,) and (O,) [1/m²]."""
         information, eta = observation_information(self.bearings, self.positions, weights)
-        along, eta_along = range_information(self.bearings, self.positions, self.ranges_m, range_weights)
-        columns = np.concatenate([(information + along).reshape(-1, 9), eta + eta_along], axis=1)
+        known = np.flatnonzero(np.isfinite(self.ranges_m))
+        if len(known):  # few recordings have depth
+            along, eta_along = range_information(
+                self.bearings[known], self.positions[known], self.ranges_m[known], range_weights[known]
+            )
+            information[known] += along
+            eta[known] += eta_along
+        columns = np.concatenate([information.reshape(-1, 9), eta], axis=1)
         summed = group_sums(self.tracks, columns, self.count)
         return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:]
 
