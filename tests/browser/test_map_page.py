@@ -15,7 +15,7 @@ from playwright.sync_api import expect
 
 from kept_queries import a_query
 from rholoc.library import QueryStore
-from rholoc.maps import map_to_bytes
+from rholoc.maps import load_map, map_to_bytes, save_map
 from rholoc.storage import ObjectStorage
 
 LONG = "a-long-name-without-any-blank-in-it-that-goes-on-to-sixty-four-l"
@@ -36,8 +36,13 @@ def running(service, picture_world):
     checked = {"method": "visual", "trusted": True, "why": DISAGREE.replace("disagree", "agree").split(". A")[0] + "."}
     given = {"method": "given", "trusted": True, "why": "The poses were given."}
     for name, walk in (("doubtful", doubted), ("sound", checked), ("given", given), (LONG, doubted)):
-        content = picture_world.rho(report={"trajectories": [walk], "held_out": held_out})
-        (maps / f"{name}.rho").write_bytes(content)
+        path = maps / f"{name}.rho"
+        path.write_bytes(picture_world.rho(report={"trajectories": [walk], "held_out": held_out}))
+        if walk is not given:
+            map_ = load_map(path)
+            bent = map_.views.positions.astype(np.float32)
+            bent[:, 2] += np.linspace(0, 0.8, len(bent), dtype=np.float32)
+            save_map(replace(map_, views=replace(map_.views, second_positions=bent)), path)
     assert len(LONG) == 64
     return service
 
@@ -60,6 +65,24 @@ def test_an_untrusted_map_says_so_first(desk_browser, running, opened, settled):
         expect(card.locator(".badge").first).to_have_text("not trusted")
         expect(card).to_contain_text("two different shapes")
         expect(card).not_to_contain_text("0.5 cm")
+
+
+def test_a_doubted_map_shows_both_reconstructions(desk_browser, running, opened, settled):
+    legend = "in a second reconstruction: where they drift apart, the map may be wrong"
+    with opened(desk_browser, running.url, "maps/doubtful") as page:
+        both = settled(page).get_by_role("button", name="Both reconstructions")
+        expect(both).to_have_attribute("aria-pressed", "true")
+        expect(page.get_by_text(legend)).to_be_visible()
+        shown = page.locator(".scene-canvas").screenshot()
+        both.click()
+        expect(page.get_by_text(legend)).to_be_hidden()
+        assert page.locator(".scene-canvas").screenshot() != shown
+        page.goto(f"{running.url}/#/maps/sound")
+        expect(settled(page).get_by_role("button", name="Both reconstructions")).to_have_attribute(
+            "aria-pressed", "false"
+        )
+        page.goto(f"{running.url}/#/maps/given")
+        expect(settled(page).get_by_role("button", name="Both reconstructions")).to_have_count(0)
 
 
 def test_a_trusted_map_and_one_of_unknown_origin(desk_browser, running, opened, settled):

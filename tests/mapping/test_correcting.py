@@ -108,6 +108,14 @@ def test_each_correction_does_what_it_is_called(room):
     assert set_up(room, np.array([0.0, 0.0, -1.0])).info.upright
 
 
+def test_a_second_reconstruction_moves_with_the_map(room):
+    second = room.views.positions.astype(np.float32)
+    checked = replace(room, views=replace(room.views, second_positions=second))
+    moved = move_map(checked, Similarity(2.0, Rotation.from_euler("z", 1.0).as_matrix(), np.array([3.0, 4.0, 5.0])))
+    np.testing.assert_allclose(moved.views.second_positions, moved.views.positions, atol=1e-4)
+    assert move_map(room, Similarity(2.0, np.eye(3), np.zeros(3))).views.second_positions is None
+
+
 def test_a_version_has_its_own_time(room):
     named = set_names(replace(room, info=replace(room.info, created="2020-01-01T00:00:00+00:00")), MapNames())
     assert named.info.created == named.info.corrections[-1].created > "2020-01-01"

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -22,10 +23,12 @@ from rholoc.maps import (
     MapNames,
     NamedPoint,
     landmark_sigmas,
+    load_map,
     map_to_gltf,
     map_to_ply,
     map_to_scene,
     map_to_vtp,
+    save_map,
 )
 from rholoc.pictures.map_preview import preview_png
 
@@ -123,6 +126,18 @@ def test_colours_are_in_the_ply_and_in_the_scene(room_map: Map) -> None:
     few = map_to_scene(coloured, 7)
     assert np.frombuffer(few, "<u4", 1)[0] == 7
     assert few.endswith(colours[np.arange(7) * len(room_map) // 7].tobytes())
+
+
+def test_a_second_reconstruction_is_in_the_scene_and_in_the_file(room_map: Map, tmp_path: Path) -> None:
+    second = room_map.views.positions.astype(np.float32) + np.float32(0.5)
+    second[1] = np.nan
+    checked = replace(room_map, views=replace(room_map.views, second_positions=second))
+    plain, whole = map_to_scene(room_map, 7), map_to_scene(checked, 7)
+    assert whole == plain + 3 * 7 * b"\x80" + second.tobytes(), "grey, where colours are not known"
+    turned = map_to_scene(checked, 7, np.diag([-1.0, -1.0, 1.0]))
+    np.testing.assert_array_equal(np.frombuffer(turned[-second.nbytes :], "<f4").reshape(-1, 3), second * [-1, -1, 1])
+    save_map(checked, tmp_path / "room.rho")
+    np.testing.assert_array_equal(load_map(tmp_path / "room.rho").views.second_positions, second)
 
 
 def test_gltf_holds_coloured_landmarks_and_each_walk(room_map: Map) -> None:

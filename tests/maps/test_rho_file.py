@@ -229,6 +229,7 @@ def test_indices_take_no_more_bytes_than_they_need(make_map, tmp_path: Path, cou
         ("landmarks", np.zeros((60, 3), np.float64)),
         ("view_covariances", np.zeros((8, 20), np.float32)),
         ("view_covariances", np.zeros((7, 21), np.float32)),
+        ("extras/view_second_positions", np.zeros((7, 3), np.float32)),
     ],
 )
 def test_arrays_that_contradict_the_others_are_refused(

@@ -11,7 +11,7 @@ import { fittingDistance, lookAt, multiply, perspective, project } from "../../c
 import { clipped } from "../../client/page/console/plain_painter.js";
 import { strokes } from "../../client/page/console/plan_lines.js";
 import { sayPicked } from "../../client/page/console/scene.js";
-import { ellipsoid } from "../../client/page/console/scene_lines.js";
+import { apart, ellipsoid, secondViews, walk } from "../../client/page/console/scene_lines.js";
 import { readScene } from "../../client/page/console/scene_data.js";
 import { snippet } from "../../client/page/console/snippets.js";
 import { errorAt, rightness } from "../../client/page/console/rightness.js";
@@ -63,9 +63,25 @@ test("a scene is read with its colours and without", () => {
   const coloured = new Blob([numbers, floats, new Uint8Array([9, 8, 7])]);
   return Promise.all([plain, coloured].map((blob) => blob.arrayBuffer())).then(([without, whole]) => {
     assert.equal(readScene(without).colours, null);
+    assert.equal(readScene(whole).second, null);
     assert.deepEqual([...readScene(whole).colours], [9, 8, 7]);
     assert.deepEqual([...readScene(whole).views.subarray(0, 3)], [4, 5, 6]);
   });
+});
+
+test("a scene is read with the views of a second reconstruction, which drift from the map's", async () => {
+  const views = [1, 0, 0, 1, 0, 0, 0, 2, 0, 0, 1, 0, 0, 0, 3, 0, 0, 1, 0, 0, 0];
+  const second = [1, 1, 0, Number.NaN, Number.NaN, Number.NaN, 3, 3, 0];
+  const parts = [
+    new Uint32Array([1, 3]),
+    new Float32Array([9, 9, 9, 0.1, ...views]),
+    new Uint8Array([9, 8, 7]),
+    new Float32Array(second),
+  ];
+  const scene = readScene(await new Blob(parts).arrayBuffer());
+  assert.deepEqual([...scene.second], second);
+  assert.deepEqual([...walk(secondViews(scene.views, scene.second))], [1, 1, 0, 3, 3, 0]);
+  assert.deepEqual([...apart(scene.views, scene.second)], [1, 0, 0, 1, 1, 0, 3, 0, 0, 3, 3, 0]);
 });
 
 const COVERAGE = {

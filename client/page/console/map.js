@@ -79,6 +79,7 @@ export async function showMap(main, name, signal) {
     showScene(scene, map, signal).then(async () => {
       const { expected_error: expected } = await report;
       if (trustOf(map) === Trust.YES && expected) scene.offerErrors(expected.views_m);
+      if (trustOf(map) === Trust.NO && scene.scene.second) scene.showTwice(true);
     }),
   ]);
 }

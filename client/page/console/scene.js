@@ -14,6 +14,7 @@ import { bestTurn, boundsOf, surfaces } from "./room.js";
 import { inOrder, quantiles, SHOWN, shuffledOrder } from "./samples.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 import {
+  apart,
   band,
   cross,
   ellipsoid,
@@ -22,6 +23,7 @@ import {
   frustum,
   headings,
   outlines,
+  secondViews,
   segments,
   squares,
   walk,
@@ -89,6 +91,11 @@ export class SceneView {
       { type: "button", hidden: true, "aria-pressed": "false", onclick: () => this.toggleErrors() },
       t`Expected error`,
     );
+    this.twice = h(
+      "button",
+      { type: "button", hidden: true, "aria-pressed": "false", onclick: () => this.showTwice(!this.isTwice) },
+      t`Both reconstructions`,
+    );
     this.planned = h(
       "button",
       { type: "button", hidden: true, "aria-pressed": "true", onclick: () => this.togglePlan() },
@@ -101,6 +108,7 @@ export class SceneView {
       h("button", { type: "button", onclick: () => this.reset() }, t`Whole room`),
       this.solid,
       this.doubt,
+      this.twice,
       this.paint,
       this.more,
       this.planned,
@@ -187,6 +195,7 @@ export class SceneView {
     this.setLines("areas", "--accent", outlines(names.areas, z));
     this.setLines("walk", "--ink", walk(scene.views));
     this.setLines("headings", "--muted", headings(scene.views));
+    this.twice.hidden = !scene.second;
     this.colourBy(scene.colours !== null);
     this.lookAtAll(level, inOtherAxes(scene.views, STRIDE_VIEW, this.levelling));
   }
@@ -234,6 +243,25 @@ export class SceneView {
       if (error !== null) marked.set(ramp((error - low) / Math.max(high - low, 1e-9)), i);
     }
     return marked;
+  }
+
+  get isTwice() {
+    return this.twice.ariaPressed === "true";
+  }
+
+  /** Draw the walk as a second reconstruction has it, in another colour, and how far apart the two are. */
+  showTwice(shown) {
+    const { views, second } = this.scene;
+    this.twice.ariaPressed = String(shown);
+    this.setLines("second walk", "--warn", shown ? walk(secondViews(views, second)) : []);
+    this.setLines("apart", "--bad", shown ? apart(views, second) : [], 0.6);
+    this.legend.hidden = !shown;
+    this.legend.replaceChildren(
+      h("span", { class: "scene-walk" }),
+      t`the walk in this map`,
+      h("span", { class: "scene-second" }),
+      t`in a second reconstruction: where they drift apart, the map may be wrong`,
+    );
   }
 
   /** Say what the ramp of colours goes from and to. */

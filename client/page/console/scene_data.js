@@ -23,8 +23,9 @@ export function readRoom(buffer) {
 }
 
 /**
- * `{features, landmarks, views, colours}`: the number of landmarks, their figures, those of the views, and three bytes for
- * each landmark, red, green and blue, or null where the map does not know its colours.
+ * `{features, landmarks, views, colours, second}`: the number of landmarks, their figures, those of the views; three bytes for
+ * each landmark, red, green and blue; three numbers for each view, its position in a second reconstruction, NaN where that has
+ * none. Null where the map does not know them.
  */
 export function readScene(buffer) {
   const [features, count] = new Uint32Array(buffer, 0, 2);
@@ -32,5 +33,12 @@ export function readScene(buffer) {
   const views = new Float32Array(buffer, 8 + landmarks.byteLength, count * STRIDE_VIEW);
   const end = 8 + landmarks.byteLength + views.byteLength;
   const coloured = features > 0 && buffer.byteLength >= end + 3 * features;
-  return { features, landmarks, views, colours: coloured ? new Uint8Array(buffer, end, 3 * features) : null };
+  const checked = count > 0 && buffer.byteLength > end + 3 * features;
+  return {
+    features,
+    landmarks,
+    views,
+    colours: coloured ? new Uint8Array(buffer, end, 3 * features) : null,
+    second: checked ? new Float32Array(buffer.slice(end + 3 * features)) : null, // not aligned to four bytes
+  };
 }

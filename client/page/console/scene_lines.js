@@ -21,6 +21,23 @@ export function walk(views) {
   return lines;
 }
 
+/** The views of a walk as a second reconstruction has them, which drift from it where the two disagree. */
+export function secondViews(views, second) {
+  const others = views.slice();
+  for (let k = 0; 3 * k < second.length; k++) others.set(second.subarray(3 * k, 3 * k + 3), k * STRIDE_VIEW);
+  return others.filter((_, i) => !Number.isNaN(others[i - (i % STRIDE_VIEW)]));
+}
+
+/** Lines from each view to where a second reconstruction has it. */
+export function apart(views, second) {
+  const lines = [];
+  for (let k = 0; 3 * k < second.length; k++) {
+    const other = second.subarray(3 * k, 3 * k + 3);
+    if (!Number.isNaN(other[0])) lines.push(...views.subarray(k * STRIDE_VIEW, k * STRIDE_VIEW + 3), ...other);
+  }
+  return lines;
+}
+
 /** A grid of square metres, at the height of the lowest landmarks. */
 export function floor(landmarks) {
   if (!landmarks.length) return [];

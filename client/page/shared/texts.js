@@ -316,6 +316,10 @@ export const GERMAN = {
   "{0} m straight on": "{0} m geradeaus",
 
   "expected error ": "erwarteter Fehler ",
+  "Both reconstructions": "Beide Rekonstruktionen",
+  "the walk in this map": "der Rundgang in dieser Karte",
+  "in a second reconstruction: where they drift apart, the map may be wrong":
+    "in einer zweiten Rekonstruktion: Wo sie auseinandergehen, kann die Karte falsch sein",
   "A robot here, looking there, is right to about {0}.":
     "Ein Roboter, der hier steht und dorthin blickt, liegt auf etwa {0} richtig.",
   "From above": "Von oben",

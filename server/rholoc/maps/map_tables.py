@@ -151,6 +151,8 @@ class MapViews(MapTable, PosedCameras):
             the left, in radians; NaN for views whose uncertainty is not known. None if no view's is.
         pictures: (K,) a small JPEG of each, empty for views without one. None if no view has one.
         sources: (K,) int32, the row of ``info.sources`` that each comes from; None if the map does not keep it.
+        second_positions: (K, 3) float32, metres, map frame: positions by a second reconstruction that checked the
+            map's, NaN where it has none. None if no view has one.
     """
 
     times: FloatArray = field(metadata=_column(np.float64))
@@ -158,6 +160,7 @@ class MapViews(MapTable, PosedCameras):
     covariances: FloatArray | None = field(default=None, metadata=_optional(np.float32, 6, 6, unknown=np.nan))
     pictures: tuple[bytes, ...] | None = field(default=None, metadata=_optional(object, unknown=b""))
     sources: IntArray | None = field(default=None, metadata=_optional(np.int32))
+    second_positions: FloatArray | None = field(default=None, metadata=_optional(np.float32, 3, unknown=np.nan))
 
     @property
     def known_pictures(self) -> tuple[bytes, ...]:

@@ -308,6 +308,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
             f"Only {found.placed.sum()} of {len(rows)} {what} could be placed. {describe(missing)}".strip(), advice
         )
     kept = np.flatnonzero(found.placed)
+    second = None if found.agreement is None else found.agreement.second_positions
     doubts = _doubts(found, share, describe(missing))
     progress(Stage.POSES, 1.0, f"{len(kept)} of {len(rows)} keyframes placed")
     return Trajectory(
@@ -320,6 +321,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
         replace(_report(found, method, len(rows), kept, doubts), missing=missing),
         None if sights.shutter is None else sights.shutter.take(kept),
         found.covariances[kept],
+        None if second is None else second[kept],
     )
 
 

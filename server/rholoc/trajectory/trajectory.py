@@ -45,6 +45,8 @@ class Trajectory:
         covariances: (K, 6, 6) of each frame's pose in the map frame: x, y, z [m], then the rotation about the map's
             x, y, z axes [rad] (small, applied from the left). Includes errors shared by neighbouring frames. None if
             unknown.
+        second_positions: (K, 3) the same frames in a second reconstruction that checked this one, in the map frame;
+            NaN where it has none. None without one.
     """
 
     rows: IntArray
@@ -56,6 +58,7 @@ class Trajectory:
     report: TrajectoryReport
     rolling_shutter: RollingShutter | None = None
     covariances: FloatArray | None = None
+    second_positions: FloatArray | None = None
 
     def at_once(self, k: int, features: FeatureSet) -> FeatureSet:
         """``features`` of frame ``k`` (0..K-1), moved to their pixels at the read-out of the middle row."""

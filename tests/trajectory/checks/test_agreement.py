@@ -33,6 +33,19 @@ def test_frame_and_scale_do_not_matter() -> None:
     assert "agree:" in found.why
 
 
+def test_the_second_reconstruction_is_known_in_the_frame_of_the_first() -> None:
+    turned = Similarity(2.5, Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix(), np.array([3.0, -7.0, 1.0]))
+    every_second = np.arange(0, _COUNT, 2)
+    found = compare(
+        _walk(), np.ones(_COUNT, bool), every_second, turned.poses(_walk())[::2], np.arange(20) < 18, _DEPTH
+    )
+    assert found.second_positions is not None
+    np.testing.assert_allclose(found.second_positions[:36:2], _walk()[:36:2, :3, 3], atol=1e-9)
+    assert np.isnan(found.second_positions[1::2]).all()
+    assert np.isnan(found.second_positions[36:]).all()
+    assert _against(_walk(), placed=20).second_positions is None
+
+
 def test_a_straight_walk_agrees_with_itself_in_any_frame() -> None:
     """Positions on a line leave the rotation about it open."""
     straight = _walk()

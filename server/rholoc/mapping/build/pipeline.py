@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -252,7 +252,8 @@ def _assemble(
         earth=_earth([waypoint for walk in walks for waypoint in walk.recording.waypoints]),
     )
     map_ = assemble(info, views, landmarks, walk_of_view, extractor.metric)
-    return with_landmarks(replace(map_, views=replace(map_.views, covariances=_view_covariances(walks))))
+    checked = replace(map_.views, covariances=_view_covariances(walks), second_positions=_second_positions(walks))
+    return with_landmarks(replace(map_, views=checked))
 
 
 def _in_one_frame(recordings: Sequence[Recording]) -> list[Recording]:
@@ -283,14 +284,29 @@ def _earth(waypoints: Sequence[Waypoint]) -> SiteOnEarth | None:
 
 def _view_covariances(walks: Sequence[_Walk]) -> FloatArray | None:
     """(K, 6, 6) of all views, NaN if a trajectory has none; None if no trajectory has any."""
-    if all(walk.trajectory.covariances is None for walk in walks):
+    found = _of_views(walks, lambda trajectory: trajectory.covariances, (6, 6))
+    return None if found is None else storable_covariances(found)
+
+
+def _second_positions(walks: Sequence[_Walk]) -> FloatArray | None:
+    """(K, 3) float32 of all views in second reconstructions, likewise."""
+    found = _of_views(walks, lambda trajectory: trajectory.second_positions, (3,))
+    return None if found is None else found.astype(np.float32)
+
+
+def _of_views(
+    walks: Sequence[_Walk], column: Callable[[Trajectory], FloatArray | None], shape: tuple[int, ...]
+) -> FloatArray | None:
+    """The views' rows (K, *shape) of a column of their trajectories; NaN where one has none, None if all have none."""
+    columns = [column(walk.trajectory) for walk in walks]
+    if all(one is None for one in columns):
         return None
-    parts = []
-    for walk in walks:
-        known = walk.trajectory.covariances
-        unknown = np.full((len(walk.views), 6, 6), np.nan)
-        parts.append(unknown if known is None else storable_covariances(known[walk.views]))
-    return np.concatenate(parts).astype(np.float32)
+    return np.concatenate(
+        [
+            np.full((len(walk.views), *shape), np.nan) if one is None else one[walk.views]
+            for walk, one in zip(walks, columns, strict=True)
+        ]
+    )
 
 
 def _source(walk: _Walk, options: BuildOptions) -> Source:

@@ -33,6 +33,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
     turned = similarity.scale**2 * R @ covariances @ R.T
     densities = FORMS[map_.info.density].from_arrays(map_.densities.moved(similarity).arrays(), positions)
     info, of_views = _moved_info(map_.info, similarity), map_.views.covariances
+    second = map_.views.second_positions
     moved = replace(
         map_,
         info=info,
@@ -47,6 +48,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
             map_.views,
             T_map_camera=poses_from_rows(rows_from_poses(T_map_camera).astype(np.float32)),  # as files keep them
             covariances=None if of_views is None else moved_covariances(of_views, similarity),
+            second_positions=None if second is None else similarity.points(second).astype(np.float32),
         ),
         cloud=cloud,
         room=room,

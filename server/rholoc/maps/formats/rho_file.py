@@ -114,6 +114,7 @@ _VIEWS = {
     "T_map_camera": _Stored("view_poses", ("f4", (None, 7)), rows_from_poses, unpacked_poses),
     "covariances": _Stored("view_covariances", ("f4", (None, 21)), _upper(6), _from_upper(6)),
     "sources": _Stored("extras/view_sources", ("i4", (None,))),
+    "second_positions": _Stored("extras/view_second_positions", ("f4", (None, 3))),
 }
 _PICTURES: dict[str, Kind] = {
     "picture_bytes": ("u1", (None,)),  # one JPEG after the other

@@ -14,8 +14,9 @@ def map_to_scene(map_: Map, most_landmarks: int | None = None, rotation: FloatAr
 
     Two uint32, the numbers F and K; (F, 4) float32 of each landmark's x, y, z and standard deviation; (K, 7) float32 of
     each view's x, y, z, heading and the number of the recording that it comes from; where the map knows the colours of
-    its landmarks, (F, 3) uint8, red, green and blue. Lengths in metres. If there are more than ``most_landmarks``, that
-    many are chosen evenly. ``rotation`` (3, 3) rotates everything.
+    its landmarks or positions of a second reconstruction, (F, 3) uint8, red, green and blue; where it knows these
+    positions, (K, 3) float32 of them, NaN for views without one. Lengths in metres. If there are more than
+    ``most_landmarks``, that many are chosen evenly. ``rotation`` (3, 3) rotates everything.
     """
     views = len(map_.views)
     sources = np.zeros(views) if map_.views.sources is None else map_.views.sources
@@ -25,8 +26,11 @@ def map_to_scene(map_: Map, most_landmarks: int | None = None, rotation: FloatAr
     chosen = evenly(len(landmarks), most_landmarks)
     counts = np.array([len(chosen), views])
     arrays = [counts.astype("<u4"), landmarks[chosen].astype("<f4"), path.astype("<f4")]
-    if map_.landmarks.colours is not None:
-        arrays.append(map_.landmarks.colours[chosen])
+    second_positions = map_.views.second_positions
+    if map_.landmarks.colours is not None or second_positions is not None:
+        arrays.append(map_.landmarks.known_colours[chosen])
+    if second_positions is not None:
+        arrays.append((second_positions @ R.T).astype("<f4"))
     return b"".join(array.tobytes() for array in arrays)
 
 

@@ -25,6 +25,8 @@ class Agreement:
         angle_deg: median angle [deg].
         common: number of keyframes placed by both.
         of: number of keyframes of the second reconstruction.
+        second_positions: (K, 3) of the first's keyframes in the second, aligned with the first; NaN where only one
+            placed them. None without a second reconstruction.
     """
 
     distance: float
@@ -32,6 +34,7 @@ class Agreement:
     angle_deg: float
     common: int
     of: int
+    second_positions: FloatArray | None = None
 
     @property
     def same(self) -> bool:
@@ -71,12 +74,15 @@ def compare(
     similarity = posed_alignment(b, a, np.ones(common), fixed_scale=False) if on_a_line else align_poses(b, a)
     aligned = similarity.poses(b)
     apart = np.linalg.norm(aligned[:, :3, 3] - a[:, :3, 3], axis=1) / median_depth
+    second_positions = np.full((len(T), 3), np.nan)
+    second_positions[some[both]] = aligned[:, :3, 3]
     return Agreement(
         float(np.median(apart)),
         float(np.percentile(apart, 90)),
         float(np.degrees(np.median(rotation_angles(aligned[:, :3, :3], a[:, :3, :3])))),
         common,
         len(some),
+        second_positions,
     )
 
 

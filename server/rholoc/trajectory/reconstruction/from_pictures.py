@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import Camera, FloatArray, IntArray, pose_matrix
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, pose_matrix
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.checks.given_poses import epipolar_errors
@@ -106,16 +106,19 @@ def solve_from_set(
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
     best = _most_confirmed(parts, len(sights.rows))
-    agreement = _best_agreement(best, parts)
+    agreement, other = _best_agreement(best, parts)
     if agreement is not None and agreement.distance > _CONTRADICTION:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
     part, evidence = _refined(best, sights, camera, evidence, progress)
     found = _finished(sights, evidence, part, waypoints, reason, progress)
     if (agreement is None or not agreement.same) and _is_loose(found):
         raise MappingFailed("Too little ties these pictures together.", DENSER)
-    if agreement is not None and agreement.common < _MOST * len(part.members):
-        agreement = Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members))
-    return replace(found, agreement=agreement or Agreement(np.nan, np.nan, np.nan, 0, len(sights.rows)))
+    if agreement is None or other is None:
+        return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, len(sights.rows)))
+    if agreement.common < _MOST * len(part.members):
+        return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
+    in_map_frame = _comparison(found.T_map_camera, found.placed, found.median_depth, other)
+    return replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,9 +221,13 @@ def _agreement(part: _Part, other: _Part) -> Agreement:
     count = int(max(one.members.max(), two.members.max())) + 1
     T, placed = np.tile(np.eye(4), (count, 1, 1)), np.zeros(count, dtype=np.bool_)
     T[one.members], placed[one.members] = one.adjusted.state.T_map_camera, held_keyframes(one.problem, one.adjusted)
-    depth = median_depth_of(one.problem.observations, one.adjusted)
-    held = held_keyframes(two.problem, two.adjusted)
-    return compare(T, placed, two.members, two.adjusted.state.T_map_camera, held, depth)
+    return _comparison(T, placed, median_depth_of(one.problem.observations, one.adjusted), two)
+
+
+def _comparison(T: FloatArray, placed: BoolArray, median_depth: float, other: _Part) -> Agreement:
+    """Compare poses T (K, 4, 4), valid where ``placed`` (K,), with a part."""
+    held = held_keyframes(other.problem, other.adjusted)
+    return compare(T, placed, other.members, other.adjusted.state.T_map_camera, held, median_depth)
 
 
 def _is_loose(found: Reconstruction) -> bool:
@@ -249,10 +256,14 @@ def _confirmed(part: _Part, others: Sequence[_Part]) -> int:
     return max((one.common for one in found if one.same), default=0)
 
 
-def _best_agreement(part: _Part, parts: Sequence[_Part]) -> Agreement | None:
-    """The agreement with the other part that is nearest, None if there is no other to compare with."""
-    found = [_agreement(part, other) for other in parts if other is not part]
-    return min(found, key=lambda one: (not one.same, np.nan_to_num(one.distance, nan=np.inf)), default=None)
+def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | None, _Part | None]:
+    """Agreement with the nearest other part, and that part; None if there is no other."""
+    others = [other for other in parts if other is not part]
+    if not others:
+        return None, None
+    found = [_agreement(part, other) for other in others]
+    k = min(range(len(found)), key=lambda k: (not found[k].same, np.nan_to_num(found[k].distance, nan=np.inf)))
+    return found[k], others[k]
 
 
 def _adjusted(
