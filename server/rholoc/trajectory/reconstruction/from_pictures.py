@@ -48,7 +48,6 @@ _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictu
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
-_CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
 _LOOSE = 0.1  # of the extent, by which poses are uncertain that nothing confirms, for them to be worth nothing
 
 
@@ -107,7 +106,7 @@ def solve_from_set(
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
     best = _most_confirmed(parts, len(sights.rows))
     agreement = _best_agreement(best, parts)
-    if agreement is not None and agreement.distance > _CONTRADICTION:
+    if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
     part, evidence = _refined(best, sights, camera, evidence, progress)
     found = _finished(sights, evidence, part, waypoints, reason, progress)
