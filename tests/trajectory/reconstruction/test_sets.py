@@ -8,16 +8,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scene import CAMERA
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.progress import silent
 from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.initialization.mapper_starts import Mapper
+from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.reconstruction import from_pictures
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
+from rholoc.trajectory.visual.matching import VerifiedPair
 
 COUNT = 20
+
+
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    """Features of which only the places count."""
+
+    pixels: FloatArray
+
+
 Compared = Callable[["Part", "Part"], Agreement]
 
 
@@ -114,3 +126,16 @@ def test_what_nothing_confirms_and_little_ties_together_is_no_map(
     apart = Agreement(np.nan, np.nan, np.nan, 6, 12)
     with pytest.raises(MappingFailed, match="Too little ties these pictures together"):
         taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 8}, lambda one, other: apart, monkeypatch, sigma_m, held)
+
+
+def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:
+    """A picture of one door was placed at another like it, 25 m off, by pairs that were weak beside its own door's."""
+    pixels = np.random.default_rng(0).uniform(0, 400, (8, 2)).astype(np.float32)
+    matches = np.column_stack([np.arange(8)] * 2)
+    linked = [VerifiedPair(a, b, matches, np.eye(3)) for a, b in ((0, 1), (2, 3), (1, 4))]
+    doors, beside = VerifiedPair(0, 2, matches, np.eye(3)), VerifiedPair(0, 4, matches, np.eye(3))
+    state = State(np.tile(np.eye(4), (2, 1, 1)), np.zeros((0, 3)), CAMERA)
+    part: Any = type("Part", (), {"members": np.arange(2), "adjusted": type("Adjusted", (), {"state": state})()})()
+    sights: Any = type("Sights", (), {"rows": np.arange(5), "features": [_Pixels(pixels)] * 5})()
+    evidence: Any = type("Evidence", (), {"sequential": linked, "weak": [doors, beside]})()
+    assert from_pictures._fitting(part, sights, CAMERA, evidence) == [beside]
