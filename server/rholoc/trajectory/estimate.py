@@ -477,12 +477,13 @@ def _report(
         expected = f"Its poses are expected to be right to {100 * error_m:.1f} cm."
     if found.agreement is not None:
         expected = f"{expected} {found.agreement.why}".strip()
+    why = " ".join(doubts) or expected or "Pictures and IMU agree."
     mistakes = [explain(name, found.left_out[name].off_m) for name in found.mistaken]
     return TrajectoryReport(
         method=method.value,
         frames=len(kept),
         trusted=not doubts,
-        why=" ".join(doubts) or expected or "Pictures and IMU agree.",
+        why=f"{why} {found.note}".strip(),
         up=found.frame.why_up,
         scale=found.frame.why_scale,
         keyframes=keyframes,

@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scene import CAMERA
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.progress import silent
 from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.initialization.mapper_starts import Mapper
+from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.reconstruction import from_pictures
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
+from rholoc.trajectory.visual.matching import VerifiedPair
 
 COUNT = 20
+NOT_COMPARED = Agreement(np.nan, np.nan, np.nan, 0, COUNT)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    """Features of which only the places count."""
+
+    pixels: FloatArray
+
+
 Compared = Callable[["Part", "Part"], Agreement]
 
 
@@ -37,6 +50,11 @@ class Result:
     covariances: FloatArray
     placed: BoolArray
     agreement: Agreement | None = None
+
+    @property
+    def median_depth(self) -> float:
+        """Of its points."""
+        return 2.0
 
     @property
     def T_map_camera(self) -> FloatArray:
@@ -61,6 +79,7 @@ def taken(
     sights: Any = type("Sights", (), {"depth": None, "rows": np.arange(COUNT)})()
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "_agreement", compared)
+    monkeypatch.setattr(from_pictures, "_comparison", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3]))
     monkeypatch.setattr(from_pictures, "_refined", lambda part, *_: (part, evidence))
     monkeypatch.setattr(
         from_pictures, "_finished", lambda sights, evidence, part, *_: Result(part, covariances, placed)
@@ -82,6 +101,8 @@ def test_of_equally_confirmed_reconstructions_the_smaller_adds_nothing_unconfirm
 ) -> None:
     found = taken({Mapper.OWN: 18, Mapper.INCREMENTAL: 12}, agreeing, monkeypatch)
     assert len(found.part.members) == 12
+    assert found.agreement is not None
+    np.testing.assert_array_equal(found.agreement.second_positions, found.T_map_camera[:, :3, 3])
 
 
 def test_a_small_confirmed_part_does_not_replace_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,3 +135,16 @@ def test_what_nothing_confirms_and_little_ties_together_is_no_map(
     apart = Agreement(np.nan, np.nan, np.nan, 6, 12)
     with pytest.raises(MappingFailed, match="Too little ties these pictures together"):
         taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 8}, lambda one, other: apart, monkeypatch, sigma_m, held)
+
+
+def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:
+    """A picture of one door was placed at another like it, 25 m off, by pairs that were weak beside its own door's."""
+    pixels = np.random.default_rng(0).uniform(0, 400, (8, 2)).astype(np.float32)
+    matches = np.column_stack([np.arange(8)] * 2)
+    linked = [VerifiedPair(a, b, matches, np.eye(3)) for a, b in ((0, 1), (2, 3), (1, 4))]
+    doors, beside = VerifiedPair(0, 2, matches, np.eye(3)), VerifiedPair(0, 4, matches, np.eye(3))
+    state = State(np.tile(np.eye(4), (2, 1, 1)), np.zeros((0, 3)), CAMERA)
+    part: Any = type("Part", (), {"members": np.arange(2), "adjusted": type("Adjusted", (), {"state": state})()})()
+    sights: Any = type("Sights", (), {"rows": np.arange(5), "features": [_Pixels(pixels)] * 5})()
+    evidence: Any = type("Evidence", (), {"sequential": linked, "weak": [doors, beside]})()
+    assert from_pictures._fitting(part, sights, CAMERA, evidence) == [beside]

@@ -17,6 +17,7 @@ from rholoc.geometry import FloatArray, IntArray, Similarity
 from rholoc.progress import silent
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory import Scale
+from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import InertialState, Problem, State
@@ -137,6 +138,7 @@ class _Route:
         monkeypatch.setattr(dispatch, "start_with_imu", lambda *_: "start" if starts else None)
         monkeypatch.setattr(dispatch, "solve_with_imu", lambda *_: "with the IMU")
         monkeypatch.setattr(dispatch, "solve_from_pictures", self._solve)
+        monkeypatch.setattr(dispatch, "solve_from_set", self._solve_set)
 
     def _gather(self, sights: Sights, camera: object, felt: object, progress: object) -> str:
         self.felt.append(felt)
@@ -153,6 +155,11 @@ class _Route:
             np.ones(count, bool), T, np.zeros((count, 6, 6)), CAMERA, None, _FRAME, None,
             reason, {}, (), 0.3, 5, 0, 2.0,
         )  # fmt: skip
+
+    def _solve_set(self, sights: Sights, *_: object) -> Any:
+        assert not sights.is_film
+        self.reasons.append("set")
+        return replace(self._solve(sights, None, None, None, "set", None), residual_px=0.5)
 
 
 def test_a_useful_imu_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,3 +203,46 @@ def test_a_second_reconstruction_that_fails_proves_nothing(monkeypatch: pytest.M
     assert found.agreement is not None
     assert (found.agreement.common, found.agreement.of) == (0, 6)
     assert np.isnan([found.agreement.distance, found.agreement.distance_of_most, found.agreement.angle_deg]).all()
+
+
+@pytest.mark.parametrize(
+    ("placed", "apart", "as_set"),
+    [(12, 0.05, False), (10, 0.001, True), (12, 0.2, True), (None, 0.0, True)],
+    ids=["a film", "much is left out", "halves contradict each other", "nothing is placed"],
+)
+def test_a_film_that_cannot_be_followed_is_a_set(
+    placed: int | None, apart: float, as_set: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    route = _Route(monkeypatch, None, starts=False)
+
+    def followed(*what: Any) -> Any:
+        if placed is None:
+            raise MappingFailed("Nothing fits.")
+        return replace(route._solve(*what), placed=np.arange(12) < placed)
+
+    monkeypatch.setattr(dispatch, "solve_from_pictures", followed)
+    monkeypatch.setattr(dispatch, "_agreement", lambda *_: Agreement(apart, apart, 0.1, 6, 6))
+    found = dispatch.reconstruct(_sights(), None, [])
+    assert (found.residual_px == 0.5) is as_set
+    assert ("as a set of pictures" in found.note) is as_set
+
+
+@pytest.mark.parametrize("placed", [10, 12])
+def test_a_film_whose_halves_contradict_each_other_makes_no_map(placed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two reconstructions were apart by 45 times the depth, and the map was published."""
+    route = _Route(monkeypatch, None, starts=False)
+    apart = 45.0 if placed == 12 else 0.001
+
+    def contradicted(*_: Any) -> Any:
+        raise MappingFailed("Reconstructions of these pictures contradict each other.")
+
+    monkeypatch.setattr(
+        dispatch, "solve_from_pictures", lambda *what: replace(route._solve(*what), placed=np.arange(12) < placed)
+    )
+    monkeypatch.setattr(dispatch, "_agreement", lambda *_: Agreement(apart, apart, 9.0, 6, 6))
+    monkeypatch.setattr(dispatch, "solve_from_set", contradicted)
+    if placed == 12:
+        with pytest.raises(MappingFailed, match="contradict each other"):
+            dispatch.reconstruct(_sights(), None, [])
+    else:
+        assert dispatch.reconstruct(_sights(), None, []).placed.sum() == 10

@@ -13,6 +13,7 @@ _MAX_LINE_WIDTH = 0.02  # of collinear positions: spread across the line over sp
 _MAX_DISTANCE = 0.02  # median distance of equal reconstructions, as a share of the median depth …
 _MAX_DISTANCE_OF_MOST = 0.04  # … and its 90th percentile: one part may be wrong, the rest right
 _MAX_ANGLE_DEG = 2.0
+_CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,11 @@ class Agreement:
         """Whether the reconstructions are equal within tolerance."""
         close = self.distance <= _MAX_DISTANCE and self.distance_of_most <= _MAX_DISTANCE_OF_MOST
         return close and self.angle_deg <= _MAX_ANGLE_DEG
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether at least one of the reconstructions must be wrong."""
+        return self.distance > _CONTRADICTION
 
     @property
     def why(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rholoc.errors import MappingFailed
+from rholoc.geometry import Camera
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import Imu, Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
@@ -17,8 +18,11 @@ from rholoc.trajectory.reconstruction.from_imu import calibrated, solve_with_imu
 from rholoc.trajectory.reconstruction.from_pictures import solve_from_pictures, solve_from_set
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
-from rholoc.trajectory.reconstruction.sights import Sights, gather_evidence
+from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
 from rholoc.trajectory.visual.camera_guess import guess_camera
+
+_WELL_PLACED = 0.9  # share of a film's keyframes, below which other ways to place them are tried
+_AS_SET = "What was followed from frame to frame left it open; the keyframes were matched as a set of pictures."
 
 
 def reconstruct(
@@ -55,11 +59,47 @@ def _reconstruct(
         if start is not None:
             return solve_with_imu(sights, imu, gyro, evidence, start, waypoints, steps)
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
-    if not sights.is_film:
-        return solve_from_set(sights, camera, evidence, waypoints, reason, steps)
-    found = solve_from_pictures(sights, camera, evidence, waypoints, reason, steps)
-    steps.step(0.95, 0.99, "checked by a second reconstruction")
-    return replace(found, agreement=_agreement(found, sights))
+    if sights.is_film:
+        return _from_film(sights, camera, evidence, waypoints, reason, steps)
+    if felt is not None:  # pairs that a wrong gyroscope contradicts were left out
+        evidence = gather_evidence(sights, camera, None, progress)
+    return solve_from_set(sights, camera, evidence, waypoints, reason, steps)
+
+
+def _from_film(
+    sights: Sights,
+    camera: Camera,
+    evidence: Evidence,
+    waypoints: Sequence[tuple[Waypoint, ...]],
+    reason: str,
+    steps: AdjustmentProgress,
+) -> Reconstruction:
+    """Reconstruct a film by following it. Where that leaves much out or contradicts itself, its keyframes are a set.
+
+    Raises:
+        MappingFailed: neither way places enough, or two reconstructions contradict each other.
+    """
+    found: Reconstruction | None = None
+    failure = MappingFailed("No two pictures overlap enough.", ADVICE)
+    try:
+        found = solve_from_pictures(sights, camera, evidence, waypoints, reason, steps)
+        steps.step(0.95, 0.99, "checked by a second reconstruction")
+        found = replace(found, agreement=_agreement(found, sights))
+    except MappingFailed as error:
+        failure = error
+    contradicted = found is not None and found.agreement is not None and found.agreement.contradicts
+    if found is not None and not contradicted and found.placed.mean() >= _WELL_PLACED:
+        return found
+    as_set = replace(sights, is_film=False)
+    try:
+        evidence = gather_evidence(as_set, camera, None, silent)
+        other = solve_from_set(as_set, camera, evidence, waypoints, reason, steps)
+    except MappingFailed as error:
+        if found is None or contradicted:
+            raise (failure if found is None else error) from None
+        return found
+    better = found is None or contradicted or other.placed.sum() > found.placed.sum()
+    return replace(other, note=_AS_SET) if better or found is None else found
 
 
 def _agreement(found: Reconstruction, sights: Sights) -> Agreement:

@@ -48,7 +48,6 @@ _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictu
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
-_CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
 _LOOSE = 0.1  # of the extent, by which poses are uncertain that nothing confirms, for them to be worth nothing
 
 
@@ -107,7 +106,7 @@ def solve_from_set(
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
     best = _most_confirmed(parts, len(sights.rows))
     agreement, other = _best_agreement(best, parts)
-    if agreement is not None and agreement.distance > _CONTRADICTION:
+    if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
     part, evidence = _refined(best, sights, camera, evidence, progress)
     found = _finished(sights, evidence, part, waypoints, reason, progress)
@@ -191,13 +190,19 @@ def _refined(
 
 
 def _fitting(part: _Part, sights: Sights, camera: Camera, evidence: Evidence) -> list[VerifiedPair]:
-    """Weak pairs that the part's poses fit, of pictures as near to each other as clear pairs are; and all others of
-    pictures that it has not."""
+    """Weak pairs that may show the same place as the part does.
+
+    Of two pictures of the part, those that its poses fit, as near to each other as clear pairs are. Of a picture that
+    it has not, those beside a clear pair with the part: what else looks alike has better matches where it belongs.
+    """
     count = len(sights.rows)
     T = np.full((count, 4, 4), np.nan)
     T[part.members] = part.adjusted.state.T_map_camera
-    reach = np.zeros(count)
+    reach, beside = np.zeros(count), np.zeros(count, dtype=np.bool_)
+    placed = np.isfinite(T[:, 0, 0])
     for pair in evidence.sequential:
+        beside[pair.first] |= placed[pair.second]
+        beside[pair.second] |= placed[pair.first]
         apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
         for k in (pair.first, pair.second):
             reach[k] = np.fmax(reach[k], apart)
@@ -207,7 +212,7 @@ def _fitting(part: _Part, sights: Sights, camera: Camera, evidence: Evidence) ->
         T_second_map, T_map_first = np.linalg.inv(T[pair.second]), T[pair.first]
         apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
         if np.isnan(apart):
-            found.append(pair)
+            found += [pair] if beside[pair.first] and beside[pair.second] else []
         elif apart <= max(reach[pair.first], reach[pair.second]):
             a, b = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
             if float(np.median(epipolar_errors(T_second_map @ T_map_first, a, b))) <= _FITTING:

@@ -86,6 +86,7 @@ class Reconstruction:
         loops: number of loop closures.
         median_depth: of the points in the cameras that see them, in the map's unit.
         agreement: with a second reconstruction, if there is no IMU to check the pictures.
+        note: one line on a fallback that was used, or empty.
     """
 
     placed: BoolArray
@@ -103,6 +104,7 @@ class Reconstruction:
     loops: int
     median_depth: float
     agreement: Agreement | None = None
+    note: str = ""
 
 
 def finished(

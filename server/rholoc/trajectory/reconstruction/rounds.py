@@ -34,11 +34,12 @@ _MODELLED_DISTORTION = 4  # coefficients of a pinhole: k1, k2, p1, p2
 
 
 class AdjustmentProgress:
-    """Reports the progress of a chain of adjustments."""
+    """Reports the progress of a chain of adjustments, which a fallback does not set back."""
 
     def __init__(self, progress: ProgressListener) -> None:
         self._progress = progress
         self._from, self._to, self._what = 0.4, 0.45, ""
+        self._done = 0.0
 
     def step(self, start: float, end: float, what: str) -> Callable[[float], None]:
         """Listener of the next adjustment, named ``what``: maps its fraction to ``start`` … ``end``."""
@@ -47,8 +48,8 @@ class AdjustmentProgress:
         return self
 
     def __call__(self, fraction: float) -> None:
-        done = self._from + (self._to - self._from) * fraction
-        self._progress(Stage.POSES, min(done, 0.99), self._what)
+        self._done = max(self._done, min(self._from + (self._to - self._from) * fraction, 0.99))
+        self._progress(Stage.POSES, self._done, self._what)
 
 
 def adjusted_in_rounds(

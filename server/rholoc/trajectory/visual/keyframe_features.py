@@ -20,9 +20,9 @@ from rholoc.trajectory.visual.keyframes import KeyframeSteps
 from rholoc.trajectory.visual.loop_candidates import MAX_EXHAUSTIVE
 
 _LONGER_SIDE_PX = 960  # larger images are reduced: more pixels cost time and place no more frames
+_FEW = 600  # features of a picture, such as of white walls, below which twice the size is searched
 _THREADS = 2
 _FEATURES, _MAX_FEATURES = 1000, 1500  # of a keyframe, and of few pictures, where they cost little and make it exact
-_EXTRACTOR = SiftExtractor(features=_FEATURES)
 
 _MAX_WAITING = 2 * _THREADS  # images in memory at a time
 
@@ -117,7 +117,15 @@ def _features_each(pictures: int) -> int:
     return round(float(np.clip(_FEATURES * np.sqrt(MAX_EXHAUSTIVE / pictures), _FEATURES, _MAX_FEATURES)))
 
 
-def _extract(image: ByteArray, extractor: Extractor = _EXTRACTOR, longest_px: int = _LONGER_SIDE_PX) -> FeatureSet:
+def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
+    """Features of an image reduced to ``longest_px``; to twice as much if they are fewer than ``_FEW``."""
+    found = _extract_reduced(image, extractor, longest_px)
+    if len(found) >= _FEW or max(image.shape[:2]) <= longest_px:
+        return found
+    return _extract_reduced(image, extractor, 2 * longest_px)
+
+
+def _extract_reduced(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
     height, width = image.shape[:2]
     longer = max(height, width)
     if longer <= longest_px:
