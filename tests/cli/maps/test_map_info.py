@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from rholoc.geometry import Camera
 from rholoc.maps import Map, save_map
 from rholoc.reports import Advice, CoachingReport, ExpectedError, MapReport, TrajectoryReport, WalkFigures
 
@@ -39,6 +40,13 @@ def test_trust_comes_first_then_the_room_and_advice_last(rholoc: Run, file: Path
     assert lines[3].startswith("room ")
     assert lines[-1] == "next time (walk): Turn more slowly: 80°/s."
     assert "report." not in printed
+
+
+def test_the_camera_is_written_for_people(rholoc: Run, hall: Map, tmp_path: Path) -> None:
+    camera = Camera(640, 480, 527.0473215906645, 527.0786450991611, 319.49999986565405, 239.5)
+    save_map(replace(hall, info=replace(hall.info, camera=camera)), tmp_path / "hall.rho")
+    printed = " ".join(rholoc("info", tmp_path / "hall.rho")[1].split())
+    assert "camera pinhole, 640×480 px, focal length 527.1 px, centre 319.5, 239.5 px" in printed
 
 
 def test_a_map_without_metres_says_so(rholoc: Run, hall: Map, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rholoc.cli.console import output, print_figures, print_json
 
 if TYPE_CHECKING:
+    from rholoc.geometry import Camera
     from rholoc.maps import Map, MapInfo
     from rholoc.maps.info import Source
 
@@ -62,7 +63,7 @@ def map_page(map_: Map, path: Path) -> dict[str, str]:
         "contents": f"{len(map_)} landmarks, {len(map_.views)} views, {path.stat().st_size / 1000:.0f} kB",
         "landmarks": _landmarks(info),
         "method": f"{info.features} features, {info.density} densities",
-        "camera": f"{info.camera.width}×{info.camera.height} px, {info.camera.to_text()}",
+        "camera": _camera(info.camera),
         "version": f"{info.version}, made {info.created}, id {info.id}",
         "recordings": "\n".join(map(_source, info.sources)),
         "waypoints": _waypoints(info),
@@ -117,6 +118,11 @@ def _landmarks(info: MapInfo) -> str:
     if sigma is None:
         return ""
     return f"known to {100 * sigma:.1f} cm (median)" if info.metric else f"known to {sigma:.3g} units (median)"
+
+
+def _camera(camera: Camera) -> str:
+    size = f"{camera.width}×{camera.height} px"
+    return f"{camera.lens}, {size}, focal length {camera.focal:.1f} px, centre {camera.cx:.1f}, {camera.cy:.1f} px"
 
 
 def _source(source: Source) -> str:
