@@ -124,6 +124,20 @@ class KnownLength:
     length_m: float
 
 
+@dataclass(frozen=True, eq=False)
+class Mounted:
+    """Two pictures that cameras of a rig took at the same moment.
+
+    Attributes:
+        first, second: the frames' numbers.
+        T_first_second: (4, 4) pose of the second camera in the first one's frame [m].
+    """
+
+    first: int
+    second: int
+    T_first_second: FloatArray
+
+
 class PoseKind(StrEnum):
     """How given poses were measured."""
 
@@ -184,6 +198,7 @@ class Recording:
         odometry: None if there is none.
         focal_px: first guess of the focal length where the intrinsics are unknown, by EXIF; or None.
         lengths: measured distances between the camera's places.
+        mounted: pairs of pictures by cameras whose mounting on a rig is known.
         warnings: its problems.
     """
 
@@ -201,4 +216,5 @@ class Recording:
     odometry: Odometry | None = None
     focal_px: float | None = None
     lengths: tuple[KnownLength, ...] = ()
+    mounted: tuple[Mounted, ...] = ()
     warnings: tuple[RecordingWarning, ...] = ()

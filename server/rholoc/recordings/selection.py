@@ -82,11 +82,13 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
             f"Its frames are {numbers[0]} to {numbers[-1]}.",
         )
     frames = SelectedFrames(recording.frames, rows)
+    chosen_numbers = set(frames.numbers.tolist())
     return replace(
         recording,
         frames=frames,
         waypoints=_waypoints_within(recording, frames),
-        lengths=tuple(one for one in recording.lengths if {one.first, one.second} <= set(frames.numbers.tolist())),
+        lengths=tuple(one for one in recording.lengths if {one.first, one.second} <= chosen_numbers),
+        mounted=tuple(one for one in recording.mounted if {one.first, one.second} <= chosen_numbers),
         poses=(
             None
             if recording.poses is None

@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed, RholocError
 from rholoc.features import FeatureSet
 from rholoc.geometry import CAMERA_WRITTEN, UP, Camera, FloatArray, IntArray, angles_between
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.recordings import Imu, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
+from rholoc.recordings import Imu, KnownLength, Mounted, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
 from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
 from rholoc.trajectory.checks.blame import LeftOut, explain
 from rholoc.trajectory.checks.gaps import describe, missing_spans
@@ -43,6 +45,7 @@ _FEWEST_GIVEN = 3
 _FEWEST_KEYFRAMES = 4
 _MAX_COMPARED = 1200  # pictures of a set, of which those least alike are used
 _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
+_MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD = 0.002, 0.002  # of cameras on a rig
 _MIN_PLACED = 0.5  # the share of a walk's keyframes that a map must have …
 _MIN_OF_SET = 0.25  # … and of a set of pictures, of which some may show another place
 _WELL_PLACED = 0.9  # and that one which is trusted has
@@ -152,7 +155,7 @@ def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show
     assert recording.poses is not None
     with KeyframeFeatures(recording.frames, (), show, recording.camera) as features:
         flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
-        rows = np.intersect1d(_chosen(flow, features), np.flatnonzero(recording.poses.known))
+        rows = np.intersect1d(_chosen(recording, flow, features), np.flatnonzero(recording.poses.known))
         _require_keyframes(rows, len(recording.frames.times))
         sights = _sights(recording, flow, rows, features.of(rows, progress))
     T = recording.poses.T_map_camera[rows]
@@ -268,7 +271,7 @@ def _visual(
     recording: Recording, method: PoseMethod, progress: ProgressListener, show: ImageListener | None
 ) -> Trajectory:
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL and recording.frames.timed else None
-    stops = _rows_at(recording.frames.times, recording.waypoints).union(*_rows_of_lengths(recording))
+    stops = _rows_at(recording.frames.times, recording.waypoints).union(*_rows_of(recording, recording.lengths))
     with KeyframeFeatures(recording.frames, stops, show, recording.camera) as features:
         flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
         rows, choices = _keyframes(recording, imu, flow, features)
@@ -334,25 +337,25 @@ def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[Fea
     depth = None if recording.depth is None else recording.depth.select(rows)
     lengths = tuple(
         (int(np.searchsorted(rows, a)), int(np.searchsorted(rows, b)), one.length_m)
-        for one, (a, b) in zip(recording.lengths, _rows_of_lengths(recording), strict=True)
+        for one, (a, b) in zip(recording.lengths, _rows_of(recording, recording.lengths), strict=True)
         if np.isin((a, b), rows).all()
     )
     steps: tuple[Step, ...] = ()
     if recording.odometry is not None and flow.timed:
         moved = odometry_steps(recording.odometry, flow.times[rows])
         steps = tuple(Step(k, k + 1, T, sigma_m, sigma_rad) for k, T, sigma_m, sigma_rad in moved)
-    return Sights(
-        flow, rows, features, recording.camera, is_film(flow), shutter, depth, recording.focal_px, lengths, steps
-    )
+    for one, (a, b) in zip(recording.mounted, _rows_of(recording, recording.mounted), strict=True):
+        if np.isin((a, b), rows).all():
+            first, second = np.searchsorted(rows, (a, b)).tolist()
+            steps += (Step(first, second, one.T_first_second, _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD, True),)
+    follows = is_film(flow) and not recording.mounted
+    return Sights(flow, rows, features, recording.camera, follows, shutter, depth, recording.focal_px, lengths, steps)
 
 
-def _rows_of_lengths(recording: Recording) -> list[tuple[int, int]]:
-    """The two rows of frames that each known length lies between."""
+def _rows_of(recording: Recording, pairs: Sequence[KnownLength | Mounted]) -> list[tuple[int, int]]:
+    """The two rows of frames that each known length lies between, or each mounting."""
     numbers = recording.frames.numbers
-    return [
-        (int(np.searchsorted(numbers, one.first)), int(np.searchsorted(numbers, one.second)))
-        for one in recording.lengths
-    ]
+    return [(int(np.searchsorted(numbers, one.first)), int(np.searchsorted(numbers, one.second))) for one in pairs]
 
 
 def _keyframes(
@@ -365,8 +368,10 @@ def _keyframes(
     choices = [recording.waypoints]
     if not times_are_known(recording.waypoints):
         choices = list(choices_of_pauses(recording.waypoints, find_pauses(flow.times, flow.motion, imu)))
-    stops = set().union(*(_rows_at(flow.times, waypoints) for waypoints in choices), *_rows_of_lengths(recording))
-    rows = np.union1d(_chosen(flow, features), np.array(sorted(stops), dtype=np.int64))
+    stops = set().union(
+        *(_rows_at(flow.times, waypoints) for waypoints in choices), *_rows_of(recording, recording.lengths)
+    )
+    rows = np.union1d(_chosen(recording, flow, features), np.array(sorted(stops), dtype=np.int64))
     _require_keyframes(rows, len(flow.times))
     return rows, choices
 
@@ -381,11 +386,14 @@ def _require_keyframes(rows: IntArray, frames: int) -> None:
         raise MappingFailed("The camera hardly moves in this recording.", _MOVE)
 
 
-def _chosen(flow: Flow, features: KeyframeFeatures | None) -> IntArray:
+def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None) -> IntArray:
     """Keyframes of a film at steps of image motion; of a set all pictures up to ``MAX_PICTURES``, else the least alike.
 
-    Without ``features``, or of more than ``_MAX_COMPARED`` pictures, they are chosen at even steps.
+    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than ``_MAX_COMPARED`` pictures,
+    they are chosen at even steps.
     """
+    if recording.mounted:
+        return _chosen_moments(len(flow.times), _rows_of(recording, recording.mounted))
     if is_film(flow):
         return choose_keyframes(flow.times, flow.motion, flow.sharpness, flow.timed)
     rows: IntArray = np.arange(len(flow.times))
@@ -395,6 +403,19 @@ def _chosen(flow: Flow, features: KeyframeFeatures | None) -> IntArray:
     if features is None:
         return rows
     return rows[least_alike(features.of(rows), flow.sharpness[rows], MAX_PICTURES)]
+
+
+def _chosen_moments(count: int, pairs: Sequence[tuple[int, int]]) -> IntArray:
+    """All of ``count`` pictures up to ``MAX_PICTURES``, else those of moments at even steps.
+
+    Args:
+        count: number of pictures.
+        pairs: rows of two pictures of the same moment.
+    """
+    graph = coo_matrix((np.ones(len(pairs)), np.array(pairs).T), shape=(count, count))
+    moments, moment = connected_components(graph, directed=False)
+    kept = _evenly(np.arange(moments), MAX_PICTURES // int(np.bincount(moment).max()))
+    return np.flatnonzero(np.isin(moment, kept)) if count > MAX_PICTURES else np.arange(count)
 
 
 def _evenly(rows: IntArray, count: int) -> IntArray:

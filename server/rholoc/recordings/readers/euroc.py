@@ -8,11 +8,14 @@
     mav0/imu0/sensor.yaml   T_BS
     mav0/state_groundtruth_estimate0/data.csv    #timestamp, p_RS_R_x [m],…,q_RS_w [],…    of the body
 
-``groundtruth_cam0.txt`` instead holds time [ns], x, y, z, qx, qy, qz, qw of cam0 itself. Other cameras are ignored.
+``groundtruth_cam0.txt`` instead holds time [ns], x, y, z, qx, qy, qz, qw of cam0 itself. Pictures of cam1, laid out
+likewise, are read where there is neither an IMU nor ground truth and both files state T_BS: a rig, whose times are not
+used. Other cameras are ignored.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +25,9 @@ import yaml
 from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.readers._frames import listed_file, timed_images
+from rholoc.recordings.readers._frames import listed_file, timed_images, untimed_images
 from rholoc.recordings.readers._lenses import unsupported
+from rholoc.recordings.readers._rigs import mounted_frames
 from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text, shortened
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
@@ -33,11 +37,14 @@ from rholoc.reports import RecordingWarning
 TABLES = (
     "*cam0/data.csv",
     "*cam0/sensor.yaml",
+    "*cam1/data.csv",
+    "*cam1/sensor.yaml",
     "*imu0/data.csv",
     "*imu0/sensor.yaml",
     "*state_groundtruth_estimate0/*",
     "groundtruth_cam0.txt",
 )
+_RIG = ("cam0", "cam1")
 _GYROSCOPE = tuple(f"w_rs_s_{axis}" for axis in "xyz")
 _ACCELEROMETER = tuple(f"a_rs_s_{axis}" for axis in "xyz")
 _BODY_POSE = ("p_rs_r_x", "p_rs_r_y", "p_rs_r_z", "q_rs_x", "q_rs_y", "q_rs_z", "q_rs_w")
@@ -71,16 +78,45 @@ def read(folder: Path) -> Recording:
     camera, camera_warnings = _camera(sensor, timed.frames.size)
     T_body_camera = _body(sensor)
     imu, imu_warnings = _imu(root / "imu0", T_body_camera)
+    poses = _poses(root, T_body_camera, timed.frames)
+    if imu is None and poses is None and (rig := _rig(root, camera)) is not None:
+        return replace(rig, name=folder.resolve().name, path=folder)
     return Recording(
         name=folder.resolve().name,
         path=folder,
         frames=timed.frames,
         camera=camera,
         imu=imu,
-        poses=_poses(root, T_body_camera, timed.frames),
+        poses=poses,
         format=RecordingFormat.EUROC,
         warnings=(*unit_warnings, *timed.warnings, *camera_warnings, *imu_warnings),
     )
+
+
+def _rig(root: Path, first: Camera | None) -> Recording | None:
+    """Pictures of cam0 and cam1, linked where they are of one moment; None unless both are calibrated and mounted."""
+    paths: list[Path] = []
+    moments: list[float] = []
+    cameras: list[Camera] = []
+    mountings: list[FloatArray | None] = []
+    for name in _RIG:
+        if not has_columns(root / name / "data.csv", ("timestamp", "filename")):
+            return None
+        table, sensor = read_logged_table(root / name / "data.csv"), _sensor(root / name / "sensor.yaml")
+        T_body_camera = _body(sensor)
+        listed = [listed_file(root / name / "data", one) for one in table.text("filename")]
+        camera = first if name == _RIG[0] else _camera(sensor, (first.width, first.height) if first else (0, 0))[0]
+        if camera is None or T_body_camera is None:
+            return None
+        paths += listed
+        moments += table.named("timestamp")[:, 0].tolist()
+        cameras += [camera] * len(listed)
+        mountings += [T_body_camera] * len(listed)
+    timed = untimed_images(paths, cameras)
+    mounted = mounted_frames(timed, moments, mountings)
+    if not mounted:
+        return None
+    return Recording("", root, timed.frames, timed.camera, format=RecordingFormat.EUROC, mounted=mounted)
 
 
 def _root(folder: Path) -> Path:

@@ -10,8 +10,9 @@
     sensors/records_gyroscope.txt      timestamp, sensor_id, x, y, z                             optional
 
 Trajectories take the world to the sensor or rig, rigs take the rig to the sensor. The unit of time is not stated;
-timestamps that only count have none. Of several cameras with times, the one with most pictures is taken; without
-times, all pictures are. The unit of length is not stated.
+timestamps that only count have none. Of several cameras with times, the one with most pictures is taken, unless they
+are mounted on a rig and there is no IMU; without times, all pictures are. The unit of poses is not stated, rigs are in
+metres.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import TimedFrames, listed_file, timed_images, untimed_images
 from rholoc.recordings.readers._lenses import camera_of_model, unsupported
+from rholoc.recordings.readers._rigs import mounted_frames
 from rholoc.recordings.readers.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text
@@ -55,20 +57,30 @@ def read(folder: Path) -> Recording:
     known = read_cameras(tables / "sensors.txt")
     stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
     is_timed = bool(np.any(np.diff(np.unique(stamps)) != 1))
-    if is_timed and len({sensor for _, sensor, _ in records}) > 1:
+    rigs = _pose_table(tables / "rigs.txt") if (tables / "rigs.txt").is_file() else {}
+    imu = _imu(tables) if is_timed else None
+    sensors = {sensor for _, sensor, _ in records}
+    if imu is None and len({sensor for _, sensor in rigs} & sensors) > 1:
+        is_timed = False
+    elif is_timed and len(sensors) > 1:
         most = Counter(sensor for _, sensor, _ in records).most_common(1)[0][0]
         records = [one for one in records if one[1] == most]
         stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
     paths = [listed_file(tables / "records_data", path) for _, _, path in records]
     cameras, warnings = _cameras(known, [sensor for _, sensor, _ in records])
     timed, unit_warnings = _frames(paths, stamps if is_timed else None, cameras)
+    taken = [(stamp, sensor) for stamp, sensor, _ in records]
+    mountings = _mountings(taken, rigs)
+    moments = [(stamp, None if one is None else one[0]) for (stamp, _), one in zip(taken, mountings, strict=True)]
+    T_rig_cameras = [None if one is None else one[1] for one in mountings]
     return Recording(
         name=folder.resolve().name,
         path=folder,
         frames=timed.frames,
         camera=timed.camera,
-        imu=_imu(tables) if is_timed else None,
-        poses=_poses(tables, [records[row][:2] for row in timed.rows]),
+        imu=imu,
+        poses=_poses(tables, [taken[row] for row in timed.rows], rigs),
+        mounted=() if is_timed else mounted_frames(timed, moments, T_rig_cameras),
         format=RecordingFormat.KAPTURE,
         warnings=(*unit_warnings, *timed.warnings, *warnings, SCALE_WARNING),
     )
@@ -153,13 +165,18 @@ def _imu(tables: Path) -> Imu | None:
     return normalise_imu(samples[0], samples[1], ImuConvention(time_unit="ns"))[0]
 
 
-def _poses(tables: Path, records: Sequence[tuple[str, str]]) -> GivenPoses | None:
+def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[str, FloatArray] | None]:
+    """The rig of each picture's sensor, and T_rig_sensor (4, 4); None for sensors without a rig."""
+    of_sensor = {sensor: (rig, np.linalg.inv(T_sensor_rig)) for (rig, sensor), T_sensor_rig in rigs.items()}
+    return [of_sensor.get(sensor) for _, sensor in records]
+
+
+def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> GivenPoses | None:
     """T_world_camera of each picture, by its own trajectory or by its rig's."""
     path = tables / "trajectories.txt"
     if not path.is_file():
         return None
     placed = _pose_table(path)
-    rigs = _pose_table(tables / "rigs.txt") if (tables / "rigs.txt").is_file() else {}
     T = np.full((len(records), 4, 4), np.nan)
     for row, (stamp, sensor) in enumerate(records):
         found = placed.get((stamp, sensor))

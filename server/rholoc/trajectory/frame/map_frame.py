@@ -32,12 +32,14 @@ class ScaleSource(StrEnum):
     DEPTH = "Depth pictures"
     LENGTH = "A known length"
     ODOMETRY = "Odometry"
+    MOUNTING = "The mounting of the cameras"
 
 
 _WHY_OPEN = {
     ScaleSource.ACCELEROMETER: "the camera hardly sped up or slowed down. Start and stop more often.",
     ScaleSource.DEPTH: "they contradict the pictures. Check their unit, and that each belongs to its picture.",
     ScaleSource.ODOMETRY: "it contradicts the pictures. Check its unit, its axes and its clock.",
+    ScaleSource.MOUNTING: "it contradicts the pictures. Check its unit and its direction, and that clocks agree.",
     ScaleSource.LENGTH: "it is too short for the reconstruction. Measure one between places that are further apart.",
 }
 

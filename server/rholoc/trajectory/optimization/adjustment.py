@@ -102,13 +102,14 @@ class Fix:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A relative pose of two keyframes, measured by a tracker (ARKit) or wheels.
+    """A relative pose of two keyframes, measured by a tracker (ARKit), by wheels, or by how a rig is built.
 
     Attributes:
         first, second: keyframe numbers.
         T_first_second: (4, 4).
         sigma_m: of each coordinate.
         sigma_rad: of the rotation about each axis.
+        is_mounting: whether both are of one moment, by cameras of a rig.
     """
 
     first: int
@@ -116,6 +117,7 @@ class Step:
     T_first_second: FloatArray
     sigma_m: float
     sigma_rad: float
+    is_mounting: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,8 @@ _SENSOR_SIGMA = 0.01  # scale error of depth cameras
 _MIN_STEPS = 5
 _MIN_STEP = 0.2  # of the mean step's length, below which a step says little
 _MAX_STEP_MISFIT = 0.15  # as _MAX_MISFIT, of odometry
-_ODOMETRY_SIGMA = 0.01  # scale error of wheels and trackers
+_MAX_STEP_ASIDE = 0.5  # median deviation of a step's end, as a share of its length
+_ODOMETRY_SIGMA = 0.01  # scale error of wheels, trackers and mountings
 _MAD_TO_SIGMA = 1.4826
 _MEDIAN_TO_MEAN = 1.2533  # standard deviation of a median relative to that of a mean
 
@@ -103,18 +104,26 @@ def scaled_by_steps(steps: Sequence[Step], adjusted: Adjusted) -> State | None:
 
 
 def scale_by_steps(steps: Sequence[Step], adjusted: Adjusted) -> ScaleMeasurement | None:
-    """Median ratio of measured steps to those of a reconstruction; None where too few are long enough."""
-    positions = adjusted.state.positions
+    """Median ratio of measured steps to those of a reconstruction; None where too few are long enough.
+
+    Steps of other lengths or directions than the reconstruction's do not fix its scale.
+    """
+    T, positions = adjusted.state.T_map_camera, adjusted.state.positions
+    source = ScaleSource.MOUNTING if all(step.is_mounting for step in steps) else ScaleSource.ODOMETRY
     measured = np.array([np.linalg.norm(step.T_first_second[:3, 3]) for step in steps])
     found = np.array([np.linalg.norm(positions[step.second] - positions[step.first]) for step in steps])
     long = (measured > _MIN_STEP * measured.mean()) & (found > 0) if steps else np.zeros(0, dtype=np.bool_)
     if long.sum() < _MIN_STEPS:
         return None
     ratio, misfit = _median(measured[long] / found[long])
-    if misfit > _MAX_STEP_MISFIT:
-        return ScaleMeasurement(ScaleSource.ODOMETRY, ratio, np.inf)
+    ends = [
+        (step.first, step.second, step.T_first_second[:3, 3]) for step, used in zip(steps, long, strict=True) if used
+    ]
+    aside = [np.linalg.norm(ratio * T[a, :3, :3].T @ (positions[b] - positions[a]) - there) for a, b, there in ends]
+    if misfit > _MAX_STEP_MISFIT or float(np.median(aside / measured[long])) > _MAX_STEP_ASIDE:
+        return ScaleMeasurement(source, ratio, np.inf)
     sigma = _MEDIAN_TO_MEAN * _MAD_TO_SIGMA * misfit / np.sqrt(long.sum())
-    return ScaleMeasurement(ScaleSource.ODOMETRY, ratio, float(np.hypot(sigma, _ODOMETRY_SIGMA)))
+    return ScaleMeasurement(source, ratio, float(np.hypot(sigma, _ODOMETRY_SIGMA)))
 
 
 def _in_metres(state: State, scale: ScaleMeasurement) -> State:

@@ -45,7 +45,7 @@ class Sights:
         depth: depth pictures of the keyframes, or None.
         focal_px: first guess of the focal length where the intrinsics are unknown; or None.
         lengths: measured distances [m] between two keyframes each.
-        steps: measured by odometry, each from a keyframe to the next.
+        steps: measured by odometry, each from a keyframe to the next, or between keyframes of one moment by a rig.
     """
 
     flow: Flow
