@@ -30,7 +30,7 @@ from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import Optimum, ascend, upright
 from rholoc.localization.pose.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
 from rholoc.localization.pose.modes import is_seen_from_afar, poses_on_arcs
-from rholoc.localization.pose.ransac import exceeds_chance, lo_ransac
+from rholoc.localization.pose.ransac import credible_pose
 from rholoc.localization.pose.rematching import SEARCH_RADII_PX, Verified, evidence_of, verify
 from rholoc.localization.pose.rivals import rival_seeds
 from rholoc.localization.pose.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
@@ -54,7 +54,7 @@ _FEW_FEATURES = 40
 _MAX_GRAVITY_ERROR_RAD = np.deg2rad(10.0)
 _MAX_UPRIGHT_ROLL_RAD = np.deg2rad(15.0)
 _ROUNDS = 2  # of matching again around a pose that is not known exactly
-_DIAGNOSTIC_SAMPLES = 300  # of each focal length: a cause is only named where many matches agree
+_DIAGNOSTIC_MATCHES, _DIAGNOSTIC_SAMPLES = 100, 100  # the likeliest; a cause is only named where many agree
 _TRACKING_RADIUS_PX = 14.0  # around a prior: as far as a tracker's are off. Pairs, and time, grow with the square
 
 
@@ -228,7 +228,7 @@ class Localizer:
         if query.intrinsics is Intrinsics.UNKNOWN:
             query = replace(query, camera=best.camera)
             rays = best.camera.rays(query.features.pixels)
-        for seed in rival_seeds(self.index, search.nearest, query, rays, best.verified):
+        for seed in rival_seeds(self.index, search.nearest, query, best.verified):
             watch.lap("seed")
             search.add(self._candidate_at(seed, query, rays, watch))
         watch.lap("seed")
@@ -237,11 +237,12 @@ class Localizer:
         """Iterate over candidates from one place, cheapest search first."""
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN:
-            yield from self._look_with_any_focal(place, query, self.options.ransac_samples[0], watch)
+            matches = self.index.match_within(query.features, place.landmarks)
+            watch.lap("match")
+            yield from self._look_with_any_focal(matches, query, self.options.ransac_samples[0], watch)
             return
         if search.everywhere is not None:
-            in_place = np.isin(search.everywhere.landmarks, place.landmarks)
-            yield self._glance(search.everywhere.take(np.flatnonzero(in_place)), query, rays, watch)
+            yield self._glance(search.everywhere.among(place.landmarks), query, rays, watch)
         else:
             near = self.index.match_within(query.features, place.landmarks, some=query.features.sample)
             watch.lap("match")
@@ -254,7 +255,7 @@ class Localizer:
 
     def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: Stopwatch) -> Found | None:
         """Candidate from one LO-RANSAC over all matches, which suffices for most frames."""
-        seed = self._ransac_seed(matches, query, rays)
+        seed = self._ransac_seed(matches, query)
         watch.lap("seed")
         return None if seed is None else self._candidate_at(seed, query, rays, watch, matches)
 
@@ -304,7 +305,7 @@ class Localizer:
         """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density."""
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
-        seed = self._ransac_seed(matches, query, rays)
+        seed = self._ransac_seed(matches, query)
         watch.lap("seed")
         if seed is None:
             yield None
@@ -322,16 +323,10 @@ class Localizer:
         if other is not None and (optimum is None or other.value > optimum.value):
             yield self._candidate_at(other.T_map_camera, query, rays, watch, matches)
 
-    def _ransac_seed(self, matches: Matches, query: Query, rays: FloatArray) -> FloatArray | None:
-        ordered = matches.likeliest_first()
-        found = lo_ransac(
-            rays[ordered.detections],
-            self.index.landmarks[ordered.landmarks],
-            query.camera.focal,
-            self.options.ransac_tolerance_px,
-            *self.options.ransac_samples,
-        )
-        return found[0] if found is not None and exceeds_chance(found[1], len(ordered)) else None
+    def _ransac_seed(self, matches: Matches, query: Query) -> FloatArray | None:
+        options = self.options
+        found = credible_pose(self.index, query, matches, options.ransac_tolerance_px, options.ransac_samples)
+        return None if found is None else found[0]
 
     def _climb(
         self, matches: Matches, evidence: Evidence, seeds: list[FloatArray], query: Query, watch: Stopwatch
@@ -355,10 +350,8 @@ class Localizer:
         watch.lap("verify")
         return found
 
-    def _look_with_any_focal(self, place: Place, query: Query, samples: int, watch: Stopwatch) -> Iterator[Found]:
+    def _look_with_any_focal(self, matches: Matches, query: Query, samples: int, watch: Stopwatch) -> Iterator[Found]:
         """As :meth:`_look_closely`, with the focal length estimated along with the pose."""
-        matches = self.index.match_within(query.features, place.landmarks)
-        watch.lap("match")
         seed = focal_seed(self.index, matches, query, samples)
         watch.lap("seed")
         if seed is None:
@@ -431,8 +424,9 @@ class Localizer:
             return self._diagnose_picture(query, answer)
         if refused is not None and refused.focal.belief < self.min_recognized <= refused.if_focal_right.recognized:
             return wrong_camera(query.camera.focal, refused.focal.focal_px)
-        if search.place is not None:
-            for refocused in self._look_with_any_focal(search.place, freed, _DIAGNOSTIC_SAMPLES, watch):
+        if search.place is not None and search.everywhere is not None:
+            matches = search.everywhere.among(search.place.landmarks).likeliest_first(_DIAGNOSTIC_MATCHES)
+            for refocused in self._look_with_any_focal(matches, freed, _DIAGNOSTIC_SAMPLES, watch):
                 if refocused.belief.confidence >= self.options.conclusive:
                     return wrong_camera(query.camera.focal, refocused.focal.focal_px)
         return self._diagnose_picture(query, answer)

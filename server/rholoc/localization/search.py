@@ -14,7 +14,7 @@ from rholoc.localization.belief.confidence import MIN_RECOGNIZED
 from rholoc.localization.index.map_error import worst_sigma
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.pose.focal import FocalEstimate
-from rholoc.localization.pose.modes import are_distinct, spread_of_modes
+from rholoc.localization.pose.modes import are_distinct, is_seen_from_afar, spread_of_modes
 from rholoc.localization.pose.rematching import Verified
 from rholoc.localization.pose.rivals import are_rivals, shares
 from rholoc.localization.pose.seeds import Place
@@ -184,8 +184,9 @@ class Search:
         )
 
     def is_settled(self, max_sigma_m: float) -> bool:
-        """Whether the position of the likeliest candidate is known exactly enough."""
-        return self.likeliest is not None and self.likeliest.sigma_m <= max_sigma_m
+        """Whether the likeliest candidate's position is known exactly enough, and other modes are improbable."""
+        best = self.likeliest
+        return best is not None and best.sigma_m <= max_sigma_m and not is_seen_from_afar(best.verified)
 
     def is_hopeless(self, options: SearchOptions) -> bool:
         """Whether enough was looked at without any chance of the right place."""

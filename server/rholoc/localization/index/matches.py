@@ -35,9 +35,13 @@ class Matches:
         """Matches in the rows ``index``, in that order."""
         return Matches(self.detections[index], self.landmarks[index], self.chances[index])
 
-    def likeliest_first(self) -> Matches:
-        """Matches sorted by descending probability."""
-        return self.take(np.argsort(-self.chances, kind="stable"))
+    def among(self, landmarks: IntArray) -> Matches:
+        """Matches with the given landmarks (P,)."""
+        return self.take(np.flatnonzero(np.isin(self.landmarks, landmarks)))
+
+    def likeliest_first(self, most: int | None = None) -> Matches:
+        """Matches sorted by descending probability; the first ``most`` of them, if given."""
+        return self.take(np.argsort(-self.chances, kind="stable")[:most])
 
     @classmethod
     def none(cls) -> Matches:

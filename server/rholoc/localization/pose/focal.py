@@ -19,7 +19,7 @@ from rholoc.localization.index.map_error import PLACE_M, RIGHT_M, worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import ascend_with_focal, focal_sigma, freed_focal, information_at
-from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.ransac import credible_pose
 from rholoc.localization.pose.rematching import ENOUGH_MATCHES, Verified, evidence_of, verify
 from rholoc.localization.types import Query
 
@@ -40,7 +40,7 @@ _OFF_SIGMAS, _DOUBT = (0.8, 1.2, 4.0), (0.0, 0.8, 1.0)
 _FITTING_M, _FITTING_NATS = 0.015, 0.5  # what a free focal length changes at most where the one in use is right
 _GUESSES = tuple(0.5 * 1.17**step for step in range(10))  # focal lengths to try, as shares of the longer side
 _GUESS_TOLERANCE_SHARE = 0.02  # of the longer side: a guess may be off by half a step
-_MIN_MATCHES = 8
+_MIN_MATCHES, _MIN_SAMPLES = 8, 50
 
 
 @dataclass(frozen=True)
@@ -195,18 +195,12 @@ def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) ->
     Returns:
         None if too few matches agree with any focal length.
     """
-    if len(matches) < _MIN_MATCHES:
-        return None
-    matches, camera = matches.likeliest_first(), query.camera
-    pixels = query.features.pixels[matches.detections]
-    longer = max(camera.width, camera.height)
-    tolerance_px = _GUESS_TOLERANCE_SHARE * longer
+    camera, longer = query.camera, max(query.camera.width, query.camera.height)
     best: tuple[int, FloatArray, Camera] | None = None
     for share in _GUESSES:
         guess = camera.zoomed(share * longer / camera.focal)
-        found = lo_ransac(
-            guess.rays(pixels), index.landmarks[matches.landmarks], guess.focal, tolerance_px, samples, 50
-        )
+        asked = replace(query, camera=guess)
+        found = credible_pose(index, asked, matches, _GUESS_TOLERANCE_SHARE * longer, (samples, _MIN_SAMPLES))
         if found is not None and (best is None or found[1] > best[0]):
             best = found[1], found[0], guess
     return None if best is None or best[0] < _MIN_MATCHES else best[1:]

@@ -6,6 +6,10 @@ import numpy as np
 
 from rholoc.geometry import FloatArray
 from rholoc.geometry.resection import resected
+from rholoc.localization.index.map_index import MapIndex
+from rholoc.localization.index.matches import Matches
+from rholoc.localization.pose.patch_evidence import patch_log_odds
+from rholoc.localization.types import Query
 
 _MIN_MATCHES = 4
 _FEWEST_INLIERS, _CHANCE_SHARE = 4, 1 / 80
@@ -49,6 +53,28 @@ def lo_ransac(
     return (T_map_camera, agreeing) if agreeing >= _MIN_MATCHES and np.isfinite(T_map_camera).all() else None
 
 
-def exceeds_chance(inliers: int, matches: int) -> bool:
-    """Whether more of so many matches agree on a pose than agree on the best of many poses in another room."""
-    return inliers >= _FEWEST_INLIERS + _CHANCE_SHARE * matches
+def credible_pose(
+    index: MapIndex, query: Query, matches: Matches, tolerance_px: float, samples: tuple[int, int]
+) -> tuple[FloatArray, int] | None:
+    """Absolute pose (4, 4) of a query by LO-RANSAC, and the number of its inliers. None if chance explains them.
+
+    Chance explains inliers that are no more than agree on the best of many poses in another room, and inliers whose
+    orientations and sizes are likelier for false matches than for true ones.
+
+    Args:
+        index: index of the map.
+        query: the frame.
+        matches: matches of its features.
+        tolerance_px: maximum reprojection error of an inlier.
+        samples: maximum and minimum number of samples.
+    """
+    matches, camera = matches.likeliest_first(), query.camera
+    pixels, points = query.features.pixels[matches.detections], index.landmarks[matches.landmarks]
+    found = lo_ransac(camera.rays(pixels), points, camera.focal, tolerance_px, *samples)
+    if found is None or found[1] < _FEWEST_INLIERS + _CHANCE_SHARE * len(matches):
+        return None
+    T = found[0]
+    off_px = np.linalg.norm(camera.project((points - T[:3, 3]) @ T[:3, :3]) - pixels, axis=1)
+    inliers = matches.take(np.flatnonzero(off_px <= tolerance_px))
+    log_odds = patch_log_odds(index.map, query.features, camera, T, inliers.detections, inliers.landmarks)
+    return None if np.nansum(log_odds) < 0 else found

@@ -16,7 +16,7 @@ from rholoc.geometry import FloatArray
 from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
-from rholoc.localization.pose.ransac import lo_ransac
+from rholoc.localization.pose.ransac import credible_pose
 from rholoc.localization.pose.rematching import Verified
 from rholoc.localization.pose.seeds import places_by_votes
 from rholoc.localization.types import Query
@@ -33,7 +33,7 @@ _TELLING_NATS = 12.0  # by which much more support one of two poses is twice as 
 
 
 def rival_seeds(
-    index: MapIndex, nearest: NearestLandmarks, query: Query, rays: FloatArray, found: Verified
+    index: MapIndex, nearest: NearestLandmarks, query: Query, found: Verified
 ) -> Iterator[FloatArray]:
     """Iterate over poses (4, 4) that unexplained matches agree with, most voted place first."""
     looked_at = len(nearest) / max(len(query.features), 1)  # a share of the features
@@ -41,8 +41,7 @@ def rival_seeds(
     for some in unexplained_by_place(index, nearest, query, found):
         if len(some) < fewest:
             continue
-        landmarks = index.landmarks[some.landmarks]
-        seed = lo_ransac(rays[some.detections], landmarks, query.camera.focal, _TOLERANCE_PX, *_SAMPLES)
+        seed = credible_pose(index, query, some, _TOLERANCE_PX, _SAMPLES)
         if seed is not None and seed[1] >= fewest:
             yield seed[0]
 
