@@ -98,7 +98,7 @@ def test_a_region_a_piece_of_the_walk_and_names(desk_browser, service, hall, ope
         door = hall()["names"]["points"][0]
         assert (door["position"][2], door["kind"]) == (0, "way out")
         assert door["fields"] == {"width_m": 0.9, "owner": "Ada", "open": True}
-        expect(page.locator("section li", has_text="door")).to_contain_text("way out, width_m: 0.9, owner: Ada")
+        expect(page.locator("section li", has_text="door")).to_contain_text("way out, open: true, owner: Ada, width_m: 0.9")
         page.locator("section li", has_text="kitchen").get_by_role("button", name="Delete").click()
         expect(page.locator("section li", has_text="kitchen")).to_have_count(0)
         assert hall()["names"]["areas"] == []
@@ -174,7 +174,7 @@ def test_names_leave_and_come_as_geojson(desk_browser, service, hall, opened, se
         saved["features"][0]["properties"]["name"] = "berth"
         (tmp_path / "names.geojson").write_text(json.dumps(saved))
         page.get_by_text("Open a file").click()
-        page.get_by_label("File", exact=True).set_input_files(tmp_path / "names.geojson")
+        page.locator("details input[type=file]").set_input_files(tmp_path / "names.geojson")
         page.get_by_role("button", name="Open", exact=True).click()
         expect(page.locator("section li", has_text="berth")).to_be_visible()
         assert [one["name"] for one in hall()["names"]["points"]] == ["berth"]

@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, UnknownPicture
 from rholoc.mapping import levelled
-from rholoc.maps import Map, cloud_to_bytes, map_to_scene, room_to_bytes
+from rholoc.maps import Map, MapNames, NamedArea, NamedPoint, cloud_to_bytes, map_to_scene, room_to_bytes
 from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
 from rholoc.maps.geojson import names_to_geojson
 from rholoc.paper.landscape import presence_of
@@ -48,6 +48,19 @@ class FeatureOut(AnswerModel):
     views: list[int] = Field(description="the views that saw it, by number")
 
 
+NAMES_CONTENT: dict[str, Any] = {
+    GEOJSON: {
+        "schema": {"type": "object"},
+        "example": names_to_geojson(
+            MapNames(
+                (NamedPoint("charger", (0.2, 3.1, 0.0), "dock", {"volts": 24}),),
+                (NamedArea("kitchen", ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), "room"),),
+            ),
+            earth=None,
+        ),
+    }
+}
+"""Named points and areas as GeoJSON, for the OpenAPI document."""
 _BINARY_TYPE = "application/octet-stream"
 _PLAN_CONTENT: dict[str, Any] = {
     kind: {"schema": {"type": "object"}, "example": {"type": "FeatureCollection", "features": []}}
@@ -107,7 +120,7 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
         also={
             200: {
                 "description": "A FeatureCollection.",
-                "content": {GEOJSON: {"schema": {"type": "object"}, "example": EXAMPLES["names"]}},
+                "content": NAMES_CONTENT,
             }
         },
     ),

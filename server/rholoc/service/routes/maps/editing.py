@@ -33,6 +33,7 @@ from rholoc.service.http.openapi import BINARY, declared, request_body
 from rholoc.service.maps.corrections import CorrectionIn, corrected_map
 from rholoc.service.maps.descriptions import MapDetail
 from rholoc.service.maps.job_events import JobOut, begun
+from rholoc.service.routes.maps.contents import NAMES_CONTENT
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
@@ -94,9 +95,7 @@ async def correct_map(
 
 @router.put(
     "/{map_name}/names",
-    openapi_extra=request_body(
-        {GEOJSON: {"schema": {"type": "object"}, "example": EXAMPLES["names"]}, **_ARCHIVE_BODY}
-    ),
+    openapi_extra=request_body({**NAMES_CONTENT, **_ARCHIVE_BODY}),
     **declared(
         NEEDS_MAP,
         "Set a map's named points and areas by GeoJSON",
