@@ -98,7 +98,9 @@ def test_a_region_a_piece_of_the_walk_and_names(desk_browser, service, hall, ope
         door = hall()["names"]["points"][0]
         assert (door["position"][2], door["kind"]) == (0, "way out")
         assert door["fields"] == {"width_m": 0.9, "owner": "Ada", "open": True}
-        expect(page.locator("section li", has_text="door")).to_contain_text("way out, open: true, owner: Ada, width_m: 0.9")
+        expect(page.locator("section li", has_text="door")).to_contain_text(
+            "way out, open: true, owner: Ada, width_m: 0.9"
+        )
         page.locator("section li", has_text="kitchen").get_by_role("button", name="Delete").click()
         expect(page.locator("section li", has_text="kitchen")).to_have_count(0)
         assert hall()["names"]["areas"] == []
