@@ -33,6 +33,7 @@ from measuring import jpeg_of
 from rholoc.geometry import FloatArray
 from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.maps import map_to_bytes
+from rholoc.tracking import film_times
 from rholoc_client import Camera, Client
 from rholoc_client.models import Localization
 from rholoc_client.tracking import Tracker
@@ -136,13 +137,12 @@ def _drive(room: rooms.Room, elsewhere: rooms.Room) -> Drive:
     assert camera is not None
     assert poses is not None
     assert elsewhere.asked.poses is not None
-    strange = np.flatnonzero(elsewhere.asked.frames.times - elsewhere.asked.frames.times[0] < ELSEWHERE_S)
-    own_s = room.asked.frames.times
-    times = [elsewhere.asked.frames.times[strange], ELSEWHERE_S + own_s - own_s[0]]
+    own_s, strange_s = (film_times(one) - film_times(one)[0] for one in (room.asked, elsewhere.asked))
+    strange = np.flatnonzero(strange_s < ELSEWHERE_S)
     images = (*elsewhere.asked.frames.images(strange.tolist()), *room.asked.frames.images(range(len(own_s))))
     inside = np.arange(len(images)) >= len(strange)
     return Drive(
-        np.concatenate([times[0] - times[0][0], times[1]]),
+        np.concatenate([strange_s[strange], ELSEWHERE_S + own_s]),
         [jpeg_of(np.asarray(image)) for image in images],
         np.concatenate([elsewhere.asked.poses.T_map_camera[strange], poses.T_map_camera]),
         np.concatenate([np.zeros(len(strange), dtype=bool), poses.known]),

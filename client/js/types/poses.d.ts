@@ -47,6 +47,21 @@ export function camera(sensor: {
     cx: number;
     cy: number;
 };
+/**
+ * The intrinsics of a view's raw picture by the projection matrix of WebXR or OpenGL, for the picture with its first row at
+ * the top.
+ * @param {ArrayLike<number>} matrix sixteen numbers, column by column
+ * @param {number} width
+ * @param {number} height
+ */
+export function cameraOfProjection(matrix: ArrayLike<number>, width: number, height: number): {
+    width: number;
+    height: number;
+    fx: number;
+    fy: number;
+    cx: number;
+    cy: number;
+};
 /** The angle between two rotations, in radians. */
 export function angleBetween(A: any, B: any): number;
 /** The mean of rotations near each other: each three rows of at least three numbers, and its weight. */
