@@ -45,6 +45,7 @@ lint: $(INSTALLED) $(PAGE_TOOLS)
 
 format: $(INSTALLED) $(PAGE_TOOLS)
 	$(BIN)/python client/write_sync.py
+	$(BIN)/python client/js/write_types.py
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 	npm --prefix client run --silent format

@@ -186,6 +186,11 @@ async def _waits(send: Send, job: str) -> bool | None:
     return bool(answer.json()["state"] == "queued") if answer.is_success else None
 
 
+def collection(*features: dict[str, object]) -> dict[str, object]:
+    """A FeatureCollection of GeoJSON in the map's frame."""
+    return {"type": "FeatureCollection", "frame": "map", "features": [{"type": "Feature", **one} for one in features]}
+
+
 def good_requests(world: World) -> dict[str, list[Request]]:
     """Requests that are accepted, by the operation of OpenAPI; those of a dictionary's later entries may undo them."""
     of_map, of_recording = f"/v1/maps/{MAP}", f"/v1/recordings/{world.recording}"
@@ -204,6 +209,15 @@ def good_requests(world: World) -> dict[str, list[Request]]:
         {"kind": "walk", "first_view": 0, "last_view": 0},
     ]  # fmt: skip
     plan = {"type": "LineString", "coordinates": [[0, 0], [4, 0], [4, 3]]}
+    ring = [[0, 0], [4, 0], [4, 3], [0, 0]]
+    places = collection(
+        {"geometry": {"type": "Point", "coordinates": [1, 2, 0]}, "properties": {"name": "dock", "kind": "charger"}},
+        {"geometry": {"type": "Polygon", "coordinates": [ring]}, "properties": {"name": "hall", "seats": 4}},
+    )
+    level = collection(
+        {"id": "level", "geometry": plan, "properties": {"level_id": "level", "short_name": {"en": "1"}}}
+    )
+    imdf = {f"{kind}.geojson": json.dumps(level).encode() for kind in ("level", "unit")}
     bare = replace(upload_request(), headers=())
     keyed = {"scope": "read", "lifetime_s": 3600, "limits": {"requests_per_s": 5, "burst": 20, "maps": 10, "jobs": 2}}
     waypoints = [{"name": f"W{i}", "position": [i, i * i, 1.5], "time_s": 1000.1 + i / 10} for i in range(3)]
@@ -233,6 +247,11 @@ def good_requests(world: World) -> dict[str, list[Request]]:
         "PUT /v1/maps/{map_name}/plan": [
             request("PUT", f"{of_map}/plan", drawing(".png"), "image/png", x=1.5, y=-2, turn_deg=3, m_per_unit=0.01),
             request("PUT", f"{of_map}/plan", json.dumps(plan).encode(), "application/geo+json"),
+            request("PUT", f"{of_map}/plan", zipped(imdf), "application/zip", x=0, level="1"),
+        ],
+        "GET /v1/maps/{map_name}/names": [request("GET", f"{of_map}/names")],
+        "PUT /v1/maps/{map_name}/names": [
+            request("PUT", f"{of_map}/names", json.dumps(places).encode(), "application/geo+json"),
         ],
         "GET /v1/maps/{map_name}/plan": [request("GET", f"{of_map}/plan")],
         "DELETE /v1/maps/{map_name}/plan": [request("DELETE", f"{of_map}/plan")],

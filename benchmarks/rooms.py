@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from measuring import SHARED_DATA
-from rholoc.geometry import BoolArray, Camera, FloatArray, angles_between
+from rholoc.geometry import BoolArray, Camera, FloatArray, angles_between, interpolated_poses
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, load_map, read_trajectory_csv, save_map
 from rholoc.recordings import GivenPoses, Recording, read_image, read_recording
@@ -94,6 +94,21 @@ def half(name: str, which: int, kept: Path) -> Room:
     parts = [chosen(walk, np.flatnonzero(some)) for some in (first, ~first)]
     mapped, asked = parts[which], parts[1 - which]
     return Room(mapped, thinned(asked, HALVES_ASKED))
+
+
+def between(name: str, kept: Path) -> Room:
+    """A walk's other frames asked in the map of every second keyframe.
+
+    Poses are known at the other keyframes; between these they are interpolated.
+    """
+    whole = replace(read_recording(SHARED_DATA / name), poses=None)
+    rows, T, camera = _trajectory(whole, kept / f"{name}-trajectory.npz")
+    asked = np.setdiff1d(np.arange(rows[0], rows[-1] + 1), rows[::2])
+    times = whole.frames.times
+    poses = GivenPoses(np.isin(asked, rows), interpolated_poses(times[rows], T, times[asked]))
+    frames = SelectedFrames(whole.frames, asked)
+    others = replace(whole, camera=camera, frames=frames, poses=poses, frame_intrinsics=None)
+    return Room(_posed(whole, rows[::2], T[::2], camera), others)
 
 
 def apart(name: str, end: int, kept: Path) -> Room:
@@ -213,6 +228,12 @@ ROOMS = (
     NamedRoom("another light", "another light", "room 0", room_by_another_light),
     *(NamedRoom(f"room {seed}", f"room {seed}", f"room {seed}", partial(room, seed)) for seed in ROOM_SEEDS),
 )
+
+PLAYED = (
+    NamedRoom("kitchen", "kitchen 400", "redkitchen", partial(kitchen, "400:1000", "100:400", 1)),
+    NamedRoom("livingroom", "living room between", "android_livingroom", partial(between, "android_livingroom")),
+)
+"""Rooms that a robot drives through."""
 
 WIDE = tuple(
     NamedRoom(f"{label}, {end} end asked", f"{label} {end} end", name, partial(apart, name, number))

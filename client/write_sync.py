@@ -17,6 +17,8 @@ _NAMES = {
     "AsyncClient": "Client",
     "AsyncBaseTransport": "BaseTransport",
     "aclose": "close",
+    "aiter_lines": "iter_lines",
+    "aread": "read",
     "asyncio": "time",  # of sleep
 }
 

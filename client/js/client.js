@@ -44,8 +44,9 @@ export class Client {
    * Where a picture was taken. "No pose" is an answer, with a reason, not an error.
    * @param {string | string[]} map a map's name; several, or "all", to find it in any of them
    * @param {Blob | BufferSource} image JPEG, PNG or WebP
-   * @param {object} options as the service's: camera, prior, dof, gravity, deadline_ms, intrinsics, max_sigma_m, geopose
+   * @param {import("./types/api.d.ts").LocalizeOptions} options
    * @param {{signal?: AbortSignal}} how
+   * @returns {Promise<import("./types/api.d.ts").LocalizationOut>}
    */
   async localize(map, image, options = {}, { signal } = {}) {
     const form = new FormData();
@@ -58,17 +59,28 @@ export class Client {
     return this._json("POST", where, { body: form, signal });
   }
 
-  /** All maps. */
+  /**
+   * All maps.
+   * @returns {Promise<import("./types/api.d.ts").MapSummary[]>}
+   */
   async maps() {
     return (await this._json("GET", "v1/maps")).maps;
   }
 
-  /** One map. */
+  /**
+   * One map, with its named points and areas.
+   * @param {string} name
+   * @returns {Promise<import("./types/api.d.ts").MapDetail>}
+   */
   map(name) {
     return this._json("GET", mapPath(name));
   }
 
-  /** A job: its status, and how far it is. */
+  /**
+   * A job: its status, and how far it is.
+   * @param {string} id
+   * @returns {Promise<import("./types/api.d.ts").JobOut>}
+   */
   job(id) {
     return this._json("GET", `v1/jobs/${encodeURIComponent(id)}`);
   }

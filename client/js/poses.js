@@ -85,6 +85,24 @@ export function camera(sensor, { crop = { x: 0, y: 0, ...size(sensor) }, ...scal
   };
 }
 
+/**
+ * The intrinsics of a view's raw picture by the projection matrix of WebXR or OpenGL, for the picture with its first row at
+ * the top.
+ * @param {ArrayLike<number>} matrix sixteen numbers, column by column
+ * @param {number} width
+ * @param {number} height
+ */
+export function cameraOfProjection(matrix, width, height) {
+  return {
+    width,
+    height,
+    fx: (matrix[0] * width) / 2,
+    fy: (matrix[5] * height) / 2,
+    cx: ((1 - matrix[8]) * width) / 2 - 0.5,
+    cy: ((1 + matrix[9]) * height) / 2 - 0.5,
+  };
+}
+
 /** The angle between two rotations, in radians. */
 export function angleBetween(A, B) {
   let trace = 0;

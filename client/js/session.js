@@ -16,20 +16,22 @@ const CONTRADICTIONS = 3; // in a row, after which a place is given up
  *     });
  *     // for every frame, the pose and the picture of the same moment:
  *     session.offer({ pose: view.transform.matrix, picture: () => jpegOf(frame), camera });
- *
- * @param {(image: any, options: object) => Promise<object>} locate answers a picture, as {@link Client.localize} does
- * @param {object} options
- * @param {string} options.axes of {@link Axes}: how the session's poses are laid
- * @param {number} options.minRecognized the probability of the right place from which one answer is enough; below, two that
- *   agree
- * @param {number} options.intervalMs between questions once the place is known; a third of it before
- * @param {number} options.lostAfterMs without an answer that agrees
- * @param {(T_map_session: number[][]) => void} options.onLocalized the place is known, or known better
- * @param {() => void} options.onLost it is not known any more
- * @param {(error: Error) => void} options.onError a question failed; the next is asked as planned
- * @param {() => number} options.now milliseconds on any clock
  */
 export class MapSession {
+  /**
+   * @param {(image: any, options: import("./types/api.d.ts").LocalizeOptions) =>
+   *   Promise<import("./types/api.d.ts").LocalizationOut>} locate answers a picture, as {@link Client.localize} does
+   * @param {object} [options]
+   * @param {string} [options.axes] of {@link Axes}: how the session's poses are laid
+   * @param {number} [options.minRecognized] the probability of the right place from which one answer is enough; below, two that
+   *   agree
+   * @param {number} [options.intervalMs] between questions once the place is known; a third of it before
+   * @param {number} [options.lostAfterMs] without an answer that agrees
+   * @param {(T_map_session: number[][]) => void} [options.onLocalized] the place is known, or known better
+   * @param {() => void} [options.onLost] it is not known any more
+   * @param {(error: Error) => void} [options.onError] a question failed; the next is asked as planned
+   * @param {() => number} [options.now] milliseconds on any clock
+   */
   constructor(
     locate,
     {
@@ -60,7 +62,10 @@ export class MapSession {
     this._askedMs = -Infinity;
     this._agreedMs = -Infinity;
     this._contradicted = 0;
-    /** The session's place (4 × 4, right-handed); null while it is not known. */
+    /**
+     * The session's place (4 × 4, right-handed); null while it is not known.
+     * @type {number[][] | null}
+     */
     this.T_map_session = null;
   }
 
@@ -69,7 +74,7 @@ export class MapSession {
    * @param {object} frame
    * @param {number[][] | ArrayLike<number>} frame.pose of the camera in the session, when the picture was taken
    * @param {any} frame.picture the picture, or a function that makes it, called only where it is asked about
-   * @param {object} frame.camera its intrinsics: fx, fy, cx, cy, width, height
+   * @param {import("./types/api.d.ts").CameraChoice} frame.camera its intrinsics: fx, fy, cx, cy, width, height
    * @throws {RangeError} the pose is no rigid motion
    */
   async offer({ pose, picture, camera }) {
@@ -91,12 +96,20 @@ export class MapSession {
     return true;
   }
 
-  /** A pose of the session, by its own axes → T_map_camera; null while the place is not known. */
+  /**
+   * A pose of the session, by its own axes → T_map_camera; null while the place is not known.
+   * @param {number[][] | ArrayLike<number>} pose
+   * @returns {number[][] | null}
+   */
   inMap(pose) {
     return this.T_map_session && multiply(this.T_map_session, toOpenCV(pose, this.axes));
   }
 
-  /** A point of the map → of the session, by its own axes; null while the place is not known. */
+  /**
+   * A point of the map → of the session, by its own axes; null while the place is not known.
+   * @param {number[]} point
+   * @returns {number[] | null}
+   */
   toSession([x, y, z]) {
     if (this.T_map_session === null) return null;
     const T = inverse(this.T_map_session);

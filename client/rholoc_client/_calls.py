@@ -14,6 +14,7 @@ from urllib.parse import quote
 import httpx
 
 from rholoc_client._images import ImageLike, encoded
+from rholoc_client._plans import PlaceSource, plan_content
 from rholoc_client.errors import BY_CODE, ConnectionFailed, InvalidAnswer, ServiceError
 from rholoc_client.models import (
     Camera,
@@ -78,17 +79,22 @@ def result_of(call: Call[T], outcome: Outcome) -> T:
         InvalidAnswer: the answer is not this service's.
     """
     if isinstance(outcome, httpx.TransportError):
-        why = str(outcome) or type(outcome).__name__
-        raise ConnectionFailed(f"{outcome.request.url} did not answer: {why}.") from outcome
+        raise unreachable(outcome) from outcome
     if outcome.is_error and outcome.status_code not in call.answers:
-        raise _error(outcome)
+        raise error_of(outcome)
     try:
         return call.read(outcome)
     except (ValueError, KeyError, TypeError) as error:
         raise InvalidAnswer(f"{outcome.url} did not answer as the rholoc service does: {error!r}.") from error
 
 
-def _error(response: httpx.Response) -> ServiceError:
+def unreachable(error: httpx.TransportError) -> ConnectionFailed:
+    """The exception for a request without an answer."""
+    return ConnectionFailed(f"{error.request.url} did not answer: {str(error) or type(error).__name__}.")
+
+
+def error_of(response: httpx.Response) -> ServiceError:
+    """The exception for an answer that is an error."""
     try:
         body = response.json()
         code, message = str(body["code"]), str(body["message"])
@@ -329,6 +335,123 @@ def restore_map(name: str, number: int) -> Call[MapSummary]:
     return Call("POST", f"{_map_path(name)}/restore", _map, idempotent=False, params={"number": number})
 
 
+def put_names(name: str, source: PlaceSource, level: str | None) -> Call[MapSummary]:
+    """Set a map's named points and areas."""
+    return _put_file(f"{_map_path(name)}/names", source, {"level": level})
+
+
+def put_floor_plan(name: str, source: PlaceSource, params: Mapping[str, Any]) -> Call[MapSummary]:
+    """Keep a floor plan with a map."""
+    return _put_file(f"{_map_path(name)}/plan", source, params)
+
+
+def delete_floor_plan(name: str) -> Call[MapSummary]:
+    """Remove a map's floor plan."""
+    return Call("DELETE", f"{_map_path(name)}/plan", _map, idempotent=False)
+
+
+def landscape(name: str, image: ImageLike, camera: Camera | str | None) -> Call[dict[str, Any]]:
+    """Where a picture may have been taken."""
+    content, media_type = encoded(image)
+    options = _without_none({"camera": _chosen(camera)})
+    files = {
+        "image": ("image", content, media_type),
+        "request": ("request.json", json.dumps(options).encode(), "application/json"),
+    }
+    return Call("POST", f"{_map_path(name)}/landscape", _dict, work_s=_MINUTES_S, files=files)
+
+
+def localize_visitor(site: str, image: ImageLike, camera: Camera | None) -> Call[dict[str, Any]]:
+    """Localize a visitor's picture in a site."""
+    content, media_type = encoded(image)
+    given = _intrinsics(camera) if camera is not None else {}
+    params = {key: ",".join(map(str, value)) if key == "distortion" else value for key, value in given.items()}
+    headers = {"Content-Type": media_type}
+    path = _path("here", site, "localize")
+    return Call("POST", path, _dict, params=_without_none(params), headers=headers, content=content)
+
+
+def geopose(request: Mapping[str, Any], maps: Maps) -> Call[dict[str, Any]]:
+    """A request of OSCP's GeoPoseProtocol."""
+    kind = "application/vnd.oscp+json;version=2.0"
+    params = {"maps": maps} if isinstance(maps, str) else _several(maps)
+    headers = {"Content-Type": "application/json", "Accept": kind}
+    return Call("POST", "/geopose", _dict, params=params, headers=headers, content=json.dumps(dict(request)).encode())
+
+
+def fetch(*parts: str | int, **params: Any) -> Call[dict[str, Any]]:
+    """JSON of ``/v1/part/part…``."""
+    return Call("GET", _path(*parts), _dict, params=_without_none(params))
+
+
+def fetch_list(member: str, *parts: str | int, **params: Any) -> Call[list[dict[str, Any]]]:
+    """List of objects that is one member of the JSON of ``/v1/part/part…``."""
+    return Call("GET", _path(*parts), lambda answer: list(answer.json()[member]), params=_without_none(params))
+
+
+def fetch_bytes(*parts: str | int, **params: Any) -> Call[bytes]:
+    """Bytes of ``/v1/part/part…``."""
+    return Call("GET", _path(*parts), lambda answer: answer.content, work_s=_DRAWING_S, params=_without_none(params))
+
+
+def fetch_plain(path: str) -> Call[str]:
+    """Text of a path."""
+    return Call("GET", path, lambda answer: answer.text)
+
+
+def fetch_root(path: str) -> Call[dict[str, Any]]:
+    """JSON of a path outside ``/v1``."""
+    return Call("GET", path, _dict)
+
+
+def send(method: str, *parts: str | int, body: Mapping[str, Any] | None = None) -> Call[dict[str, Any]]:
+    """JSON that answers a change of ``/v1/part/part…``; empty where nothing is answered."""
+    headers = {} if body is None else {"Content-Type": "application/json"}
+    content = None if body is None else json.dumps(dict(body)).encode()
+    return Call(
+        method,
+        _path(*parts),
+        lambda answer: _dict(answer) if answer.content else {},
+        False,
+        headers=headers,
+        content=content,
+    )
+
+
+def delete_queries(name: str, asker: str | None) -> Call[int]:
+    """Delete a map's kept queries."""
+    path, params = f"{_map_path(name)}/learning", _without_none({"asker": asker})
+    return Call("DELETE", path, lambda answer: int(answer.json()["deleted"]), idempotent=False, params=params)
+
+
+def map_recording(recording: str, fields: Mapping[str, Any]) -> Call[Job]:
+    """Map a stored recording."""
+    return _post(f"{_recording_path(recording)}/jobs", _without_none(fields), _job)
+
+
+def draw_qr(text: str) -> Call[str]:
+    """A QR code, as SVG."""
+    return _post("/v1/qr", {"text": text}, lambda answer: answer.text)
+
+
+def upload_rules() -> Call[dict[str, str]]:
+    """What the service takes of resumable uploads."""
+    return Call("OPTIONS", "/v1/recordings", lambda answer: dict(answer.headers))
+
+
+def stream(http: httpx.Client | httpx.AsyncClient, *parts: str | int) -> dict[str, Any]:
+    """What ``http.stream`` takes for a stream of server-sent events, between which much time may pass."""
+    own = http.timeout
+    timeout = httpx.Timeout(connect=own.connect, read=None, write=own.write, pool=own.pool)
+    return {"url": _path(*parts), "headers": {"Accept": "text/event-stream"}, "timeout": timeout}
+
+
+def event_data(lines: list[str]) -> Any:
+    """The JSON of a server-sent event's lines; None if it has none."""
+    data = "\n".join(line[5:].removeprefix(" ") for line in lines if line.startswith("data:"))
+    return json.loads(data) if data else None
+
+
 def list_cameras() -> Call[list[CameraProfile]]:
     """All stored cameras."""
     return Call("GET", "/v1/cameras", lambda response: [parse_profile(one) for one in response.json()["cameras"]])
@@ -446,6 +569,20 @@ def prioritize_job(job_id: str, priority: str) -> Call[Job]:
 def readiness() -> Call[dict[str, str]]:
     """What is ready."""
     return Call("GET", "/readyz", lambda response: dict(response.json()["checks"]), answers=frozenset({503}))
+
+
+def _put_file(path: str, source: PlaceSource, params: Mapping[str, Any]) -> Call[MapSummary]:
+    content, media_type = plan_content(source)
+    headers, params = {"Content-Type": media_type}, _without_none(params)
+    return Call("PUT", path, _map, False, work_s=_MINUTES_S, params=params, headers=headers, content=content)
+
+
+def _dict(response: httpx.Response) -> dict[str, Any]:
+    return dict(response.json())
+
+
+def _path(*parts: str | int) -> str:
+    return "/".join(["/v1", *(_segment(str(part)) for part in parts)])
 
 
 def _standing(response: httpx.Response) -> Standing:

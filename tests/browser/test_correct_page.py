@@ -92,8 +92,15 @@ def test_a_region_a_piece_of_the_walk_and_names(desk_browser, service, hall, ope
         choose(page, "Name a point")
         page.locator(".plan-view").click(position={"x": 200, "y": 200})
         page.get_by_label("Name", exact=True).fill("door")
+        page.get_by_label("Kind").fill("way out")
+        page.get_by_label("More: name=value, …").fill("width_m=0.9, owner=Ada, open=true")
         apply(page)
-        assert hall()["names"]["points"][0]["position"][2] == 0
+        door = hall()["names"]["points"][0]
+        assert (door["position"][2], door["kind"]) == (0, "way out")
+        assert door["fields"] == {"width_m": 0.9, "owner": "Ada", "open": True}
+        expect(page.locator("section li", has_text="door")).to_contain_text(
+            "way out, open: true, owner: Ada, width_m: 0.9"
+        )
         page.locator("section li", has_text="kitchen").get_by_role("button", name="Delete").click()
         expect(page.locator("section li", has_text="kitchen")).to_have_count(0)
         assert hall()["names"]["areas"] == []
@@ -155,6 +162,24 @@ def test_a_map_is_laid_over_a_floor_plan(kind, desk_browser, service, hall, open
         page.wait_for_timeout(300)
         assert hall()["plan"] is None
         assert drawn.screenshot() != with_plan
+
+
+def test_names_leave_and_come_as_geojson(desk_browser, service, hall, opened, settled, tmp_path):
+    named = {"kind": "names", "points": [{"name": "dock", "kind": "charger", "position": [1, 2, 0]}]}
+    httpx.post(f"{service.url}/v1/maps/hall/corrections", json=named).raise_for_status()
+    with opened(desk_browser, service.url, "maps/hall/correct") as page:
+        settled(page)
+        with page.expect_download() as saving:
+            page.get_by_role("button", name="Save names as GeoJSON").click()
+        saved = json.loads(saving.value.path().read_text())
+        assert [one["properties"] for one in saved["features"]] == [{"name": "dock", "kind": "charger"}]
+        saved["features"][0]["properties"]["name"] = "berth"
+        (tmp_path / "names.geojson").write_text(json.dumps(saved))
+        page.get_by_text("Open a file").click()
+        page.locator("details input[type=file]").set_input_files(tmp_path / "names.geojson")
+        page.get_by_role("button", name="Open", exact=True).click()
+        expect(page.locator("section li", has_text="berth")).to_be_visible()
+        assert [one["name"] for one in hall()["names"]["points"]] == ["berth"]
 
 
 def test_what_the_server_refuses_is_said(desk_browser, service, hall, opened, settled, tmp_path):

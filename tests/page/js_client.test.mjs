@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { Axes, camera, Client, inverse, MapSession, multiply, RholocError, toOpenCV, turned } from "../../client/js/index.js";
+import { Axes, camera, cameraOfProjection, Client, inverse, MapSession, multiply, RholocError, toOpenCV, turned } from "../../client/js/index.js";
 
 const IDENTITY = [0, 1, 2, 3].map((i) => [0, 1, 2, 3].map((j) => Number(i === j)));
 const near = (A, B, within = 1e-9) =>
@@ -57,6 +57,24 @@ test("a picture that is cropped, scaled or turned shows the same rays", () => {
   near(turned(turned(turned(turned(IDENTITY, 1), 1), 1), 1), IDENTITY);
   near(turned(IDENTITY, -1), turned(IDENTITY, 3));
 });
+
+test("the intrinsics of a raw picture follow from WebXR's projection matrix", () => {
+  const [width, height, fx, fy, cx, cy, near, far] = [640, 480, 500, 510, 330.5, 231.5, 0.1, 100];
+  // OpenGL's frustum through the edges of the picture, whose pixel (0, 0) is the centre of the top-left one
+  const [left, right] = [-0.5 - cx, width - 0.5 - cx].map((u) => (u / fx) * near);
+  const [top, bottom] = [-0.5 - cy, height - 0.5 - cy].map((v) => (-v / fy) * near);
+  const rows = [
+    [(2 * near) / (right - left), 0, (right + left) / (right - left), 0],
+    [0, (2 * near) / (top - bottom), (top + bottom) / (top - bottom), 0],
+    [0, 0, -(far + near) / (far - near), (-2 * far * near) / (far - near)],
+    [0, 0, -1, 0],
+  ];
+  const found = cameraOfProjection(COLUMNS(rows), width, height);
+  near_(found, { width, height, fx, fy, cx, cy });
+});
+
+const near_ = (found, expected) =>
+  Object.entries(expected).forEach(([name, value]) => assert.ok(Math.abs(found[name] - value) < 1e-9, `${name}: ${found[name]}`));
 
 /** A walk of a session whose place is known, and answers with errors of a sigma; some are of another place. */
 async function walked(seed, { wrong = () => false, recognized = 0.95, sigmaM = 0.01, ...options } = {}) {

@@ -55,9 +55,10 @@ def test_a_picture_s_pose_moves_by_what_the_map_reports_and_back(site, picture_w
 
 def test_a_region_a_piece_of_the_walk_and_names(site):
     before = load_map(site.settings.maps_dir / "hall.rho")
-    named = {"points": [{"name": "Tür", "position": [1, 2, 0.5]}], "areas": [{"name": "Küche", "outline": SQUARE}]}
+    door = {"name": "Tür", "position": [1, 2, 0.5], "kind": "door", "fields": {"fire": True, "width_m": 0.9, "no": 3}}
+    named = {"points": [door], "areas": [{"name": "Küche", "outline": SQUARE}]}
     answer = correct(site, "hall", {"kind": "names", **named}).json()
-    assert answer["names"] == {**named, "points": [{"name": "Tür", "position": [1, 2, 0.5]}]}
+    assert answer["names"] == {"points": [door], "areas": [{**named["areas"][0], "kind": "", "fields": {}}]}
     answer = correct(site, "hall", {"kind": "walk", "first_view": 20, "last_view": 29}).json()
     assert (answer["views"], answer["corrections"][-1]["views_removed"]) == (20, 10)
     answer = correct(site, "hall", {"kind": "region", "outline": SQUARE, "keep": "inside"}).json()
@@ -91,6 +92,18 @@ def test_a_region_a_piece_of_the_walk_and_names(site):
         ("room", {"kind": "walk", "first_view": 0, "last_view": 3}, 409, "conflict"),
         ("room", {"kind": "names", "points": [{"name": "", "position": [0, 0, 0]}]}, 422, "invalid_input"),
         ("room", {"kind": "names", "points": [{"name": "a\nb", "position": [0, 0, 0]}]}, 422, "invalid_input"),
+        (
+            "room",
+            {"kind": "names", "points": [{"name": "a", "position": [0, 0, 0], "kind": "\n"}]},
+            422,
+            "invalid_input",
+        ),
+        (
+            "room",
+            {"kind": "names", "points": [{"name": "a", "position": [0, 0, 0], "fields": {"b": []}}]},
+            422,
+            "invalid_request",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_and_changes_nothing(site, name, body, status, code):
@@ -127,6 +140,53 @@ def test_answers_name_where_the_camera_is(site, picture_world):
     blank = client.localize("room", np.full((480, 640, 3), 90, np.uint8), camera=None)
     assert (blank.localized, blank.areas, blank.near) == (False, (), ())
     client.restore_map("room")
+
+
+def test_names_go_out_and_in_as_geojson(site):
+    client = Client(site.url)
+    door = {"name": "door", "kind": "way out", "position": [1, 2, 0.5], "fields": {"fire": True}}
+    kitchen = {"name": "kitchen", "kind": "", "outline": [[0, 0], [4, 0], [4, 3]], "fields": {}}
+    named = {"points": [door], "areas": [kitchen]}
+    client.correct_map("hall", {"kind": "names", **named})
+    in_metres = client.map_names("hall")
+    assert in_metres["frame"] == "map"
+    place = {"latitude_deg": 52.52, "longitude_deg": 13.405, "height_m": 40}
+    client.correct_map("hall", {"kind": "earth", "heading_deg": 20, "points": [{"map": [1, 2, 0.5], **place}]})
+    on_earth = client.map_names("hall")
+    assert on_earth["features"][0]["geometry"]["coordinates"] == pytest.approx([13.405, 52.52, 40], abs=1e-5)
+    for document in (on_earth, in_metres):
+        client.correct_map("hall", {"kind": "names"})
+        client.put_map_names("hall", document)
+        found = httpx.get(f"{site.url}/v1/maps/hall").json()["names"]
+        assert {**found["points"][0], "position": None} == {**door, "position": None}
+        np.testing.assert_allclose(found["points"][0]["position"], door["position"], atol=1e-5)
+        np.testing.assert_allclose(found["areas"][0]["outline"], kitchen["outline"], atol=1e-5)
+    taken = httpx.get(f"{site.url}/v1/maps/hall/names")
+    assert taken.headers["Content-Type"] == "application/geo+json"
+    downloaded = httpx.get(f"{site.url}/v1/maps/hall/download", params={"format": "geojson"})
+    assert downloaded.json() == taken.json()
+    for kind, body, code in (
+        ("text/plain", b"{}", "unsupported_media_type"),
+        ("application/geo+json", b"{}", "invalid_input"),
+        ("application/zip", b"PK", "invalid_input"),
+    ):
+        refused = httpx.put(f"{site.url}/v1/maps/hall/names", content=body, headers={"Content-Type": kind})
+        assert refused.json()["code"] == code
+    assert httpx.get(f"{site.url}/v1/maps/hall/names").json() == taken.json()
+
+
+def test_a_floor_plan_comes_as_a_map_server_has_it(site, tmp_path):
+    cv2.imwrite(str(tmp_path / "hall.pgm"), np.zeros((30, 40), np.uint8))
+    (tmp_path / "hall.yaml").write_text("image: hall.pgm\nresolution: 0.05\norigin: [-1, 2, 0]\nnegate: 0\n")
+    client = Client(site.url)
+    client.put_floor_plan("hall", tmp_path / "hall.yaml")
+    plan = {"media_type": "image/png", "corner": [-1, 2], "turn_deg": 0, "m_per_unit": 0.05}
+    assert httpx.get(f"{site.url}/v1/maps/hall").json()["plan"] == plan
+    assert client.floor_plan("hall").startswith(b"\x89PNG")
+    client.put_floor_plan("hall", tmp_path / "hall.yaml", x=3, turn_deg=90)
+    assert httpx.get(f"{site.url}/v1/maps/hall").json()["plan"] == {**plan, "corner": [3, 2], "turn_deg": 90}
+    client.delete_floor_plan("hall")
+    assert httpx.get(f"{site.url}/v1/maps/hall").json()["plan"] is None
 
 
 def test_labels_say_what_a_map_belongs_to(site):

@@ -1,10 +1,10 @@
 // A map made right: its frame, its scale, what is to go and what is called what, drawn on the map or typed.
 
-import { call, get, path, request } from "../shared/api.js";
+import { call, download, get, path, request } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
-import { planUnder } from "./floor_plan.js";
+import { GEOJSON, planUnder } from "./floor_plan.js";
 import { count, length, when } from "./format.js";
 import { loading, page, skeletons } from "./parts.js";
 import { PlanPicture } from "./plan_picture.js";
@@ -26,6 +26,13 @@ const Shape = Object.freeze({
   PIECE: "piece",
   PLAN: "plan",
   NONE: "",
+});
+
+const NAMED_LABELS = { name: t`Name`, kind: t`Kind`, fields: t`More: name=value, …` };
+const namedInputs = () => ({
+  name: h("input", { maxlength: 100, required: true, autocomplete: "off" }),
+  kind: h("input", { maxlength: 100, autocomplete: "off", placeholder: t`room, door, charger` }),
+  fields: h("input", { autocomplete: "off", placeholder: "seats=12, owner=Ada" }),
 });
 
 /** Each correction: what it is called, what to do, what is drawn, from where, and what is sent. */
@@ -117,29 +124,19 @@ const TOOLS = [
     text: t`Name a point`,
     hint: t`Click the point, and type its name.`,
     shape: Shape.POINT,
-    inputs: () => ({ name: h("input", { maxlength: 100, required: true, autocomplete: "off" }) }),
-    labels: { name: t`Name` },
-    body: ({ map, point, inputs }) => ({
-      kind: "names",
-      ...map.names,
-      points: [...others(map.names.points, inputs.name.value), { name: inputs.name.value, position: point }],
-    }),
+    inputs: namedInputs,
+    labels: NAMED_LABELS,
+    body: ({ map, point, inputs }) => withNamed(map.names, "points", inputs, { position: point }),
   },
   {
     kind: "area",
     text: t`Name an area`,
     hint: t`Drag a rectangle, or click corner after corner, and type its name.`,
     shape: Shape.POLYGON,
-    inputs: () => ({ name: h("input", { maxlength: 100, required: true, autocomplete: "off" }) }),
-    labels: { name: t`Name` },
-    body: ({ map, polygon, inputs }) => ({
-      kind: "names",
-      ...map.names,
-      areas: [
-        ...others(map.names.areas, inputs.name.value),
-        { name: inputs.name.value, outline: polygon.map((corner) => corner.slice(0, 2)) },
-      ],
-    }),
+    inputs: namedInputs,
+    labels: NAMED_LABELS,
+    body: ({ map, polygon, inputs }) =>
+      withNamed(map.names, "areas", inputs, { outline: polygon.map((corner) => corner.slice(0, 2)) }),
   },
 ];
 
@@ -456,6 +453,8 @@ class Editor {
     const { points, areas } = this.map.names;
     const remove = (kind, name) =>
       this.correct({ kind: "names", ...this.map.names, [kind]: others(this.map.names[kind], name) });
+    const about = ({ kind, fields }) =>
+      [kind, ...Object.entries(fields).map(([key, value]) => `${key}: ${value}`)].filter(Boolean).join(", ");
     const item = (kind, what, name) =>
       h(
         "li",
@@ -463,15 +462,14 @@ class Editor {
         h("span", {}, name, " ", h("span", { class: "muted small" }, what)),
         action(t`Delete`, () => remove(kind, name), "danger"),
       );
-    this.named.hidden = !points.length && !areas.length && !this.kept;
     fill(
       this.named,
       h("h2", {}, t`Names`),
       h(
         "ul",
         { class: "plain" },
-        points.map(({ name }) => item("points", t`point`, name)),
-        areas.map(({ name }) => item("areas", t`area`, name)),
+        points.map((one) => item("points", about(one) || t`point`, one.name)),
+        areas.map((one) => item("areas", about(one) || t`area`, one.name)),
         this.kept &&
           h(
             "li",
@@ -479,6 +477,53 @@ class Editor {
             h("span", { class: "muted" }, t`Floor plan`),
             action(t`Remove the plan`, () => this.forgetPlan(), "danger"),
           ),
+      ),
+      h(
+        "div",
+        { class: "row" },
+        action(t`Save names as GeoJSON`, () =>
+          download(path`v1/maps/${this.name}/names`, `${this.name}.geojson`, { signal: this.signal }),
+        ),
+      ),
+      this.fromFile(),
+    );
+  }
+
+  /** Names or a floor plan from a file that says where they lie. */
+  fromFile() {
+    const what = h(
+      "select",
+      {},
+      h("option", { value: "names" }, t`names`),
+      h("option", { value: "plan" }, t`floor plan`),
+    );
+    const file = h("input", { type: "file", accept: ".json,.geojson,.zip", required: true });
+    const level = h("input", { maxlength: 100, autocomplete: "off" });
+    const open = async (event) => {
+      event.preventDefault();
+      const [body] = file.files;
+      const headers = { "Content-Type": /\.zip$/i.test(body.name) ? "application/zip" : GEOJSON };
+      const query = { level: level.value.trim() };
+      try {
+        await call("PUT", `${path`v1/maps/${this.name}/`}${what.value}`, { query, headers, body, signal: this.signal });
+        tell(t`Done. The version before can be restored.`);
+        await this.load();
+        this.clear();
+      } catch (error) {
+        if (!this.signal.aborted) tell(error.message, "bad");
+      }
+    };
+    return h(
+      "details",
+      {},
+      h("summary", { class: "small" }, t`Open a file`),
+      h(
+        "form",
+        { class: "stack", onsubmit: open },
+        field(t`What the file has`, what),
+        field(t`File`, file, t`GeoJSON, an IMDF archive, or a ZIP file with the yaml and picture of a map_server.`),
+        field(t`Level of an IMDF archive`, level),
+        h("button", {}, t`Open`),
       ),
     );
   }
@@ -528,6 +573,34 @@ class Editor {
         ),
     );
   }
+}
+
+/** The correction that adds a named point or area, or changes one; its kind and its fields stay where none are typed. */
+function withNamed(names, which, { name, kind, fields }, place) {
+  const before = names[which].find((one) => one.name === name.value) ?? { kind: "", fields: {} };
+  const details = {
+    kind: kind.value.trim() || before.kind,
+    fields: fields.value.trim() ? fieldsOf(fields.value) : before.fields,
+  };
+  return {
+    kind: "names",
+    ...names,
+    [which]: [...others(names[which], name.value), { name: name.value, ...details, ...place }],
+  };
+}
+
+/** Fields that were typed as `name=value, …`: numbers, true and false as such, all else as text. */
+export function fieldsOf(text) {
+  const pairs = text.split(",").map((pair) => pair.split("=").map((part) => part.trim()));
+  return Object.fromEntries(
+    pairs
+      .filter(([key]) => key)
+      .map(([key, ...rest]) => {
+        const value = rest.join("=");
+        if (value === "true" || value === "false") return [key, value === "true"];
+        return [key, value !== "" && Number.isFinite(Number(value)) ? Number(value) : value];
+      }),
+  );
 }
 
 const difference = ([from, to]) => from.map((value, i) => to[i] - value);

@@ -6,7 +6,7 @@ import { planOf, surfaces } from "./room.js";
 import { readRoom } from "./scene_data.js";
 
 export const GEOJSON = "application/geo+json";
-const EARTH_M = 6371008.8; // its mean radius
+const [EQUATOR_M, ECCENTRICITY_2] = [6378137, 0.00669437999014]; // of WGS 84
 const MOST_LINES = 20_000;
 
 /**
@@ -55,9 +55,11 @@ export function planOfGeoJson(text) {
   if (Math.max(-west, east) > 180 || Math.max(-south, north) > 90)
     throw new Error(t`GeoJSON has degrees: longitude and latitude.`);
   const radians = Math.PI / 180;
+  const middle = ((south + north) / 2) * radians;
+  const w = 1 - ECCENTRICITY_2 * Math.sin(middle) ** 2; // the ellipsoid's radii of curvature: of the meridian, across it
   const [perLatitude, perLongitude] = [
-    EARTH_M * radians,
-    EARTH_M * radians * Math.cos(((south + north) / 2) * radians),
+    ((EQUATOR_M * (1 - ECCENTRICITY_2)) / w ** 1.5) * radians,
+    (EQUATOR_M / Math.sqrt(w)) * radians * Math.cos(middle),
   ];
   const metres = lines.map((line) => line.map(([x, y]) => [(x - west) * perLongitude, (y - south) * perLatitude]));
   return { lines: metres, width: (east - west) * perLongitude, height: (north - south) * perLatitude };

@@ -730,6 +730,16 @@ export const GERMAN = {
   "Name a point": "Einen Punkt benennen",
   "Click the point, and type its name.": "Den Punkt anklicken und seinen Namen eintippen.",
   "Name an area": "Einen Bereich benennen",
+  Kind: "Art",
+  "More: name=value, …": "Weiteres: Name=Wert, …",
+  "room, door, charger": "Raum, Tür, Ladestation",
+  "Save names as GeoJSON": "Namen als GeoJSON speichern",
+  "Open a file": "Eine Datei öffnen",
+  Open: "Öffnen",
+  "What the file has": "Was die Datei enthält",
+  "GeoJSON, an IMDF archive, or a ZIP file with the yaml and picture of a map_server.":
+    "GeoJSON, ein IMDF-Archiv oder eine ZIP-Datei mit dem yaml und dem Bild eines map_server.",
+  "Level of an IMDF archive": "Ebene eines IMDF-Archivs",
   "Drag a rectangle, or click corner after corner, and type its name.":
     "Ein Rechteck aufziehen oder Ecke für Ecke anklicken und den Namen eintippen.",
   origin: "Ursprung",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import AsyncIterator, Generator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -13,6 +13,7 @@ import httpx
 from rholoc_client import _calls
 from rholoc_client._calls import Call, Maps, Outcome, camera_text, headers, localize_options, request, result_of
 from rholoc_client._images import ImageLike
+from rholoc_client._plans import PlaceSource
 from rholoc_client._retry import Attempts, Backoff
 from rholoc_client._uploads import (
     UploadProgress,
@@ -36,6 +37,7 @@ from rholoc_client.models import (
     Prior,
     Site,
     Vector3,
+    parse_job,
 )
 
 T = TypeVar("T")
@@ -276,6 +278,123 @@ class AsyncClient:
         """
         return await self._send(_calls.correct_map(name, correction))
 
+    async def map_names(self, name: str) -> dict[str, Any]:
+        """The map's named points and areas as a GeoJSON FeatureCollection.
+
+        Coordinates are longitude, latitude and height in a map with a place on Earth; else metres of the map, and its
+        member ``frame`` is ``map``.
+        """
+        return await self._send(_calls.fetch("maps", name, "names"))
+
+    async def put_map_names(self, name: str, source: PlaceSource, *, level: str | None = None) -> MapSummary:
+        """Replace the map's named points and areas.
+
+        Args:
+            name: the map.
+            source: GeoJSON, as :meth:`map_names` returns it; or the path or content of a GeoJSON file or IMDF archive.
+            level: of an IMDF archive; None: the only one.
+        """
+        return await self._send(_calls.put_names(name, source, level))
+
+    async def floor_plan(self, name: str) -> bytes:
+        """The floor plan that the map keeps: a picture's or GeoJSON's file."""
+        return await self._send(_calls.fetch_bytes("maps", name, "plan"))
+
+    async def put_floor_plan(
+        self,
+        name: str,
+        source: PlaceSource,
+        *,
+        x: float | None = None,
+        y: float | None = None,
+        turn_deg: float | None = None,
+        m_per_unit: float | None = None,
+        level: str | None = None,
+    ) -> MapSummary:
+        """Keep a floor plan with a map, which does not move.
+
+        Args:
+            name: the map.
+            source: GeoJSON, or the path or content of a picture (PNG, JPEG, WebP), a GeoJSON file or an IMDF archive;
+                or the path of a ``map_server`` yaml, with its picture beside it.
+            x, y: of its lower left corner [m], map frame; None: as the file says, else 0.
+            turn_deg: angle of its lower edge from the map's x towards y; None: likewise.
+            m_per_unit: size of a pixel [m]; None: as the file says, else 1.
+            level: of an IMDF archive; None: the only one.
+        """
+        params = {"x": x, "y": y, "turn_deg": turn_deg, "m_per_unit": m_per_unit, "level": level}
+        return await self._send(_calls.put_floor_plan(name, source, params))
+
+    async def delete_floor_plan(self, name: str) -> MapSummary:
+        """Remove the map's floor plan; the map itself does not move."""
+        return await self._send(_calls.delete_floor_plan(name))
+
+    async def map_versions(self, name: str) -> list[dict[str, Any]]:
+        """The maps that this one replaced, the newest first; :meth:`restore_map` takes their ``number``."""
+        return await self._send(_calls.fetch_list("versions", "maps", name, "versions"))
+
+    async def map_coverage(self, name: str) -> dict[str, Any]:
+        """Where the map works: landmarks in view, by position and heading."""
+        return await self._send(_calls.fetch("maps", name, "coverage"))
+
+    async def map_scene(self, name: str, *, landmarks: int | None = None, level: bool = False) -> bytes:
+        """Landmarks and views for a 3-D view, as the service's ``/docs`` describe them.
+
+        Args:
+            name: the map.
+            landmarks: at most so many, evenly chosen; None: all.
+            level: whether a map that is not upright is turned upright.
+        """
+        return await self._send(_calls.fetch_bytes("maps", name, "scene", landmarks=landmarks, level=level or None))
+
+    async def map_points(self, name: str) -> bytes:
+        """Further points of the room in colour, as the service's ``/docs`` describe them."""
+        return await self._send(_calls.fetch_bytes("maps", name, "points"))
+
+    async def map_room(self, name: str, *, level: bool = False) -> bytes:
+        """Surfaces of the map's room, as the service's ``/docs`` describe them; ``level`` as of :meth:`map_scene`."""
+        return await self._send(_calls.fetch_bytes("maps", name, "room", level=level or None))
+
+    async def map_feature(self, name: str, feature: int) -> dict[str, Any]:
+        """A feature of the map by number, and where it may be seen from."""
+        return await self._send(_calls.fetch("maps", name, "features", feature))
+
+    async def view_picture(self, name: str, view: int) -> bytes:
+        """The small picture of one of the map's views, as JPEG, where the service keeps pictures."""
+        return await self._send(_calls.fetch_bytes("maps", name, "views", view, "picture.jpg"))
+
+    async def landscape(self, name: str, image: ImageLike, *, camera: Camera | str | None = None) -> dict[str, Any]:
+        """Where in the map a picture may have been taken: the log-likelihood over positions."""
+        return await self._send(_calls.landscape(name, image, camera))
+
+    def live(self, name: str) -> AsyncIterator[list[dict[str, Any]]]:
+        """Poses of everyone who is localized in the map, as they come; where the service's setting ``live`` is on."""
+        return self._events("maps", name, "live")
+
+    async def failures(self, name: str) -> dict[str, Any]:
+        """The last day's requests without a pose or with little confidence; where the service keeps them."""
+        return await self._send(_calls.fetch("maps", name, "failures"))
+
+    async def refusals(self, name: str) -> dict[str, Any]:
+        """Pictures that were refused, by cause; where the service keeps them."""
+        return await self._send(_calls.fetch("maps", name, "refusals"))
+
+    async def refusal(self, name: str, number: int) -> dict[str, Any]:
+        """The map's view that is most like a refused picture, and their matches."""
+        return await self._send(_calls.fetch("maps", name, "refusals", number))
+
+    async def refusal_picture(self, name: str, number: int) -> bytes:
+        """A refused picture, as JPEG."""
+        return await self._send(_calls.fetch_bytes("maps", name, "refusals", number, "picture.jpg"))
+
+    async def kept_queries(self, name: str) -> dict[str, Any]:
+        """What is kept of users' queries for the map to learn from."""
+        return await self._send(_calls.fetch("maps", name, "learning"))
+
+    async def delete_kept_queries(self, name: str, asker: str | None = None) -> int:
+        """Delete the map's kept queries, all or those of one client; how many there were."""
+        return await self._send(_calls.delete_queries(name, asker))
+
     async def restore_map(self, name: str, number: int = 1) -> MapSummary:
         """Put a map that was replaced back in its place; 1 is the one that was replaced last."""
         return await self._send(_calls.restore_map(name, number))
@@ -325,6 +444,26 @@ class AsyncClient:
         """Delete a site; its maps stay."""
         await self._send(_calls.delete_site(name))
 
+    async def visitors_site(self, site: str) -> dict[str, Any]:
+        """What the visitors' page shows of a site."""
+        return await self._send(_calls.fetch("here", site))
+
+    async def visitors_room(self, site: str, map_name: str) -> bytes:
+        """Surfaces of one of the site's rooms, as the visitors' page draws them."""
+        return await self._send(_calls.fetch_bytes("here", site, "rooms", map_name))
+
+    async def localize_visitor(self, site: str, image: ImageLike, *, camera: Camera | None = None) -> dict[str, Any]:
+        """Where in a site a visitor's picture was taken; with a visitor's key."""
+        return await self._send(_calls.localize_visitor(site, image, camera))
+
+    async def geopose(self, request: Mapping[str, Any], maps: Maps = None) -> dict[str, Any]:
+        """Answer to a request of OSCP's GeoPoseProtocol, version 2."""
+        return await self._send(_calls.geopose(request, maps))
+
+    async def geopose_status(self) -> dict[str, Any]:
+        """Status of the service in OSCP's GeoPoseProtocol."""
+        return await self._send(_calls.fetch_root("/geopose"))
+
     async def delete_map(self, name: str) -> None:
         """Delete a map for good."""
         await self._send(_calls.delete_map(name))
@@ -358,6 +497,60 @@ class AsyncClient:
         fields = recording_fields(map_name, kind, features, density, poses, camera, priority)
         with opened_recording(path, waypoints) as (name, file):
             return await self._run(upload_steps(name, file, fields, self._backoff.retries, progress))
+
+    async def upload_rules(self) -> dict[str, str]:
+        """Headers that say what the service takes of resumable uploads (tus)."""
+        return await self._send(_calls.upload_rules())
+
+    async def uploads(self) -> list[dict[str, Any]]:
+        """Resumable uploads that are not complete; :meth:`delete_recording` abandons one by its id."""
+        return await self._send(_calls.fetch_list("uploads", "uploads"))
+
+    async def recordings(self) -> list[dict[str, Any]]:
+        """The stored recordings, the newest first."""
+        return await self._send(_calls.fetch_list("recordings", "recordings"))
+
+    async def recording(self, recording: str) -> dict[str, Any]:
+        """A stored recording by its id: what it holds, and what is wrong with it."""
+        return await self._send(_calls.fetch("recordings", recording))
+
+    async def recording_thumbnail(self, recording: str) -> bytes:
+        """A small picture of the recording, as JPEG."""
+        return await self._send(_calls.fetch_bytes("recordings", recording, "thumbnail.jpg"))
+
+    async def map_recording(
+        self,
+        recording: str,
+        map_name: str,
+        *,
+        kind: str | None = None,
+        features: str | None = None,
+        density: str | None = None,
+        poses: str | None = None,
+        camera: Camera | str | None = None,
+        priority: str | None = None,
+    ) -> Job:
+        """Map a stored recording; arguments as of :meth:`upload_recording`."""
+        fields = recording_fields(map_name, kind, features, density, poses, camera, priority)
+        return await self._send(_calls.map_recording(recording, fields))
+
+    async def put_waypoints(self, recording: str, waypoints: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Set a stored recording's measured waypoints, as the service's ``/docs`` describe them."""
+        body = {"waypoints": [dict(one) for one in waypoints]}
+        return await self._send(_calls.send("PUT", "recordings", recording, "waypoints", body=body))
+
+    async def delete_waypoints(self, recording: str) -> dict[str, Any]:
+        """Remove the waypoints that were set; those of the recording itself count again."""
+        return await self._send(_calls.send("DELETE", "recordings", recording, "waypoints"))
+
+    async def delete_recording(self, recording: str) -> None:
+        """Delete a stored recording, or abandon an upload; maps that were made from it stay."""
+        await self._send(_calls.send("DELETE", "recordings", recording))
+
+    async def job_events(self, job_id: str) -> AsyncIterator[Job]:
+        """A job as it is now, and whenever it has changed, until it ends."""
+        async for event in self._events("jobs", job_id, "events"):
+            yield parse_job(event)
 
     async def jobs(self, before: str | None = None) -> list[Job]:
         """The newest 500 jobs, the newest first; ``before``: only those older than the job with this id."""
@@ -405,6 +598,68 @@ class AsyncClient:
     async def readiness(self) -> dict[str, str]:
         """The service's checks of itself by name: "ok", or what is wrong."""
         return await self._send(_calls.readiness())
+
+    async def health(self) -> dict[str, Any]:
+        """The service's name and version; it answers as soon as it runs."""
+        return await self._send(_calls.fetch_root("/healthz"))
+
+    async def metrics(self) -> str:
+        """Counters and timings in Prometheus's text format."""
+        return await self._send(_calls.fetch_plain("/metrics"))
+
+    async def audit(self, *, limit: int | None = None, map_name: str | None = None) -> list[dict[str, Any]]:
+        """The last requests that changed something, or a map, the newest first."""
+        return await self._send(_calls.fetch_list("changes", "audit", limit=limit, map=map_name))
+
+    async def streams(self) -> list[dict[str, Any]]:
+        """The streams that are open to the server, the oldest first."""
+        return await self._send(_calls.fetch_list("streams", "streams"))
+
+    async def close_stream(self, stream: str) -> None:
+        """Close an open stream."""
+        await self._send(_calls.send("DELETE", "streams", stream))
+
+    async def keys(self) -> list[dict[str, Any]]:
+        """Names and scopes of the service's keys."""
+        return await self._send(_calls.fetch_list("keys", "keys"))
+
+    async def key(self, name: str) -> dict[str, Any]:
+        """A key's scope, limits and use."""
+        return await self._send(_calls.fetch("keys", name))
+
+    async def hand_on_key(self, key: Mapping[str, Any]) -> dict[str, Any]:
+        """Make a key that lives for a while, such as a visitor's: ``scope``, ``lifetime_s``, ``site``, ``limits``."""
+        return await self._send(_calls.send("POST", "keys", body=key))
+
+    async def limit_key(self, name: str, limits: Mapping[str, Any]) -> dict[str, Any]:
+        """Set a key's limits: ``requests_per_s``, ``burst``, ``maps``, ``stored_bytes``, ``jobs``."""
+        return await self._send(_calls.send("PUT", "keys", name, "limits", body=limits))
+
+    async def delete_key(self, name: str) -> None:
+        """Revoke a key."""
+        await self._send(_calls.send("DELETE", "keys", name))
+
+    async def draw_qr(self, text: str) -> str:
+        """A QR code of a text, as SVG."""
+        return await self._send(_calls.draw_qr(text))
+
+    async def _events(self, *parts: str) -> AsyncIterator[Any]:
+        try:
+            async with self._http.stream("GET", **_calls.stream(self._http, *parts)) as response:
+                if response.is_error:
+                    await response.aread()
+                    raise _calls.error_of(response)
+                lines: list[str] = []
+                async for line in response.aiter_lines():
+                    if line:
+                        lines.append(line)
+                        continue
+                    event = _calls.event_data(lines)
+                    lines = []
+                    if event is not None:
+                        yield event
+        except httpx.TransportError as error:
+            raise _calls.unreachable(error) from error
 
     async def _run(self, steps: Generator[Call[Any], Any, T]) -> T:
         try:

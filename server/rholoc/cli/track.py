@@ -59,13 +59,17 @@ def track(
     mqtt: Annotated[
         str | None, typer.Option(metavar="mqtt://HOST/TOPIC", help="Publish poses with VDA 5050's fields.")
     ] = None,
+    view: Annotated[
+        str | None, typer.Option(metavar="HOST[:PORT]", help="Show it in Foxglove, which connects to ws://HOST:PORT.")
+    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Follow a camera through a map: a pose for every frame, none while the place is not recognized."""
     from rholoc.localization import localizer_of
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings.frames.live_camera import is_live, opened_camera
-    from rholoc.tracking import BagOfTrack, InBackground, PoseBag, TableOfTrack, Tally, follow, paced
+    from rholoc.tracking import InBackground, MessagesOfTrack, PoseBag, TableOfTrack, Tally, follow, paced
+    from rholoc.tracking.live_view import LiveView
     from rholoc.tracking.mavlink import MavlinkSender
     from rholoc.tracking.mqtt import MqttSender
 
@@ -82,9 +86,14 @@ def track(
             followed = _live(stack.enter_context(opened_camera(source)), camera, localizer.map.info)
         else:
             followed = _recorded(Path(source), motion, frames, topic, camera, localizer.map.info)
-            if mavlink is not None or mqtt is not None:
+            if mavlink is not None or mqtt is not None or view is not None:
                 followed = replace(followed, moments=paced(followed.moments), answering=InBackground())
-        users += [BagOfTrack(stack.enter_context(PoseBag(path, T_base_camera))) for path in bags]
+        map_ = localizer.map
+        users += [MessagesOfTrack(stack.enter_context(PoseBag(path, T_base_camera)), map_) for path in bags]
+        if view is not None:
+            live = stack.enter_context(LiveView(view, T_base_camera))
+            users.append(MessagesOfTrack(live, map_, followed.camera))
+            print_notice(f"Foxglove: open a connection to ws://{view.rpartition(':')[0] or view}:{live.port}.")
         if mavlink is not None:
             users.append(stack.enter_context(MavlinkSender(mavlink, T_base_camera, localizer.map.info.earth)))
         if mqtt is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
@@ -28,6 +29,7 @@ from rholoc.maps import (
     view_trajectory,
 )
 from rholoc.maps.formats.surfaces import MAX_SURFACES
+from rholoc.maps.geojson import names_to_geojson
 from rholoc.paper.observation_table import observation_table
 
 _SURFACES = 500  # default number
@@ -48,6 +50,7 @@ class ExportFormat(StrEnum):
     SURFACES = "surfaces"  # where chosen densities peak, for ParaView
     COLMAP = "colmap"  # cameras, images and points as COLMAP's text model, in a ZIP file
     NERFSTUDIO = "nerfstudio"  # cameras and poses as transforms.json
+    GEOJSON = "geojson"  # its named points and areas
     PNG = "png"  # a picture from above
 
     @property
@@ -77,6 +80,7 @@ class ExportFormat(StrEnum):
             ".glb": "model/gltf-binary",
             ".zip": "application/zip",
             ".json": "application/json",
+            ".geojson": "application/geo+json",
         }
         return kinds.get(PurePath(f"map{self.ending}").suffix, "application/octet-stream")
 
@@ -127,6 +131,9 @@ def export_map(
             return iter([colmap_model(map_)])
         case ExportFormat.NERFSTUDIO:
             return iter([nerfstudio_transforms(map_).encode()])
+        case ExportFormat.GEOJSON:
+            collection = names_to_geojson(map_.info.names, map_.info.earth)
+            return iter([json.dumps(collection, ensure_ascii=False, indent=1).encode() + b"\n"])
         case ExportFormat.PNG:
             from rholoc.pictures.map_preview import preview_png
 

@@ -17,9 +17,10 @@ from rholoc.geometry import Similarity
 
 MAX_PLAN_BYTES = 8 * 2**20
 GEOJSON = "application/geo+json"
+ARCHIVE = "application/zip"
 _STARTS = {"image/png": b"\x89PNG\r\n\x1a\n", "image/jpeg": b"\xff\xd8\xff", "image/webp": b"RIFF"}
 MEDIA_TYPES = (*_STARTS, GEOJSON)
-_MAX_PIXELS = 50_000_000
+MAX_PIXELS = 50_000_000
 _MAX_TEXT_BYTES = 2**20
 _TEXTS = (b"tEXt", b"zTXt", b"iTXt", b"iCCP")  # chunks of a PNG file
 _CHUNK_BYTES, _MAX_CHUNKS = 12, 10_000  # bytes around a chunk's data, and maximum number of chunks
@@ -50,6 +51,12 @@ class FloorPlan:
         x, y, _ = similarity.points(np.array([[*self.corner, 0.0]]))[0].tolist()
         turn = self.turn_deg + float(np.degrees(np.arctan2(R[1, 0], R[0, 0])))
         return FloorPlan(self.media_type, (x, y), turn, self.m_per_unit * similarity.scale)
+
+
+def media_type_of(content: bytes) -> str:
+    """Media type of a plan's file by its first bytes: ``ARCHIVE``, or one of ``MEDIA_TYPES``, else GeoJSON."""
+    starts = {**_STARTS, ARCHIVE: b"PK"}
+    return next((kind for kind, start in starts.items() if content.startswith(start)), GEOJSON)
 
 
 def check_plan(content: bytes, plan: FloorPlan) -> FloorPlan:
@@ -83,8 +90,8 @@ def _check_picture(content: bytes) -> None:
         raise InvalidInput(
             "The floor plan's picture cannot be read.", "Send it as a plain PNG or JPEG file."
         ) from error
-    if width * height > _MAX_PIXELS:
-        raise InvalidInput(f"The floor plan has {width}×{height} pixels.", f"Send at most {_MAX_PIXELS}.")
+    if width * height > MAX_PIXELS:
+        raise InvalidInput(f"The floor plan has {width}×{height} pixels.", f"Send at most {MAX_PIXELS}.")
     if content.startswith(_STARTS["image/png"]) and _png_text_bytes(content) > _MAX_TEXT_BYTES:
         raise InvalidInput("The floor plan's file holds too much text.", "Save the picture without its metadata.")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,8 +14,12 @@ from rholoc.geometry import BoolArray, FloatArray
 MAX_NAMES = 500
 MAX_CORNERS = 200
 MAX_TAGS = 20
+_MAX_FIELDS = 50
 _MAX_LENGTH = 100
+_MAX_VALUE_LENGTH = 1000
 _MIN_CORNERS = 3
+
+FieldValue = str | int | float | bool | None
 
 
 @dataclass(frozen=True)
@@ -23,10 +29,14 @@ class NamedPoint:
     Attributes:
         name: what it is called.
         position: (3,) metres, map frame.
+        kind: such as "door"; empty if not given.
+        fields: anything else about it, by name.
     """
 
     name: str
     position: tuple[float, float, float]
+    kind: str = ""
+    fields: Mapping[str, FieldValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -36,10 +46,14 @@ class NamedArea:
     Attributes:
         name: what it is called.
         outline: (N, 2) corners in order, x and y, metres, map frame; the last is joined to the first.
+        kind: such as "room"; empty if not given.
+        fields: anything else about it, by name.
     """
 
     name: str
     outline: tuple[tuple[float, float], ...]
+    kind: str = ""
+    fields: Mapping[str, FieldValue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -117,7 +131,8 @@ def check_names(names: MapNames) -> MapNames:
     """Return the names, checked.
 
     Raises:
-        InvalidInput: there are too many; one is empty, too long, not printable or given twice; an area is not valid.
+        InvalidInput: there are too many; one is empty, too long, not printable or given twice; its kind, its fields or
+            its outline are not valid.
     """
     if len(names.points) + len(names.areas) > MAX_NAMES:
         raise InvalidInput(f"A map keeps at most {MAX_NAMES} names.", "Leave some out.")
@@ -131,9 +146,30 @@ def check_names(names: MapNames) -> MapNames:
             if one.name in seen:
                 raise InvalidInput(f"Two {kind}s are named {one.name}.", "Give each a name of its own.")
             seen.add(one.name)
+            _check_details(one)
     for area in names.areas:
         check_outline(np.array(area.outline, dtype=np.float64), f"The area {area.name}")
     return names
+
+
+def _check_details(one: NamedPoint | NamedArea) -> None:
+    """Raise InvalidInput for a kind or a field that cannot be kept."""
+    if len(one.kind) > _MAX_LENGTH or (one.kind and not one.kind.isprintable()):
+        raise InvalidInput(f"The kind of {one.name} is not valid.", f"Use at most {_MAX_LENGTH} characters.")
+    if len(one.fields) > _MAX_FIELDS:
+        raise InvalidInput(f"{one.name} has {len(one.fields)} fields.", f"Give at most {_MAX_FIELDS}.")
+    for key, value in one.fields.items():
+        if not 0 < len(key) <= _MAX_LENGTH or not key.isprintable() or key in ("name", "kind"):
+            raise InvalidInput(
+                f"{key[:_MAX_LENGTH]!r} of {one.name} is not a valid field.", f"Use 1 to {_MAX_LENGTH} characters."
+            )
+        if (isinstance(value, str) and len(value) > _MAX_VALUE_LENGTH) or (
+            isinstance(value, float) and not math.isfinite(value)
+        ):
+            raise InvalidInput(
+                f"The field {key} of {one.name} is not valid.",
+                f"Use finite numbers, and text of at most {_MAX_VALUE_LENGTH} characters.",
+            )
 
 
 def check_outline(outline: FloatArray, what: str) -> FloatArray:

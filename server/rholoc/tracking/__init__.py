@@ -11,14 +11,14 @@ from rholoc.tracking.moments import (
     recorded_moments,
 )
 from rholoc.tracking.pose_bag import PoseBag
-from rholoc.tracking.users import BagOfTrack, StepUser, TableOfTrack, Tally
+from rholoc.tracking.users import MessagesOfTrack, StepUser, TableOfTrack, Tally
 
 __all__ = [
     "Answered",
     "Answering",
     "AtOnce",
-    "BagOfTrack",
     "InBackground",
+    "MessagesOfTrack",
     "Moment",
     "Motion",
     "PoseBag",

@@ -1,4 +1,4 @@
-"""Users of a track's steps: counts, Table 6, a bag."""
+"""Users of a track's steps: counts, Table 6, messages."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
-from rholoc.maps import TrajectoryTable
+from rholoc.geometry import Camera
+from rholoc.maps import Map, TrajectoryTable
 from rholoc.tracking.follow import Step
-from rholoc.tracking.pose_bag import PoseBag
+from rholoc.tracking.pose_messages import PoseMessages
 from rholoc_client.tracking import TrackStatus
 from rholoc_client.tracking.rigid import in_radians
 
@@ -87,20 +88,32 @@ class TableOfTrack:
         )
 
 
-class BagOfTrack:
-    """Writes steps to a bag: poses while tracking, nothing while searching or lost but the status."""
+class MessagesOfTrack:
+    """Writes steps as messages: poses while tracking, nothing while searching or lost but the status and the pictures.
 
-    def __init__(self, bag: PoseBag) -> None:
-        self._bag = bag
+    Args:
+        messages: where to.
+        map_: whose landmarks come first.
+        camera: of the pictures; None: they are left out.
+    """
+
+    def __init__(self, messages: PoseMessages, map_: Map, camera: Camera | None = None) -> None:
+        self._messages, self._map, self._camera = messages, map_, camera
+        self._is_begun = False
 
     def take(self, step: Step) -> None:
         """As :meth:`StepUser.take`."""
         time_s, tracked = step.moment.time_s, step.tracked
-        self._bag.status(time_s, tracked.status.value)
+        if not self._is_begun:
+            landmarks, self._is_begun = self._map.landmarks, True
+            self._messages.room(time_s, landmarks.positions, landmarks.known_colours)
+        if self._camera is not None:
+            self._messages.picture(time_s, step.moment.image, self._camera)
+        self._messages.status(time_s, tracked.status.value)
         if step.answer is not None and step.answer.localization is not None:
             found = step.answer.localization
-            self._bag.belief(time_s, found.recognized, found.confidence)
+            self._messages.belief(time_s, found.recognized, found.confidence)
         if tracked.status is TrackStatus.TRACKING and tracked.pose is not None and tracked.covariance is not None:
             T_map_odom = None if tracked.T_map_odom is None else np.array(tracked.T_map_odom)
             T_map_camera = np.array(tracked.pose.T_map_camera)
-            self._bag.pose(time_s, T_map_camera, in_radians(tracked.covariance), T_map_odom)
+            self._messages.pose(time_s, T_map_camera, in_radians(tracked.covariance), T_map_odom)

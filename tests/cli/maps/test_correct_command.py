@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rholoc.maps import MapLabels, load_map, save_map
+from rholoc.maps import FloorPlan, MapLabels, load_map, save_map
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -67,6 +67,33 @@ def test_names_and_labels_are_kept_beside_others(rholoc: Run, hall: Path, tmp_pa
     status, out, _ = rholoc("correct", "labels", target, "--floor", "1")
     assert (status, out) == (0, "")
     assert load_map(target).info.labels == MapLabels("plant 2", "1", ("old",))
+
+
+def test_names_come_from_geojson_and_leave_as_it(rholoc: Run, hall: Path, tmp_path: Path) -> None:
+    point = {"type": "Point", "coordinates": [1, 2, 0]}
+    feature = {"type": "Feature", "geometry": point, "properties": {"name": "dock", "kind": "charger", "volts": 24}}
+    document = {"type": "FeatureCollection", "frame": "map", "features": [feature]}
+    (tmp_path / "names.geojson").write_text(json.dumps(document))
+    rholoc("correct", "names", hall, "--point", "door=1,0,0", "--kind", "door=way out")
+    rholoc("correct", "names", hall, "--geojson", tmp_path / "names.geojson")
+    rholoc("correct", "names", hall, "--point", "dock=1,3,0")
+    rholoc("export", hall, "--to", "geojson", "-o", tmp_path / "out.geojson")
+    found = json.loads((tmp_path / "out.geojson").read_text())["features"]
+    assert [one["properties"] for one in found] == [{"name": "door", "kind": "way out"}, feature["properties"]]
+    assert found[1]["geometry"]["coordinates"] == [1, 3, 0]
+
+
+def test_a_floor_plan_is_kept_where_its_yaml_says(rholoc: Run, hall: Path, tmp_path: Path) -> None:
+    (tmp_path / "hall.pgm").write_bytes(b"P5\n4 3\n255\n" + bytes(12))
+    (tmp_path / "hall.yaml").write_text("image: hall.pgm\nresolution: 0.05\norigin: [1, 2, 0]\nnegate: 0\n")
+    rholoc("correct", "floor-plan", hall, tmp_path / "hall.yaml", "--turn", "90")
+    map_ = load_map(hall)
+    assert map_.info.plan == FloorPlan("image/png", (1.0, 2.0), 90.0, 0.05)
+    assert map_.plan.startswith(b"\x89PNG")
+    (tmp_path / "hall.pgm").unlink()
+    code, _, said = rholoc("correct", "floor-plan", hall, tmp_path / "hall.yaml")
+    assert (code, said.count("\n")) == (1, 1)
+    assert "hall.pgm" in said
 
 
 @pytest.mark.parametrize(

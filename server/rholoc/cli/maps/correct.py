@@ -23,6 +23,9 @@ app = typer.Typer(
 
 Out = Annotated[Path | None, typer.Option("--out", "-o", metavar="MAP.rho", help="Where to; default: the map itself.")]
 Direction = Annotated[str, typer.Option(metavar="X,Y,Z", help="A direction in the map's present frame.")]
+Level = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Level of an IMDF archive; default: the only one it has.")
+]
 Outline = Annotated[str, typer.Option(metavar="'X Y, X Y, …'", help="Corners seen from above, m: three or more.")]
 
 
@@ -155,27 +158,94 @@ def names(
         list[str] | None, typer.Option(metavar="NAME='X Y, X Y, …'", help="Name an area, or redraw one; repeat.")
     ] = None,
     remove: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Remove a name; repeat.")] = None,
+    kind: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=KIND", help="Kind of a named point or area; repeat.")
+    ] = None,
+    geojson: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, metavar="FILE", help="Points and areas: GeoJSON or an IMDF archive."),
+    ] = None,
+    level: Level = None,
     out: Out = None,
     as_json: options.Json = False,
 ) -> None:
     """Name points and areas; answers say which the camera is in or near. Other names stay."""
+    from dataclasses import replace
+
     from rholoc.mapping import set_names
     from rholoc.maps import MapNames, NamedArea, NamedPoint
+    from rholoc.maps.floor_plan import ARCHIVE, media_type_of
+    from rholoc.maps.geojson import names_from_geojson
+    from rholoc.maps.plan_files import level_of_archive
 
     def named(map_: Map) -> Map:
         points = {one.name: one for one in map_.info.names.points}
         areas = {one.name: one for one in map_.info.names.areas}
+        if geojson is not None:
+            content = geojson.read_bytes()
+            if media_type_of(content) == ARCHIVE:
+                content = level_of_archive(content, level)
+            given = names_from_geojson(content, map_.info.earth)
+            points |= {one.name: one for one in given.points}
+            areas |= {one.name: one for one in given.areas}
         for name in remove or ():
             if points.pop(name, None) is None and areas.pop(name, None) is None:
                 raise InvalidInput(f"Nothing is named {name}.", "`rholoc map info` lists the names.")
         for name, _, place in (one.partition("=") for one in point or ()):
             x, y, z = _vector(place, 3).tolist()
-            points[name] = NamedPoint(name, (x, y, z))
+            points[name] = replace(points.get(name, NamedPoint(name, (x, y, z))), position=(x, y, z))
         for name, _, corners in (one.partition("=") for one in area or ()):
-            areas[name] = NamedArea(name, tuple((x, y) for x, y in _corners(corners).tolist()))
+            outline = tuple((x, y) for x, y in _corners(corners).tolist())
+            areas[name] = replace(areas.get(name, NamedArea(name, outline)), outline=outline)
+        for name, _, word in (one.partition("=") for one in kind or ()):
+            if name not in points and name not in areas:
+                raise InvalidInput(f"Nothing is named {name}.", "`rholoc map info` lists the names.")
+            if name in points:
+                points[name] = replace(points[name], kind=word)
+            if name in areas:
+                areas[name] = replace(areas[name], kind=word)
         return set_names(map_, MapNames(tuple(points.values()), tuple(areas.values())))
 
     _correct(map_file, out, as_json, named)
+
+
+@app.command("floor-plan")
+def floor_plan(
+    map_file: options.MapFile,
+    plan_file: Annotated[
+        Path,
+        typer.Argument(
+            exists=True,
+            dir_okay=False,
+            metavar="PLAN",
+            help="A picture, GeoJSON, an IMDF archive, or the yaml of a map_server.",
+        ),
+    ],
+    at: Annotated[
+        str | None, typer.Option(metavar="X,Y", help="Of the lower left corner; default: as the file says, else 0,0.")
+    ] = None,
+    turn: Annotated[float | None, typer.Option(metavar="DEG", help="Of the lower edge, from x towards y.")] = None,
+    m_per_unit: Annotated[
+        float | None, typer.Option(metavar="M", help="How long a pixel is; default: as the file says, else 1.")
+    ] = None,
+    level: Level = None,
+    out: Out = None,
+    as_json: options.Json = False,
+) -> None:
+    """Keep a floor plan with the map; the map does not move."""
+    from rholoc.mapping import set_floor_plan
+    from rholoc.maps.plan_files import PlanPlacement, packed_yaml, read_plan
+
+    is_yaml = plan_file.suffix.lower() in (".yaml", ".yml")
+    content = packed_yaml(plan_file) if is_yaml else plan_file.read_bytes()
+    x, y = (None, None) if at is None else _vector(at, 2).tolist()
+    placement = PlanPlacement(x, y, turn, m_per_unit)
+    _correct(
+        map_file,
+        out,
+        as_json,
+        lambda map_: set_floor_plan(map_, *read_plan(content, None, level, placement, map_.info.earth)),
+    )
 
 
 @app.command()

@@ -18,9 +18,10 @@ def export(
     to: Annotated[
         str,
         typer.Option(
-            metavar="rho|csv|observations|trajectory|ply|vtp|gltf|surfaces|colmap|nerfstudio|png",
+            metavar="rho|csv|observations|trajectory|ply|vtp|gltf|surfaces|colmap|nerfstudio|geojson|png",
             help="CSV, observations, trajectory: Tables 5, 4 and 6; PLY, VTP: points, and surfaces: where densities "
-            "peak, for ParaView; COLMAP, nerfstudio: cameras and poses; PNG: a picture from above.",
+            "peak, for ParaView; COLMAP, nerfstudio: cameras and poses; GeoJSON: named points and areas; PNG: a "
+            "picture from above.",
         ),
     ],
     out: Annotated[

@@ -94,17 +94,23 @@ class WalkIn(_CorrectionIn):
     last_view: int = Field(description="its last view, inclusive")
 
 
-class NamedPointIn(RequestModel):
+class _NamedIn(RequestModel):
+    name: str
+    kind: str = Field(default="", description="such as door or room")
+    fields: dict[str, str | int | Number | bool | None] = Field(
+        default_factory=dict, description="anything else about it, by name: text, numbers, true, false, null"
+    )
+
+
+class NamedPointIn(_NamedIn):
     """A point with a name."""
 
-    name: str
     position: Vector3 = Field(description="m")
 
 
-class NamedAreaIn(RequestModel):
+class NamedAreaIn(_NamedIn):
     """An area with a name, seen from above; areas may overlap."""
 
-    name: str
     outline: list[Vector2] = Field(description="its corners in order, m: 3 to 200")
 
 
@@ -200,10 +206,10 @@ def _names(wanted: NamesIn) -> MapNames:
     points, areas = [], []
     for point in wanted.points:
         x, y, z = _vector(point.position).tolist()
-        points.append(NamedPoint(point.name, (x, y, z)))
+        points.append(NamedPoint(point.name, (x, y, z), point.kind, point.fields))
     for area in wanted.areas:
         outline = _vector(area.outline).reshape(-1, 2).tolist()
-        areas.append(NamedArea(area.name, tuple((x, y) for x, y in outline)))
+        areas.append(NamedArea(area.name, tuple((x, y) for x, y in outline), area.kind, area.fields))
     return MapNames(tuple(points), tuple(areas))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -13,8 +14,9 @@ from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, UnknownPicture
 from rholoc.mapping import levelled
-from rholoc.maps import Map, cloud_to_bytes, map_to_scene, room_to_bytes
+from rholoc.maps import Map, MapNames, NamedArea, NamedPoint, cloud_to_bytes, map_to_scene, room_to_bytes
 from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
+from rholoc.maps.geojson import names_to_geojson
 from rholoc.paper.landscape import presence_of
 from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport
@@ -46,6 +48,19 @@ class FeatureOut(AnswerModel):
     views: list[int] = Field(description="the views that saw it, by number")
 
 
+NAMES_CONTENT: dict[str, Any] = {
+    GEOJSON: {
+        "schema": {"type": "object"},
+        "example": names_to_geojson(
+            MapNames(
+                (NamedPoint("charger", (0.2, 3.1, 0.0), "dock", {"volts": 24}),),
+                (NamedArea("kitchen", ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), "room"),),
+            ),
+            earth=None,
+        ),
+    }
+}
+"""Named points and areas as GeoJSON, for the OpenAPI document."""
 _BINARY_TYPE = "application/octet-stream"
 _PLAN_CONTENT: dict[str, Any] = {
     kind: {"schema": {"type": "object"}, "example": {"type": "FeatureCollection", "features": []}}
@@ -94,6 +109,30 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
     """How many landmarks a camera like the map's sees from places on a grid around the walk, in each of twelve
     directions. `sufficient` of them are enough to expect a pose."""
     return await _rendered(request, service, map_name, Rendering.COVERAGE, "application/json")
+
+
+@router.get(
+    "/{map_name}/names",
+    **declared(
+        NEEDS_READ,
+        "A map's named points and areas as GeoJSON",
+        *_FAILURES,
+        also={
+            200: {
+                "description": "A FeatureCollection.",
+                "content": NAMES_CONTENT,
+            }
+        },
+    ),
+)
+async def get_names(map_name: str, request: Request, service: Service) -> Response:
+    """Longitude, latitude and height of WGS 84 in a map with a place on Earth; else metres of the map, and the
+    collection says `"frame": "map"`."""
+
+    def names(map_: Map) -> tuple[bytes, str]:
+        return json.dumps(names_to_geojson(map_.info.names, map_.info.earth), ensure_ascii=False).encode(), GEOJSON
+
+    return await _made(request, service, map_name, names, "names")
 
 
 @router.get(

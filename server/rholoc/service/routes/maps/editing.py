@@ -20,9 +20,11 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.jobs import JobKind, JobOptions, JobPriority
-from rholoc.mapping import forget_recording, merge_maps
-from rholoc.maps import MAX_PLAN_BYTES, FloorPlan, check_map_name, check_memory
-from rholoc.maps.floor_plan import MEDIA_TYPES
+from rholoc.mapping import forget_recording, merge_maps, set_names
+from rholoc.maps import MAX_PLAN_BYTES, Map, check_map_name, check_memory
+from rholoc.maps.floor_plan import ARCHIVE, GEOJSON, MEDIA_TYPES
+from rholoc.maps.geojson import MAX_GEOJSON_BYTES, names_from_geojson
+from rholoc.maps.plan_files import PlanPlacement, level_of_archive, read_plan
 from rholoc.service.access.scopes import NEEDS_MAP, request_key
 from rholoc.service.errors import UnsupportedMediaType
 from rholoc.service.http.bodies import media_type, read_body
@@ -31,6 +33,7 @@ from rholoc.service.http.openapi import BINARY, declared, request_body
 from rholoc.service.maps.corrections import CorrectionIn, corrected_map
 from rholoc.service.maps.descriptions import MapDetail
 from rholoc.service.maps.job_events import JobOut, begun
+from rholoc.service.routes.maps.contents import NAMES_CONTENT
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
@@ -38,6 +41,10 @@ from rholoc.storage.holdings import Kind
 from rholoc.trajectory import PoseMethod
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])
+Level = Annotated[
+    str | None, Query(description="of an IMDF archive: its level by name, ordinal or id; default: the only one")
+]
+_ARCHIVE_BODY = {ARCHIVE: {"schema": BINARY}}
 _CORRECTIONS: dict[str, Example] = {kind: {"value": value} for kind, value in EXAMPLES["CorrectionIn"].items()}
 
 
@@ -87,8 +94,42 @@ async def correct_map(
 
 
 @router.put(
+    "/{map_name}/names",
+    openapi_extra=request_body({**NAMES_CONTENT, **_ARCHIVE_BODY}),
+    **declared(
+        NEEDS_MAP,
+        "Set a map's named points and areas by GeoJSON",
+        *_FAILURES,
+        InvalidInput,
+        UnsupportedMediaType,
+        TooLarge,
+        Conflict,
+        Busy,
+        StorageFull,
+    ),
+)
+async def put_names(map_name: str, request: Request, service: Service, level: Level = None) -> MapDetail:
+    """The body is a FeatureCollection of points and polygons, or an IMDF archive. `name` and `kind` of their properties
+    are kept, and others as `fields`; they replace the names that the map has. Coordinates are of WGS 84 in a map with a
+    place on Earth; a collection with `"frame": "map"` has metres of the map. This makes the map's next version."""
+    kind = media_type(request)
+    if kind not in (GEOJSON, "application/json", ARCHIVE):
+        raise UnsupportedMediaType(f"Names cannot be {kind or 'nothing'}.", f"Send {GEOJSON} or {ARCHIVE}.")
+    map_ = await service.maps.get(map_name)
+    body = await read_body(request, MAX_GEOJSON_BYTES)
+
+    def named() -> Map:
+        content = level_of_archive(body, level) if kind == ARCHIVE else body
+        return set_names(map_, names_from_geojson(content, map_.info.earth))
+
+    changed = await service.frames.compute.run(named, Effort.LARGE)
+    await service.maps.replace(map_name, changed)
+    return await service.maps.detail(map_name, changed)
+
+
+@router.put(
     "/{map_name}/plan",
-    openapi_extra=request_body({kind: {"schema": BINARY} for kind in MEDIA_TYPES}),
+    openapi_extra=request_body({**{kind: {"schema": BINARY} for kind in MEDIA_TYPES}, **_ARCHIVE_BODY}),
     **declared(
         NEEDS_MAP,
         "Keep a floor plan with a map",
@@ -97,6 +138,7 @@ async def correct_map(
         UnsupportedMediaType,
         TooLarge,
         Conflict,
+        Busy,
         StorageFull,
     ),
 )
@@ -104,19 +146,31 @@ async def put_plan(
     map_name: str,
     request: Request,
     service: Service,
-    x: Annotated[float, Query(description="where its lower left corner lies, m, map frame")] = 0.0,
-    y: Annotated[float, Query(description="where its lower left corner lies, m, map frame")] = 0.0,
-    turn_deg: Annotated[float, Query(description="how far its lower edge is turned from the map's x towards y")] = 0.0,
-    m_per_unit: Annotated[float, Query(gt=0, description="how long a pixel is, or a metre of GeoJSON")] = 1.0,
+    x: Annotated[float | None, Query(description="where its lower left corner lies, m, map frame")] = None,
+    y: Annotated[float | None, Query(description="where its lower left corner lies, m, map frame")] = None,
+    turn_deg: Annotated[
+        float | None, Query(description="how far its lower edge is turned from the map's x towards y")
+    ] = None,
+    m_per_unit: Annotated[
+        float | None, Query(gt=0, description="how long a pixel is, or a metre of GeoJSON; default: 1")
+    ] = None,
+    level: Level = None,
 ) -> MapDetail:
-    """The body is a picture (PNG, JPEG, WebP) or GeoJSON. This makes the map's next version; the previous one can be
+    """The body is a picture (PNG, JPEG, WebP), GeoJSON, or a ZIP archive: of IMDF, or of a `map_server` yaml with its
+    picture. Without `x`, `y` and `turn_deg` the plan lies where its yaml says, or in a map with a place on Earth where
+    its longitude and latitude say, else at the origin. This makes the map's next version; the previous one can be
     restored. The plan moves with the map when its frame is corrected."""
     kind = media_type(request)
-    if kind not in MEDIA_TYPES:
-        raise UnsupportedMediaType(f"A floor plan cannot be {kind or 'nothing'}.", f"Send {', '.join(MEDIA_TYPES)}.")
-    await service.maps.stat(map_name)
-    content = await read_body(request, MAX_PLAN_BYTES)
-    plan = FloorPlan(kind, (x, y), turn_deg, m_per_unit)
+    if kind not in (*MEDIA_TYPES, ARCHIVE):
+        raise UnsupportedMediaType(
+            f"A floor plan cannot be {kind or 'nothing'}.", f"Send {', '.join([*MEDIA_TYPES, ARCHIVE])}."
+        )
+    earth = (await service.maps.get(map_name)).info.earth
+    body = await read_body(request, MAX_PLAN_BYTES)
+    placement = PlanPlacement(x, y, turn_deg, m_per_unit)
+    content, plan = await service.frames.compute.run(
+        lambda: read_plan(body, kind, level, placement, earth), Effort.LARGE
+    )
     planned = await service.maps.keep_plan(map_name, content, plan)
     return await service.maps.detail(map_name, planned)
 

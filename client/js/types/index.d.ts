@@ -1,0 +1,4 @@
+// Written by client/js/write_types.py: run `make format`.
+export { MapSession } from "./session.js";
+export { Client, RholocError } from "./client.js";
+export { Axes, camera, cameraOfProjection, inverse, multiply, toOpenCV, turned } from "./poses.js";

@@ -1,0 +1,149 @@
+"""The live view, read by a client of Foxglove's WebSocket protocol and the decoder of Foxglove's own library."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcap_ros2._dynamic import generate_dynamic
+from scipy.spatial.transform import Rotation
+from websockets.sync.client import connect
+
+from bag_messages import bag_messages
+from rholoc.errors import InvalidInput
+from rholoc.geometry import Camera
+from rholoc.tracking import MessagesOfTrack, PoseBag
+from rholoc.tracking.live_view import LiveView
+from rholoc.tracking.pose_messages import PICTURE_TOPICS, TOPICS
+
+LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove.json"
+CAMERA = Camera(960, 720, 800.0, 810.0, 470.0, 350.0)
+MESSAGE, PATIENCE_S = 1, 20.0
+
+
+@pytest.fixture
+def view():
+    with LiveView("127.0.0.1:0", np.eye(4)) as view:
+        yield view
+
+
+class Foxglove:
+    """What the application does: it learns the channels, subscribes to all of them, and decodes their messages."""
+
+    def __init__(self, port):
+        self._connection = connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])
+        self.channels = {}
+
+    def __enter__(self):
+        self._socket = self._connection.__enter__()
+        while len(self.channels) < len(TOPICS) + len(PICTURE_TOPICS):
+            said = json.loads(self._socket.recv(PATIENCE_S))
+            if said["op"] == "advertise":
+                self.channels |= {one["id"]: one for one in said["channels"]}
+        wanted = [{"id": number, "channelId": number} for number in self.channels]
+        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        return self
+
+    def __exit__(self, *error):
+        self._connection.__exit__(*error)
+
+    def messages(self, patience_s):
+        """Topic and content of the messages that come, until none comes for a while."""
+        with suppress(TimeoutError):
+            while True:
+                said = self._socket.recv(patience_s)
+                if isinstance(said, bytes) and said[0] == MESSAGE:
+                    number, _ = struct.unpack_from("<IQ", said, 1)
+                    channel = self.channels[number]
+                    decode = generate_dynamic(channel["schemaName"], channel["schema"])[channel["schemaName"]]
+                    yield channel["topic"], decode(said[13:])
+
+
+def test_all_that_the_layout_shows_is_sent_as_it_happens(view, step, point_room):
+    """And what is sent once reaches those who come later."""
+    map_ = point_room.map_of(point_room.walk(10), "walk")
+    user = MessagesOfTrack(view, map_, CAMERA)
+    T = np.eye(4)
+    T[:3, 3] = 1, 2, 3
+    found, now_s = {}, 100.0
+    with Foxglove(view.port) as foxglove:
+        kinds = {one["topic"]: one["schemaName"] for one in foxglove.channels.values()}
+        assert kinds == {**TOPICS, **PICTURE_TOPICS}
+        assert {(one["encoding"], one["schemaEncoding"]) for one in foxglove.channels.values()} == {("cdr", "ros2msg")}
+        deadline = time.monotonic() + PATIENCE_S
+        while set(found) < set(kinds) and time.monotonic() < deadline:
+            now_s += 1.25
+            user.take(step(now_s, T, size=(720, 960)))
+            found |= dict(foxglove.messages(0.2))
+    assert set(found) == set(kinds)
+    xyz = np.frombuffer(bytes(found["/map/points"].data), np.dtype([("xyz", "<f4", 3), ("bgra", "u1", 4)]))["xyz"]
+    np.testing.assert_allclose(xyz, map_.landmarks.positions, atol=1e-5)
+    named = [(one.name, one.offset) for one in found["/map/points"].fields]
+    assert named == [("x", 0), ("y", 4), ("z", 8), ("rgba", 12)]
+    picture = cv2.imdecode(np.frombuffer(bytes(found["/camera/image/compressed"].data), np.uint8), cv2.IMREAD_COLOR)
+    info = found["/camera/camera_info"]
+    assert picture.shape == (info.height, info.width, 3) == (360, 480, 3)
+    ray = np.linalg.solve(np.reshape(info.k, (3, 3)), [(100 + 0.5) / 2 - 0.5, (60 + 0.5) / 2 - 0.5, 1])
+    np.testing.assert_allclose(ray[:2], [(100 - CAMERA.cx) / CAMERA.fx, (60 - CAMERA.cy) / CAMERA.fy], atol=1e-9)
+    p = found["/visual_localization/pose"].pose.pose.position
+    assert (p.x, p.y, p.z) == (1, 2, 3)
+    with Foxglove(view.port) as late:
+        assert {topic for topic, _ in late.messages(1.0)} == {"/map/points", "/tf_static"}
+
+
+def test_the_ellipsoid_holds_95_percent(tmp_path):
+    R = Rotation.from_euler("xyz", [0.3, -0.4, 0.9]).as_matrix()
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = R @ np.diag([0.04, 0.01, 0.0025]) @ R.T
+    T = np.eye(4)
+    T[:3, 3] = 1, 2, 3
+    with PoseBag(tmp_path / "one.mcap", np.eye(4)) as bag:
+        bag.pose(1.0, T, covariance)
+    (marker,) = [one for topic, _, one in bag_messages(tmp_path / "one.mcap") if topic.endswith("uncertainty")]
+    q = marker.pose.orientation
+    axes = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    radii = np.array([marker.scale.x, marker.scale.y, marker.scale.z]) / 2
+    drawn = np.random.default_rng(0).multivariate_normal([0, 0, 0], covariance[:3, :3], 20_000)
+    assert np.mean(np.sum(np.square(drawn @ axes / radii), axis=1) <= 1) == pytest.approx(0.95, abs=0.01)
+
+
+def test_a_path_grows_by_a_pose_a_second_and_is_bounded(tmp_path):
+    with PoseBag(tmp_path / "path.mcap", np.eye(4)) as bag:
+        for number in range(7000):
+            T = np.eye(4)
+            T[0, 3] = number
+            bag.pose(number / 10, T, None)
+    paths = [one for topic, _, one in bag_messages(tmp_path / "path.mcap") if topic.endswith("path")]
+    assert len(paths[-1].poses) == 600
+    assert [round(one.pose.position.x) for one in paths[3].poses] == [0, 10, 20, 30]
+    assert sum(len(one.poses) for one in paths) < 60 * 700
+
+
+def test_the_layout_names_topics_that_are_written():
+    layout = json.loads(LAYOUT.read_text())
+    topics = {*layout["configById"]["3D!rholoc"]["topics"]}
+    topics |= set(re.findall(r'"(/[\w/]+)(?:\.data)?"', LAYOUT.read_text()))
+    assert topics <= {*TOPICS, *PICTURE_TOPICS}
+
+    def panels(node):
+        return {node} if isinstance(node, str) else panels(node["first"]) | panels(node["second"])
+
+    assert panels(layout["layout"]) == set(layout["configById"])
+
+
+@pytest.mark.parametrize("address", ["", ":1", "host:port", "127.0.0.1:99999"])
+def test_an_address_that_is_none_is_refused(address):
+    with pytest.raises(InvalidInput):
+        LiveView(address, np.eye(4))
+
+
+def test_a_port_that_is_taken_is_said(view):
+    with pytest.raises(InvalidInput, match="cannot be listened at"):
+        LiveView(f"127.0.0.1:{view.port}", np.eye(4))
