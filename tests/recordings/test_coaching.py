@@ -120,6 +120,16 @@ def test_without_an_imu_poses_tell_how_fast_it_turned() -> None:
     assert measure_walk(walked(), [], times[:1], T[:1]).turn_deg_s is None
 
 
+def test_pictures_without_times_are_no_walk_that_could_return(tmp_path: Path) -> None:
+    for number in range(4):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((48, 64, 3), np.uint8))
+    line = np.tile(np.eye(4), (4, 1, 1))
+    line[:, 0, 3] = np.arange(4)
+    figures = measure_walk(read_recording(tmp_path), [], np.arange(4.0), line)
+    assert (figures.nearest_return, figures.turn_deg_s) == (None, None)
+    assert measure_walk(walked(), [], np.arange(4.0), line).nearest_return == 1
+
+
 @pytest.mark.parametrize("unit", [0.01, 1.0, 100.0])
 def test_a_loop_is_a_return_that_looks_the_same_way(unit: float) -> None:
     angles = np.linspace(0, 2 * np.pi, 80)

@@ -82,7 +82,7 @@ class WalkFigures:
         pauses: how many of the waypoints were rested at, where there are waypoints and an IMU.
         waypoints: how many waypoints there are.
         nearest_return: how near the second half of the walk comes to the first, as a share of the distance walked in
-            between; small where the walk closes a loop, 1 where it is straight.
+            between; small where the walk closes a loop, 1 where it is straight. None for pictures without times.
     """
 
     turn_deg_s: float | None = None

@@ -118,12 +118,14 @@ def check_frame_size(name: str, width: int, height: int) -> None:
         InvalidRecording: a side is shorter than 16 pixels, or there are more pixels than 8K or
             :func:`frame_pixels_limited` allow.
     """
-    most = _max_frame_pixels.get()
-    if min(width, height) < MIN_FRAME_SIDE or width * height > most:
+    most, size = _max_frame_pixels.get(), f"The frames of {name} have {width}×{height} pixels"
+    if min(width, height) < MIN_FRAME_SIDE:
         raise InvalidRecording(
-            f"The frames of {name} are of {width}×{height} pixels; at least {MIN_FRAME_SIDE} a side and at most "
-            f"{most} are allowed.",
-            "Record at 1080p, or scale the video down.",
+            f"{size}: too few to recognise anything.", f"At least {MIN_FRAME_SIDE} a side are needed."
+        )
+    if width * height > most:
+        raise InvalidRecording(
+            f"{size}; at most {most / 1e6:.1f} megapixels are allowed.", "Record at 1080p, or scale the pictures down."
         )
 
 

@@ -65,7 +65,7 @@ def measure_walk(
         bare_share=float(np.mean([look.corners < _FEW_CORNERS for look in looks])) if looks else None,
         pauses=None if imu is None or not recording.waypoints else _rested_at(recording.waypoints, imu),
         waypoints=len(recording.waypoints),
-        nearest_return=nearest_return(T_map_camera),
+        nearest_return=nearest_return(T_map_camera) if recording.frames.timed else None,
     )
 
 
