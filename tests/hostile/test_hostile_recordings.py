@@ -140,7 +140,7 @@ def test_the_pixels_of_a_video_are_a_setting_of_the_service(tmp_path):
     workplace = Workplace(stores, limits.frame_pixels)
     stored = stores.recordings.create([(path.name, [path.read_bytes()])]).id
     task = workplace.task(Lease("0" * 32, "run", 1), JobWork(stored, "room", JobOptions()), math.inf)
-    with pytest.raises(InvalidRecording, match="at most 1000"):
+    with pytest.raises(InvalidRecording, match="at most 1,000"):
         MappingPipeline().build(task, lambda *_: None)
 
 

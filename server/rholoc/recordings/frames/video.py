@@ -124,9 +124,7 @@ def check_frame_size(name: str, width: int, height: int) -> None:
             f"{size}: too few to recognise anything.", f"At least {MIN_FRAME_SIDE} a side are needed."
         )
     if width * height > most:
-        raise InvalidRecording(
-            f"{size}; at most {most / 1e6:.1f} megapixels are allowed.", "Record at 1080p, or scale the pictures down."
-        )
+        raise InvalidRecording(f"{size}; at most {most:,} are allowed.", "Record at 1080p, or scale the pictures down.")
 
 
 @contextmanager
