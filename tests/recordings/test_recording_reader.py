@@ -146,6 +146,10 @@ def test_broken_image_folders_are_reported(make_images, tmp_path: Path) -> None:
     with pytest.raises(InvalidRecording, match="neither a video nor images"):
         read_recording(tmp_path / "empty")
 
+    (tmp_path / "empty" / "IMG_0001.HEIC").write_bytes(b"")
+    with pytest.raises(InvalidRecording, match=r"IMG_0001\.HEIC is a HEIC picture.*JPEG"):
+        read_recording(tmp_path / "empty")
+
     with pytest.raises(InvalidRecording, match="There is no"):
         read_recording(tmp_path / "none")
 

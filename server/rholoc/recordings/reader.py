@@ -29,7 +29,7 @@ _KNOWN = (
     + ", ".join(sorted(VIDEO_SUFFIXES))
     + "); a ROS bag ("
     + ", ".join(sorted(BAG_SUFFIXES))
-    + "); a folder with images whose names end in a number; "
+    + "); a folder with images; "
     "a folder or .zip with video.mp4 or frames/, and with imu.csv, frames.csv, waypoints.csv, camera.json or not; and "
     "those of recorder apps and datasets, which maps/README.md lists."
 )

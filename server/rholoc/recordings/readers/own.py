@@ -30,6 +30,7 @@ from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.reports import RecordingWarning
 
+_HEIC = (".heic", ".heif")  # an iPhone's pictures; no permissive library decodes them
 TABLES = ("frames.csv", "times.csv", "imu.csv", "poses.txt", "poses.csv", "odometry.csv", "truth.csv")
 
 
@@ -96,12 +97,18 @@ def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tu
     images = find_images(folder)
     if images:
         return read_image_folder(images, times_csv, description.fps), ()
+    heic = next((path for path in sorted(folder.rglob("*")) if path.suffix.lower() in _HEIC), None)
+    if heic is not None:
+        raise InvalidRecording(
+            f"{heic.name} is a HEIC picture, which cannot be read.",
+            "Export the pictures as JPEG, or set the phone's camera to its most compatible format.",
+        )
     empty = not any(folder.iterdir())
     raise InvalidRecording(
         f"The folder {folder.name} is empty."
         if empty
         else f"The folder {folder.name} contains neither a video nor images.",
-        "It needs video.mp4, or images whose names end in a number, here or in frames/.",
+        "It needs video.mp4, or images (JPEG, PNG, WebP), here or in frames/.",
     )
 
 
