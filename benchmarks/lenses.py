@@ -1,6 +1,7 @@
 """A walk as cameras with other lenses would have recorded it: does each map and localize as well as the pinhole?
 
     python benchmarks/lenses.py [euroc_v101 room] [--seeds 0-9] [--lenses pinhole fisheye equirectangular] [--json FILE]
+        [--write]
 
 ``euroc_v101``: as it is, and resampled as a fisheye of the same size and as a panorama, each with as many pixels a
 radian at the optical axis. Of every seed, which chooses the frames, two frames of three make a map, by pictures and
@@ -10,8 +11,9 @@ IMU, and the others are localized in it. The lens is another one, what it shows 
 panorama; the first walk is mapped from its pictures alone, or with its true poses where that fails, the second is
 localized. The lenses show more and more.
 
-Frames are localized with the camera that the map has. Errors of positions are after the similarity that aligns the
-map's views with the truth, errors of rotations after the mean rotation.
+With ``--write`` the first walk's errors, those of other lenses as multiples of the pinhole's, go to
+benchmarks/results/lenses.json. Frames are localized with the camera that the map has. Errors of positions are after
+the similarity that aligns the map's views with the truth, errors of rotations after the mean rotation.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +30,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from figures import Figure, quote_anew, write_results
 from measuring import SHARED_DATA, measured, position_errors, print_table, rounded
 from rholoc.errors import MappingFailed
 from rholoc.evaluation import trajectory_errors
@@ -183,12 +186,31 @@ def run(walk: str, lens: Lens, seed: int) -> dict[str, Any]:
     }
 
 
+def figures_of(rows: Sequence[dict[str, Any]]) -> dict[str, Figure]:
+    """What the documents quote: means over the seeds, of the pinhole in centimetres, of other lenses as multiples."""
+
+    def mean(lens: Lens, figure: str) -> float:
+        return float(np.mean([row[figure] for row in rows if row["lens"] == lens.value]))
+
+    found = {
+        f"lenses.{lens.value}.localized_percent": Figure(round(mean(lens, "localized_percent"), 1), 2.0, True)
+        for lens in Lens
+    }
+    for figure, what in (("map_cm", "map"), ("median_cm", "localizing")):
+        pinhole = mean(Lens.PINHOLE, figure)
+        found[f"lenses.pinhole.{figure}"] = Figure(round(pinhole, 2), 0.2, False)
+        for lens in (Lens.FISHEYE, Lens.EQUIRECTANGULAR):
+            found[f"lenses.{lens.value}.{what}_ratio"] = Figure(round(mean(lens, figure) / pinhole, 2), 0.3, False)
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("walks", nargs="*", help=f"default: {', '.join(WALKS)}")
     parser.add_argument("--seeds", default="0", help="0-9")
     parser.add_argument("--lenses", nargs="+", type=Lens, default=list(Lens))
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--write", action="store_true", help="write benchmarks/results/lenses.json")
     asked = parser.parse_args()
     first, _, last = asked.seeds.partition("-")
     rows = []
@@ -199,6 +221,11 @@ def main() -> None:
                 print_table(rows[-1:], list(rows[-1]))
     if asked.json is not None:
         asked.json.write_text(json.dumps(rows, indent=1) + "\n")
+    if asked.write:
+        walk = rows[0]["walk"]
+        command = f"python benchmarks/lenses.py {walk} --seeds {asked.seeds} --write"
+        write_results("lenses", figures_of([row for row in rows if row["walk"] == walk]), command)
+        quote_anew()
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from figures import Figure, write_results
+from figures import Figure, quote_anew, write_results
 from measuring import (
     SHARED_DATA,
     flat,
@@ -382,6 +382,7 @@ def main() -> None:
     if options.write:
         command = ["python benchmarks/placed.py", *options.recordings, "--as", *options.kinds, "--write"]
         write_results("placed", figures_of(judgements, table), " ".join(command))
+        quote_anew()
 
 
 if __name__ == "__main__":

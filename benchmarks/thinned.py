@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from figures import REGION_95, Figure, write_results
+from figures import REGION_95, Figure, quote_anew, write_results
 from measuring import SHARED_DATA, print_table, rounded
 from rholoc.errors import RholocError
 from rholoc.geometry import FloatArray, kabsch, umeyama
@@ -119,7 +119,9 @@ def main() -> None:
     }
     print(", ".join(f"{name} {one.value:g}" for name, one in figures.items()))
     if options.write:
-        write_results("thinned", figures, "python benchmarks/thinned.py --write")
+        asked = f"--seeds {options.seeds} --rates {options.rates} --seconds {options.seconds:g}"
+        write_results("thinned", figures, f"python benchmarks/thinned.py {asked} --write")
+        quote_anew()
 
 
 if __name__ == "__main__":
