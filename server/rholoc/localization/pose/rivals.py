@@ -32,9 +32,7 @@ _MIN_AGREEING, _MIN_OF_FOUND = 8, 0.2  # matches; of the matches of the pose tha
 _TELLING_NATS = 12.0  # by which much more support one of two poses is twice as sure again; about a cell of the picture
 
 
-def rival_seeds(
-    index: MapIndex, nearest: NearestLandmarks, query: Query, found: Verified
-) -> Iterator[FloatArray]:
+def rival_seeds(index: MapIndex, nearest: NearestLandmarks, query: Query, found: Verified) -> Iterator[FloatArray]:
     """Iterate over poses (4, 4) that unexplained matches agree with, most voted place first."""
     looked_at = len(nearest) / max(len(query.features), 1)  # a share of the features
     fewest = fewest_agreeing(looked_at * found.inliers)
