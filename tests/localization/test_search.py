@@ -52,21 +52,33 @@ def found(
     return Found(verified, camera, lambda: estimate, Belief(recognized, exact), near_prior)
 
 
-def search(*candidates: Found | None, prior: Prior | None = None) -> Search:
+def search(*candidates: Found | None, prior: Prior | None = None, seeds: int = 0) -> Search:
     query: Any = SimpleNamespace(prior=prior)
-    begun = Search(query, Stopwatch(None))
+    begun = Search(query, Stopwatch(None), everywhere=Matches.none(), seeds=seeds)
     for candidate in candidates:
         begun.add(candidate)
     return begun
 
 
-def test_a_search_is_hopeless_once_five_looks_found_hardly_the_right_place_or_nothing() -> None:
+def test_a_search_is_hopeless_once_five_looks_found_hardly_the_right_place_or_two_found_nothing_at_all() -> None:
     options = SearchOptions()
     assert not search().is_hopeless(options)
-    assert not search(found(0.01), None, found(0.001), None).is_hopeless(options)
-    assert search(found(0.01), None, found(0.001), None, found(0.019)).is_hopeless(options)
-    assert search(*[None] * 5).is_hopeless(options)
-    assert not search(found(0.01), found(0.021), found(0.001), None, found(0.0)).is_hopeless(options)
+    assert not search(None).is_hopeless(options)
+    assert search(None, None).is_hopeless(options)
+    assert not search(None, None, seeds=1).is_hopeless(options)
+    assert not search(found(0.01), None, found(0.001), None, seeds=2).is_hopeless(options)
+    assert search(found(0.01), None, found(0.001), None, found(0.019), seeds=2).is_hopeless(options)
+    assert search(*[None] * 5, seeds=1).is_hopeless(options)
+    assert not search(found(0.01), found(0.021), found(0.001), None, found(0.0), seeds=2).is_hopeless(options)
+
+
+def test_a_pose_seen_from_afar_is_not_settled_however_exact_it_looks() -> None:
+    near, afar = (
+        replace(found(0.95), verified=replace(found(0.95).verified, support=one))
+        for one in (Support(9.0, 1.0, 30.0, 100.0), Support(9.0, 1.0, 20.0, 100.0))
+    )
+    assert search(near).is_settled(math.inf)
+    assert not search(afar).is_settled(math.inf)
 
 
 @pytest.mark.parametrize(

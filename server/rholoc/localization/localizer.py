@@ -107,8 +107,8 @@ class Localizer:
 
     def attempt(self, query: Query) -> Localization | None:
         """Answer from the features at hand. Returns None if they are inconclusive; never extracts more."""
-        search = self._sure_search(query, Stopwatch(query.deadline_s))
-        answer = None if search is None else self._answer(search)
+        search = self._search(self.adapted(query), Stopwatch(query.deadline_s))
+        answer = self._answer(search) if self._is_sure(search) else None
         return answer if answer is not None and answer.localized else None
 
     def view_votes(self, features: FeatureSet) -> FloatArray:
@@ -138,32 +138,36 @@ class Localizer:
         return query
 
     def _thorough_search(self, query: Query, watch: Stopwatch) -> Search:
-        """Quick search, followed by a close one if the quick one is inconclusive."""
-        return self._quick_search(query, watch) or self._search(self.adapted(_with_more_features(query, watch)), watch)
+        """Quick search with the first features, followed by a close one with all if the quick one is inconclusive."""
+        quick: Search | None = None
+        if query.more_features is not None and query.intrinsics is Intrinsics.GIVEN:
+            quick = self._search(self.adapted(query), watch)
+            if self._is_sure(quick):
+                return quick
+        return self._search(self.adapted(_with_more_features(query, watch)), watch, quick)
 
-    def _quick_search(self, query: Query, watch: Stopwatch) -> Search | None:
-        """Quick search with the first features. Returns None if it is inconclusive and more features can be
-        extracted.
-        """
-        if query.more_features is None or query.intrinsics is Intrinsics.UNKNOWN:
-            return None
-        return self._sure_search(query, watch)
-
-    def _sure_search(self, query: Query, watch: Stopwatch) -> Search | None:
-        """Search with the features at hand. Returns None if it is inconclusive."""
-        search = self._search(self.adapted(query), watch)
+    def _is_sure(self, search: Search) -> bool:
+        """Whether a search with the first features is conclusive."""
         if not search.is_settled(self.options.settled_sigma_m):
-            return None
+            return False
         found = search.outcome(self.options.conclusive)
-        return None if found is None or found.recognized < self.options.conclusive else search
+        return found is not None and found.recognized >= self.options.conclusive
 
-    def _search(self, query: Query, watch: Stopwatch) -> Search:
-        """Search for candidates, then for their rivals; no close look if more features can be extracted."""
-        search = Search(query, watch)
+    def _search(self, query: Query, watch: Stopwatch, quick: Search | None = None) -> Search:
+        """Search for candidates, then for their rivals; no close look if more features can be extracted.
+
+        Args:
+            query: the frame.
+            watch: its time budget.
+            quick: an inconclusive search with fewer features, whose best pose is the first candidate.
+        """
+        search = Search(query, watch, seeds=0 if quick is None else quick.seeds)
         if len(query.features) < _MIN_FEATURES:
             search.reason = Reason.NO_FEATURES
             return search
         rays = query.camera.rays(query.features.pixels)
+        if quick is not None and quick.likeliest is not None:
+            search.add(self._candidate_at(quick.likeliest.verified.optimum.T_map_camera, query, rays, watch))
         self._look_around(search, rays)
         self._match_again(search, rays)
         self._look_along_arcs(search, rays)
@@ -178,8 +182,7 @@ class Localizer:
             if watch.late:
                 search.reason = Reason.DEADLINE
                 return
-            if not search.is_sampled:
-                search.place = search.place or place
+            search.place = search.place or place
             for found in self._look(place, search, rays):
                 search.add(found)
                 max_sigma_m = options.settled_sigma_m if search.is_sampled else math.inf
@@ -241,33 +244,34 @@ class Localizer:
             watch.lap("match")
             yield from self._look_with_any_focal(matches, query, self.options.ransac_samples[0], watch)
             return
+        glance: Found | None = None
         if search.everywhere is not None:
-            yield self._glance(search.everywhere.among(place.landmarks), query, rays, watch)
+            glance = self._glance(search.everywhere.among(place.landmarks), search, rays)
+            yield glance
         else:
             near = self.index.match_within(query.features, place.landmarks, some=query.features.sample)
             watch.lap("match")
-            yield self._glance(near, query, rays, watch)
+            yield self._glance(near, search, rays)
             if query.prior is not None:
-                yield self._track(query.prior, query, rays, watch)
-        if search.is_sampled or query.more_features is not None:
-            return
-        yield from self._look_closely(place, query, rays, watch)
+                yield self._track(query.prior, search, rays)
+        if query.more_features is None and (glance is None or not search.is_sampled):
+            yield from self._look_closely(place, search, rays)
 
-    def _glance(self, matches: Matches, query: Query, rays: FloatArray, watch: Stopwatch) -> Found | None:
+    def _glance(self, matches: Matches, search: Search, rays: FloatArray) -> Found | None:
         """Candidate from one LO-RANSAC over all matches, which suffices for most frames."""
-        seed = self._ransac_seed(matches, query)
-        watch.lap("seed")
-        return None if seed is None else self._candidate_at(seed, query, rays, watch, matches)
+        seed = self._ransac_seed(matches, search)
+        return None if seed is None else self._candidate_at(seed, search.query, rays, search.watch, matches)
 
-    def _track(self, prior: Prior, query: Query, rays: FloatArray, watch: Stopwatch) -> Found | None:
+    def _track(self, prior: Prior, search: Search, rays: FloatArray) -> Found | None:
         """Candidate from one LO-RANSAC over matches near a prior, which suffices if few features are left.
 
         An ascent from the prior itself may end on a lower peak beside the right one.
         """
-        some, T_map_camera = query.features.sample, prior.pose.T_map_camera
+        query, T_map_camera = search.query, prior.pose.T_map_camera
+        some = query.features.sample
         near, _ = self.index.match_near(query.features, query.camera, T_map_camera, _TRACKING_RADIUS_PX, some)
-        watch.lap("match")
-        return self._glance(near, query, rays, watch)
+        search.watch.lap("match")
+        return self._glance(near, search, rays)
 
     def _places(self, search: Search) -> Iterator[Place]:
         """Iterate over places to search: around the prior, then by votes of matches with the whole map."""
@@ -301,12 +305,12 @@ class Localizer:
         search.reason = Reason.NO_AGREEMENT
         yield from places_by_votes(self.index, search.everywhere, self.options.views_each, query.prior)
 
-    def _look_closely(self, place: Place, query: Query, rays: FloatArray, watch: Stopwatch) -> Iterator[Found | None]:
+    def _look_closely(self, place: Place, search: Search, rays: FloatArray) -> Iterator[Found | None]:
         """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density."""
+        query, watch = search.query, search.watch
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
-        seed = self._ransac_seed(matches, query)
-        watch.lap("seed")
+        seed = self._ransac_seed(matches, search)
         if seed is None:
             yield None
             return
@@ -323,9 +327,12 @@ class Localizer:
         if other is not None and (optimum is None or other.value > optimum.value):
             yield self._candidate_at(other.T_map_camera, query, rays, watch, matches)
 
-    def _ransac_seed(self, matches: Matches, query: Query) -> FloatArray | None:
+    def _ransac_seed(self, matches: Matches, search: Search) -> FloatArray | None:
+        """Credible pose (4, 4) by LO-RANSAC over matches. None if there is none."""
         options = self.options
-        found = credible_pose(self.index, query, matches, options.ransac_tolerance_px, options.ransac_samples)
+        found = credible_pose(self.index, search.query, matches, options.ransac_tolerance_px, options.ransac_samples)
+        search.watch.lap("seed")
+        search.seeds += found is not None
         return None if found is None else found[0]
 
     def _climb(

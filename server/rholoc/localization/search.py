@@ -41,6 +41,7 @@ class SearchOptions:
         hopeless: probability of the right place below which a verified pose counts as hopeless.
         hopeless_looks: number of hopeless poses, or of looks that found none, after which the search ends, because the
             picture shows another place.
+        fruitless_looks: number of looks that found none after which it ends if LO-RANSAC never found a credible pose.
         expected: probability of the right place above which the search ends after a close look at the prior's place.
     """
 
@@ -55,6 +56,7 @@ class SearchOptions:
     settled_sigma_m: float = 0.04
     hopeless: float = 0.02
     hopeless_looks: int = 5
+    fruitless_looks: int = 2
     expected: float = MIN_RECOGNIZED
 
 
@@ -141,7 +143,8 @@ class Search:
         nearest: nearest landmarks of each feature in the whole map.
         is_sampled: whether ``nearest`` covers only a sample of the features.
         found: all candidates.
-        fruitless: number of looks that found none.
+        fruitless: number of looks at voted places that found none.
+        seeds: number of credible poses by LO-RANSAC, before verification.
     """
 
     query: Query
@@ -156,6 +159,7 @@ class Search:
     is_sampled: bool = False
     found: list[Found] = field(default_factory=list)
     fruitless: int = 0
+    seeds: int = 0
 
     @property
     def likeliest(self) -> Found | None:
@@ -165,7 +169,7 @@ class Search:
     def add(self, found: Found | None) -> None:
         """Add a candidate."""
         if found is None:
-            self.fruitless += 1
+            self.fruitless += self.everywhere is not None
             return
         self.found.append(found)
         if found.near_prior:
@@ -190,6 +194,8 @@ class Search:
 
     def is_hopeless(self, options: SearchOptions) -> bool:
         """Whether enough was looked at without any chance of the right place."""
+        if not self.seeds:
+            return self.fruitless >= options.fruitless_looks
         likeliest = max((found.if_focal_right.recognized for found in self.found), default=0.0)
         return len(self.found) + self.fruitless >= options.hopeless_looks and likeliest < options.hopeless
 
