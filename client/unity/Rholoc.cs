@@ -180,6 +180,7 @@ namespace Rholoc
     {
         const int Kept = 12; // samples
         const double DriftM = 0.05, DriftRad = 0.04; // by which a session may have drifted between two samples that agree
+        const double DriftShare = 0.02; // of the way from where a sample was taken
         const double Sigmas = 3;
         const int Contradictions = 3; // in a row, after which a place is given up
 
@@ -290,10 +291,12 @@ namespace Rholoc
             return apart < DriftM + Sigmas * sigmaM && Transform.Angle(a.T, b.T) < DriftRad + Sigmas * sigmaRad;
         }
 
-        /// <summary>The mean of samples, which is most exact around a point of the session.</summary>
+        /// <summary>The mean of samples, most exact around a point of the session; the nearer one was taken, the more it counts.</summary>
         static double[] Mean(List<Sample> samples, double[] at)
         {
-            var total = samples.Sum(one => Math.Pow(one.SigmaM, -2));
+            Func<Sample, double> precision = one =>
+                1 / (one.SigmaM * one.SigmaM + DriftShare * DriftShare * one.At.Zip(at, (u, v) => (u - v) * (u - v)).Sum());
+            var total = samples.Sum(precision);
             var q = new double[4];
             var first = Transform.Quaternion(samples[0].T);
             foreach (var one in samples)
@@ -306,7 +309,7 @@ namespace Rholoc
             foreach (var one in samples)
             {
                 var own = Transform.Apply(one.T, at);
-                for (var i = 0; i < 3; i++) there[i] += Math.Pow(one.SigmaM, -2) / total * own[i];
+                for (var i = 0; i < 3; i++) there[i] += precision(one) / total * own[i];
             }
             var R = Transform.Of(new double[3], q);
             var turned = Transform.Apply(R, at);
