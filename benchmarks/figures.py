@@ -53,7 +53,12 @@ from rholoc_lab.evaluation.splits import QuerySet
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
-DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md")), *sorted((ROOT / "server").glob("*.md")))
+DOCUMENTS = (
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("**/*.md")),
+    *sorted((ROOT / "server").glob("*.md")),
+    ROOT / "ros" / "README.md",
+)
 QUOTED = re.compile(r"(?P<number>-?\d+(?:\.\d+)?)(?P<between>[^\d\n<]{0,5})<!-- (?P<name>[a-z]+(?:\.\w+)+) -->")
 KITCHEN = SHARED_DATA / "redkitchen"
 FRAME_PERCENT, AGAIN_CM, AGAIN_RATIO = 2.0, 0.1, 0.25

@@ -5,6 +5,7 @@ import { Axes, angleBetween, inverse, meanRotation, multiply, toOpenCV } from ".
 const KEPT = 12; // samples
 const DRIFT_M = 0.05; // by which a session may have drifted between two samples that agree
 const DRIFT_RAD = 0.04;
+const DRIFT_SHARE = 0.02; // of the way from where a sample was taken
 const SIGMAS = 3;
 const CONTRADICTIONS = 3; // in a row, after which a place is given up
 
@@ -157,15 +158,20 @@ function agree(a, b) {
   return apart < DRIFT_M + SIGMAS * sigmaM && turn < DRIFT_RAD + SIGMAS * Math.hypot(a.sigmaRad, b.sigmaRad);
 }
 
-/** The mean of samples, which is most exact around a point of the session. */
+/** The mean of samples, which is most exact around a point of the session; the nearer one was taken, the more it counts. */
 function mean(samples, at) {
-  const total = samples.reduce((sum, { sigmaM }) => sum + sigmaM ** -2, 0);
-  const weights = samples.map(({ sigmaM }) => sigmaM ** -2 / total);
+  const precisions = samples.map(({ sigmaM, at: taken }) => {
+    const drift = DRIFT_SHARE * Math.hypot(...taken.map((value, i) => value - at[i]));
+    return 1 / (sigmaM ** 2 + drift ** 2);
+  });
+  const total = precisions.reduce((sum, one) => sum + one, 0);
   const R = meanRotation(
     samples.map(({ T }) => T),
     samples.map(({ sigmaRad }) => sigmaRad ** -2),
   );
-  const there = [0, 1, 2].map((i) => samples.reduce((sum, { T }, k) => sum + weights[k] * carried(T, at)[i], 0));
+  const there = [0, 1, 2].map((i) =>
+    samples.reduce((sum, { T }, k) => sum + (precisions[k] / total) * carried(T, at)[i], 0),
+  );
   const t = there.map((value, i) => value - R[i].reduce((sum, one, j) => sum + one * at[j], 0));
   return [...R.map((row, i) => [...row, t[i]]), [0, 0, 0, 1]];
 }

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from enum import Enum
 
 import numpy as np
 
@@ -45,12 +45,14 @@ _LONGEST_WAIT_S = 3.0
 _LONGEST_GAP_S = 5.0  # between frames; beyond it a track starts over
 
 
-class TrackStatus(StrEnum):
+class TrackStatus(str, Enum):  # noqa: UP042 - Python 3.10, which robots with Ubuntu 22.04 have, lacks StrEnum
     """How far a pose can be relied on."""
 
     SEARCHING = "searching"  # no answer yet to begin a track with: there is no pose
     TRACKING = "tracking"  # the pose is as good as its covariance says
     LOST = "lost"  # too long without an answer: the pose is a guess
+
+    __str__ = str.__str__
 
 
 @dataclass(frozen=True)
