@@ -56,7 +56,7 @@ class RholocError(Exception):
 
 
 class InvalidInput(RholocError):
-    """What was given cannot be used."""
+    """The input cannot be used."""
 
     code = "invalid_input"
 
@@ -116,7 +116,7 @@ class InvalidMap(RholocError):
 
 
 class NotFound(RholocError):
-    """What was asked for does not exist."""
+    """The requested object does not exist."""
 
     code = "not_found"
 

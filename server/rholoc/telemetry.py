@@ -83,7 +83,7 @@ def end() -> None:
 
 
 class Marks:
-    """What is said of a span; nothing where nothing is traced."""
+    """Attributes of a span; ignored if nothing is traced."""
 
     def __init__(self, present: Span | None = None) -> None:
         self._span = present

@@ -29,7 +29,7 @@ _DICTIONARIES = (
 
 
 class BoardKind(StrEnum):
-    """What is printed on a board."""
+    """Pattern printed on a calibration board."""
 
     CHECKERBOARD = "checkerboard"  # squares alone: it must be in view as a whole
     CHARUCO = "charuco"  # with ArUco markers in the white squares: a part in view is enough

@@ -77,7 +77,7 @@ class Calibration:
 
     @property
     def tilt_deg(self) -> float:
-        """How far the board was turned out of the image plane, the root mean square of the views."""
+        """RMS angle [°] between the board and the image plane over the views."""
         normals = np.array([view.T_camera_board[:3, 2] for view in self.views])
         turned = angles_between(normals * np.sign(normals[:, 2:]), _OPTICAL_AXIS)
         return float(np.degrees(np.sqrt(np.mean(turned**2))))
@@ -94,7 +94,7 @@ class Calibration:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What is kept beside the camera: JSON."""
+        """Figures stored with the camera, JSON-serialisable."""
         depths = [view.T_camera_board[2, 3] for view in self.views]
         return {
             "board": str(self.board),

@@ -21,7 +21,7 @@ _MIN_DIFFERENCE = 0.03  # of the image's diagonal, between the outlines of two v
 
 @dataclass(frozen=True, eq=False)
 class BoardViews:
-    """What was found in a recording.
+    """Views of a board found in a recording.
 
     Attributes:
         searched: in how many frames the board was looked for.
@@ -80,7 +80,7 @@ def _sharpest(
     advance: Callable[[], None],
     look: Callable[[int, ByteArray], Sighting | None],
 ) -> Iterator[Sighting | None]:
-    """What ``look`` makes of the sharpest frame of each of at most ``_SEARCHED`` equal stretches."""
+    """Apply ``look`` to the sharpest frame of each of at most ``_SEARCHED`` equal parts of the recording."""
     count = len(frames.times)
     stretch = np.arange(count) * min(count, _SEARCHED) // count
     best: tuple[float, int, ByteArray] | None = None

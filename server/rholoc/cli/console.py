@@ -1,4 +1,4 @@
-"""How commands print: figures on standard output, everything else on standard error."""
+"""Output of commands: figures on standard output, everything else on standard error."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ _TITLE = "Walk 2, localized in the map of walk 1"
 
 @dataclass(frozen=True)
 class _Files:
-    """What the demo leaves in its folder."""
+    """Files that the demo writes to its folder."""
 
     folder: Path
 
@@ -178,7 +178,7 @@ def _localize(client: Client, recording: Path, every: int) -> tuple[TrajectoryTa
 
 @dataclass(frozen=True)
 class DemoFigures:
-    """What the demo measured.
+    """Figures measured by the demo.
 
     Attributes:
         evaluation: of the second walk, against the truth.

@@ -32,7 +32,7 @@ class DensityKind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """What densities are fitted to: F landmarks, and from where each was seen, V times in all.
+    """Data that densities are fitted to: F landmarks and the V poses from which they were seen.
 
     Attributes:
         landmarks: (F, 3) metres, map frame.
@@ -160,12 +160,12 @@ class Densities(Protocol):
         ...
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What a file has to keep of them besides the landmarks, by name."""
+        """Arrays that a map's file stores beside the landmarks, by name."""
         ...
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, landmarks: FloatArray) -> Self:
-        """What :meth:`arrays` gave, of a map's landmarks (F, 3).
+        """Densities from the result of :meth:`arrays` and a map's landmarks (F, 3).
 
         Raises:
             ValueError: an array is missing, or contradicts another; says which.

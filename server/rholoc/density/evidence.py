@@ -1,4 +1,4 @@
-"""What the matches of a frame say: which ray of the camera may show which landmark."""
+"""Matches of a frame as pairs of a camera ray and a landmark that it may show."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FALSE_DENSITY = 0.1  # the density of false matches near the truth, relative to
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What M matches say: rays of the camera, landmarks of the map.
+    """M matches: rays of the camera and landmarks of the map.
 
     Attributes:
         features: (M,) rows of the map's features.

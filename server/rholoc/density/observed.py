@@ -137,7 +137,7 @@ class ObservedDensities(TensorDensities):
         )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What a file has to keep of them besides the landmarks, by name."""
+        """Arrays that a map's file stores beside the landmarks, by name."""
         upper = np.triu_indices(self.moments.shape[1])
         return super().arrays() | {
             "directions": self.middles.astype(np.float32),
@@ -147,7 +147,7 @@ class ObservedDensities(TensorDensities):
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, landmarks: FloatArray) -> ObservedDensities:
-        """What :meth:`arrays` gave, of a map's landmarks (F, 3).
+        """Densities from the result of :meth:`arrays` and a map's landmarks (F, 3).
 
         Raises:
             ValueError: an array is missing, or contradicts another; says which.
@@ -350,7 +350,7 @@ def _fitted(
 
 
 def observation_coefficients(bearings: FloatArray, degree: int) -> FloatArray:
-    """What each single observation contributes in (u, v) and the heading: coefficients (N, U H) of n(u, v, h).
+    """Contribution of each observation in (u, v) and the heading: coefficients (N, U H) of n(u, v, h).
 
     Args:
         bearings: (N, 3) unit vectors in the density's frame.

@@ -86,7 +86,7 @@ def squared_ray_distance(landmarks: FloatArray, bearings: FloatArray, positions:
 def _along_and_aside(
     landmarks: FloatArray, bearings: FloatArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How far along the ray a landmark lies, metres, and d², m²."""
+    """Distance of a landmark along the ray [m], and its squared distance d² from the ray [m²]."""
     to_landmark = landmarks - positions
     along = np.einsum("...i,...i->...", bearings, to_landmark)
     return along, np.einsum("...i,...i->...", to_landmark, to_landmark) - along**2
@@ -213,7 +213,7 @@ class RayDensities:
         return cls()
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """None."""
+        """No arrays: landmarks determine the densities."""
         return {}
 
     @classmethod

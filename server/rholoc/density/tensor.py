@@ -114,7 +114,7 @@ class TensorDensities:
         return taken
 
     def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalTensorDensities:
-        """Those of matches whose landmark is within twice the tolerance of their pixel, and that are valid there."""
+        """Matches with a landmark within twice the tolerance of their pixel and a density that is valid there."""
         points = (evidence.landmarks - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
         along = np.einsum("mi,mi->m", points, evidence.rays)
         aside = np.einsum("mi,mi->m", points, points) - along**2
@@ -208,7 +208,7 @@ class TensorDensities:
         return cls(degree, coefficients, rows.features, of_each, domain[:, :3], domain[:, 3])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What a file has to keep of them besides the landmarks, by name."""
+        """Arrays that a map's file stores beside the landmarks, by name."""
         return {
             "degree": np.array(self.degree, dtype=np.int32),
             "coefficients": self.coefficients.astype(np.float32),
@@ -219,7 +219,7 @@ class TensorDensities:
 
     @classmethod
     def from_arrays(cls, arrays: Arrays, landmarks: FloatArray) -> TensorDensities:
-        """What :meth:`arrays` gave, of a map's landmarks (F, 3).
+        """Densities from the result of :meth:`arrays` and a map's landmarks (F, 3).
 
         Raises:
             ValueError: an array is missing, or contradicts another; says which.
@@ -388,7 +388,7 @@ def kept_powers(degree: int) -> tuple[IntArray, IntArray, IntArray]:
 
 @cache
 def coefficient_columns(degree: int) -> IntArray:
-    """Where the coefficients kept, (U, X, H) in one row, stand among all (P + 1)⁸ in the order of Table 5."""
+    """Columns of the stored coefficients (U, X, H), flattened, among all (P + 1)⁸ in the order of Table 5."""
     digits = [powers @ (degree + 1) ** np.arange(powers.shape[1])[::-1] for powers in kept_powers(degree)]
     base = (degree + 1) ** 3
     return np.asarray((digits[0][:, None, None] * base + digits[1][:, None]) * base + digits[2]).ravel()
@@ -468,7 +468,7 @@ class Layout:
 
     @property
     def samples(self) -> int:
-        """How many samples a density is fitted to."""
+        """Number of samples that a density is fitted to."""
         return len(self.plane) * len(self.position) * len(self.axes)
 
     def fit(self, R_local_map: FloatArray, to_landmark: FloatArray, radii: FloatArray) -> FloatArray:

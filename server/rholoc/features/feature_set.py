@@ -33,7 +33,7 @@ class Channel(IntEnum):
 
 
 class Metric(StrEnum):
-    """How two descriptors are compared."""
+    """Metric between two descriptors."""
 
     HAMMING = "hamming"  # binary descriptors: the number of bits that differ
     EUCLIDEAN = "euclidean"  # byte vectors: the Euclidean distance

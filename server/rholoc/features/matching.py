@@ -27,7 +27,7 @@ faiss.omp_set_num_threads(1)
 
 @dataclass(frozen=True)
 class MatchLimits:
-    """How similar two descriptors must be to count as the same point.
+    """Maximum distances between two descriptors of the same point.
 
     Attributes:
         strict: a distance that rarely occurs by chance, for matching without knowing where to look.

@@ -24,7 +24,7 @@ _MIN_SPREAD = 1e-3  # of the greatest: components below are noise
 
 
 class PictureVectors:
-    """How pictures become vectors of unit length; the scalar product of two says how alike they are.
+    """Encoder of pictures as unit vectors, whose scalar product is their similarity.
 
     Args:
         vlad: the vocabulary.
@@ -47,7 +47,7 @@ class PictureVectors:
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, FloatArray], metric: Metric) -> PictureVectors:
-        """What :meth:`arrays` gave.
+        """Encoder from the result of :meth:`arrays`.
 
         Raises:
             KeyError, ValueError: it is something else.

@@ -144,17 +144,17 @@ class Camera:
         return cls(int(width), int(height), fx, fy, cx, cy, tuple(distortion), lens)
 
     def to_line(self) -> str:
-        """What :meth:`from_line` reads."""
+        """The camera as a line of text, read by :meth:`from_line`."""
         numbers = " ".join(repr(value) for value in (self.width, self.height, *self.parameters))
         return numbers if self.lens is Lens.PINHOLE else f"{self.lens} {numbers}"
 
     def to_text(self) -> str:
-        """What :meth:`parse` reads, for images of the camera's size."""
+        """The intrinsics as text, read by :meth:`parse` for images of the camera's size."""
         numbers = ",".join(repr(value) for value in self.parameters)
         return numbers if self.lens is Lens.PINHOLE else f"{self.lens}:{numbers}"
 
     def to_dict(self) -> dict[str, Any]:
-        """What :meth:`from_dict` takes, ready for JSON; of a pinhole without its lens."""
+        """The camera as a JSON-serialisable dictionary, read by :meth:`from_dict`; a pinhole's has no ``lens``."""
         values = asdict(self) | {"distortion": list(self.distortion), "lens": self.lens.value}
         return {name: value for name, value in values.items() if name != "lens" or self.lens is not Lens.PINHOLE}
 
@@ -175,7 +175,7 @@ class Camera:
 
     @property
     def breadth(self) -> float:
-        """How many times the 60° of an ordinary camera a wide lens shows across, 1 to 4; 1 of pinholes.
+        """Horizontal field of view of a wide lens in units of 60°, 1 to 4; 1 for pinholes.
 
         Limits of pixels and features are for ordinary pictures: of wide ones as many times as much is looked at.
         """
@@ -237,7 +237,7 @@ class Camera:
         return np.asarray(slopes_of(self.lens, points, self.distortion) * np.array([[self.fx], [self.fy]]))
 
     def depths(self, points: FloatArray) -> FloatArray:
-        """How far (N,) points (N, 3) in the camera frame are where size in pixels = focal × size / depth.
+        """Depths (N,) of points (N, 3) in the camera frame, such that size in pixels = focal × size / depth.
 
         Along the optical axis of a pinhole; of other lenses the distance.
         """
@@ -258,14 +258,14 @@ class Camera:
         return R_plane_camera, np.zeros((len(rays), 2))
 
     def contains(self, pixels: FloatArray) -> BoolArray:
-        """Which of the pixels (N, 2) lie in the image: (N,) bool. NaN does not."""
+        """Mask (N,) of the pixels (N, 2) that lie in the image; false for NaN."""
         u, v = pixels[:, 0], pixels[:, 1]
         with np.errstate(invalid="ignore"):
             inside = (u >= -0.5) & (v >= -0.5) & (u <= self.width - 0.5) & (v <= self.height - 0.5)
         return inside
 
     def shows(self, points: FloatArray) -> BoolArray:
-        """Which points (..., 3) in the camera frame lie in its field of view."""
+        """Mask (...) of the points (..., 3) in the camera frame that lie in its field of view."""
         if self.lens is not Lens.PINHOLE:
             return np.reshape(self.contains(self.project(points)), points.shape[:-1])
         (left, top), (right, bottom) = self._field

@@ -21,7 +21,7 @@ _CLOSEST = 1e-9  # to the axis, where the direction across it is not defined
 
 
 class Lens(StrEnum):
-    """How a camera projects."""
+    """Projection model of a camera."""
 
     PINHOLE = "pinhole"  # with none of OpenCV's coefficients, or k1, k2, p1, p2[, k3[, k4, k5, k6]]
     FISHEYE = "fisheye"  # Kannala and Brandt, with none or OpenCV's k1, k2, k3, k4
@@ -29,7 +29,7 @@ class Lens(StrEnum):
 
     @property
     def coefficients(self) -> tuple[int, ...]:
-        """How many distortion coefficients it may have."""
+        """Numbers of distortion coefficients that it may have."""
         return {Lens.PINHOLE: (0, 4, 5, 8), Lens.FISHEYE: (0, 4), Lens.EQUIRECTANGULAR: (0,)}[self]
 
 

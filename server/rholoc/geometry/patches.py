@@ -16,7 +16,7 @@ from rholoc.geometry.camera import Camera
 def patch_vectors(
     camera: Camera, T_map_camera: FloatArray, landmarks: FloatArray, angles: FloatArray, sizes_px: FloatArray
 ) -> FloatArray:
-    """What detections of landmarks say of their patches.
+    """Patch vectors of landmarks from their detections.
 
     Args:
         camera: that saw them; a pinhole's distortion is left out.
@@ -43,7 +43,7 @@ def patch_vectors(
 def patch_appearance(
     camera: Camera, T_map_camera: FloatArray, landmarks: FloatArray, patches: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How a camera sees the ``patches`` (N, 3) of ``landmarks`` (N, 3), both in the map frame, from a pose (4, 4).
+    """Appearance of the ``patches`` (N, 3) of ``landmarks`` (N, 3), both in the map frame, in a camera at a pose.
 
     Returns:
         Their angles (N,) in the image, radians, clockwise from +u, and their diameters (N,), pixels; a pinhole's

@@ -87,7 +87,7 @@ class PosedCameras:
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a camera is and where it looks.
+    """Position and orientation of a camera.
 
     ``T_map_camera`` (4, 4) takes points of the camera frame (x right, y down, z forward) to the map frame.
     """

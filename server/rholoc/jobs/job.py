@@ -14,7 +14,7 @@ from rholoc.trajectory import PoseMethod
 
 
 class JobKind(StrEnum):
-    """What a job does."""
+    """Kind of a job."""
 
     BUILD = "build"  # build a new map, replacing any of that name
     UPDATE = "update"  # learn the recording into the map of that name
@@ -37,7 +37,7 @@ class JobPriority(StrEnum):
 
 @dataclass(frozen=True)
 class JobOptions:
-    """How a job builds or updates its map.
+    """Options of a job for building or updating its map.
 
     Attributes:
         kind: of the job. An update keeps the map's own density and features.

@@ -69,7 +69,7 @@ class JobTable:
         return [_job(row) for row in rows]
 
     def counts(self) -> dict[JobState, int]:
-        """How many jobs are in each state."""
+        """Number of jobs in each state."""
         with self._engine.connect() as connection:
             found = sa.select(jobs_table.c.state, sa.func.count()).group_by(jobs_table.c.state)
             counted = {JobState(state): number for state, number in connection.execute(found)}

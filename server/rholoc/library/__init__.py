@@ -1,4 +1,4 @@
-"""What a server keeps: maps, recordings, kept queries, cameras and sites.
+"""A server's stored objects: maps, recordings, queries, cameras and sites.
 
 Names are imported when they are first asked for: cameras are kept where nothing of a server is installed, too.
 """

@@ -359,7 +359,7 @@ def _changed(name: str) -> Conflict:
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
-    """A file's content, never all of it at once."""
+    """A file's content in pieces."""
     try:
         with path.open("rb") as file:
             while piece := file.read(_PIECE_BYTES):

@@ -112,7 +112,7 @@ def notes_in(folder: Path) -> dict[str, bytes]:
 
 
 def read_notes(files: Mapping[str, bytes]) -> RecordingNotes | None:
-    """What a job read from a recording; None if none has read it yet."""
+    """Notes that a job made on a recording; None if no job has read it yet."""
     try:
         return report_from_json(RecordingNotes, json.loads(files[_NOTES_FILE]))
     except (KeyError, ValueError):

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class CorrectionKind(StrEnum):
-    """What was corrected."""
+    """Kind of a correction."""
 
     ORIGIN = "origin"  # the point (0, 0, 0)
     NORTH = "north"  # the direction of y

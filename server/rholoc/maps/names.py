@@ -99,7 +99,7 @@ def points_near(names: MapNames, position: FloatArray, within_m: float) -> tuple
 
 
 def within_outline(positions: FloatArray, outline: FloatArray) -> BoolArray:
-    """Which positions (N, 2) are within an outline (M, 2), by the even-odd rule."""
+    """Mask (N,) of the positions (N, 2) within an outline (M, 2), by the even-odd rule."""
     x, y = positions.T
     inside = np.zeros(len(positions), dtype=bool)
     for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):

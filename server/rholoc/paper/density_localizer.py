@@ -48,7 +48,7 @@ class Ascent:
 
     @property
     def inliers(self) -> int:
-        """How many matches agree with the optimum."""
+        """Number of matches that agree with the optimum."""
         return int((self.optimum.density > 0).sum())
 
 

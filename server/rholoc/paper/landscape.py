@@ -1,4 +1,4 @@
-"""What densities look like: a feature's ρ over pixels, positions and headings; a frame's product around its pose.
+"""Landscapes of densities: a feature's ρ over pixels, positions and headings; a frame's product around its pose.
 
 All of it is read through :class:`rholoc.density.Densities`, as an ascent reads it, whatever the form.
 """
@@ -187,7 +187,7 @@ def landscape_around(
     T_map_camera: FloatArray | None,
     check: Callable[[], None] = _go_on,
 ) -> Landscape | None:
-    """What an ascent sees around a pose (4, 4), or around the best optimum; None where too little matches.
+    """Landscape of an ascent around a pose (4, 4), or around the best optimum; None if too few features match.
 
     Args:
         localizer: of the map.
@@ -222,13 +222,13 @@ def presence_of(map_: Map, feature: int) -> Presence:
 
 
 def seen_from(map_: Map, feature: int, grid: Grid) -> BoolArray:
-    """Where on a grid (z, y, x) a feature may be seen from: presence π."""
+    """Presence π (z, y, x) of a feature over the positions of a grid."""
     presence, landmark = presence_of(map_, feature), map_.landmarks.positions[[feature]].astype(np.float64)
     return np.asarray(grid.folded(np.array([presence.allows(landmark, point)[0] for point in grid.points])))
 
 
 def _evidence(map_: Map, feature: int, rays: FloatArray, focal_px: float) -> Evidence:
-    """What one feature says at rays (N, 3)."""
+    """Evidence of one feature at rays (N, 3)."""
     count = len(rays)
     return Evidence.of(
         np.full(count, feature),

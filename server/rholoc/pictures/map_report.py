@@ -60,7 +60,7 @@ def report_png(map_: Map, title: str = "") -> bytes:
 
 
 def _held_out(report: MapReport) -> _HeldOut | None:
-    """What the report says about single frames, if anything."""
+    """The report on single held-out frames; None without one."""
     frames = report.held_out
     if frames is None or not frames.errors_m or len(frames.errors_m) != len(frames.confidences or ()):
         return None

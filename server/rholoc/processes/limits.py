@@ -1,4 +1,4 @@
-"""How long a process may run, and how much memory it may hold."""
+"""Limits of a process's time and memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _RESERVED_BYTES = 2**30  # address space that libraries and threads reserve and 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a process may take.
+    """Limits of a process.
 
     Attributes:
         time_s: how long it may run.
@@ -43,7 +43,7 @@ class MemoryLimitExceeded(LimitExceeded):
 
 
 def machine_memory_bytes() -> float:
-    """How much memory this machine has, or its container may use, whichever is less."""
+    """Memory of this machine or of its container [bytes], whichever is less."""
     machine = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     return min(machine, *_control_group_limits(_OWN_GROUPS, _GROUPS))
 

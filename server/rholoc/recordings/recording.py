@@ -17,7 +17,7 @@ GRAVITY = 9.81  # m/s², what an accelerometer at rest reads
 
 
 class RecordingFormat(StrEnum):
-    """How a recording is laid out; maps/README.md describes each."""
+    """Format of a recording; maps/README.md describes each."""
 
     VIDEO = "video"  # a video file and nothing else
     RHOLOC = "rholoc"  # our own folder, and any folder of images
@@ -139,7 +139,7 @@ class Mounted:
 
 
 class PoseKind(StrEnum):
-    """How given poses were measured."""
+    """Source of given poses."""
 
     EXACT = "exact"  # by motion capture or structure from motion: no drift
     ODOMETRY = "odometry"  # by a tracker, as ARKit's and ARCore's: exact from frame to frame, but they drift
@@ -164,7 +164,7 @@ class GivenPoses:
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """How the camera moved by wheels or a tracker.
+    """Motion of the camera, measured by wheels or a tracker.
 
     Attributes:
         times: (M,) seconds on the recording's clock, increasing.

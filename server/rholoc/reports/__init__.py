@@ -1,4 +1,4 @@
-"""What recordings, trajectories and maps report about themselves: stored in map files, sent over HTTP, read by people.
+"""Reports on recordings, trajectories and maps: stored in map files, sent over HTTP, read by people.
 
 Dataclasses without behaviour, one module a subject. Every package may use them; they use none.
 """

@@ -1,4 +1,4 @@
-"""What a map reports about itself."""
+"""Report on a map."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rholoc.reports.walk import CoachingReport
 
 @dataclass(frozen=True)
 class CoverageReport:
-    """How many landmarks a camera would see, by position and heading.
+    """Number of landmarks in view of a camera, by position and heading.
 
     Attributes:
         share_sufficient: the share of positions and headings that see enough landmarks to localize.
@@ -68,7 +68,7 @@ class HeldOutReport:
 
 @dataclass(frozen=True)
 class ExpectedError:
-    """How far the map's views are expected to be from the truth.
+    """Expected error of the map's views.
 
     Attributes:
         rms_m: of all views whose uncertainty is known, root mean square, metres.
@@ -85,7 +85,7 @@ class ExpectedError:
 
 @dataclass(frozen=True)
 class QueriesReport:
-    """What a map learned from the queries that it had answered.
+    """What a map learned from answered queries.
 
     Attributes:
         kept: how many were kept for it.

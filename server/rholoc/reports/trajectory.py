@@ -1,4 +1,4 @@
-"""What a trajectory reports about itself."""
+"""Report on a trajectory."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CalibrationReport:
 
 @dataclass(frozen=True)
 class ImuReport:
-    """How the IMU relates to the camera, and what its accelerometer measured.
+    """Calibration of the IMU to the camera, and figures of its accelerometer.
 
     Attributes:
         not_observable: what could not be estimated, and why.
@@ -64,7 +64,7 @@ class ImuReport:
 
 @dataclass(frozen=True)
 class InertialComparison:
-    """How far the IMU's motion, integrated between waypoints, is from the trajectory.
+    """Difference between the IMU's motion, integrated between waypoints, and the trajectory.
 
     Attributes:
         why: one line on why there is no comparison, where there is none.
@@ -100,7 +100,7 @@ class MissingSpan:
 
 @dataclass(frozen=True)
 class TrajectoryReport:
-    """What a trajectory reports about itself. Figures that a method does not produce are None.
+    """Report on a trajectory. Figures that a method does not produce are None.
 
     Attributes:
         method: a value of :class:`rholoc.trajectory.PoseMethod`.
@@ -159,7 +159,7 @@ class TrajectoryReport:
 
     @classmethod
     def from_json(cls, members: dict[str, Any]) -> TrajectoryReport:
-        """What :meth:`to_json` wrote, by this version or an earlier one.
+        """Report from the JSON of :meth:`to_json`, of this version or an earlier one.
 
         Raises:
             ValueError: a member is of another type; names it.

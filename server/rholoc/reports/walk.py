@@ -1,4 +1,4 @@
-"""What a recording reports about how it was walked, and what to do better next time."""
+"""Report on a walk, with advice for the next one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rholoc.reports.json import report_to_json
 
 
 class WarningKind(StrEnum):
-    """What was found wrong in a recording that can be used all the same."""
+    """Kind of a problem of a usable recording."""
 
     TIME_UNIT = "time_unit"  # times are in another unit than the format says
     ACCELERATION_UNIT = "acceleration_unit"  # in g where m/s² is expected, or the other way round
@@ -45,7 +45,7 @@ class RecordingWarning:
 
 
 class AdviceKind(StrEnum):
-    """What a walk lacked."""
+    """Kind of advice."""
 
     TOO_FAST = "too_fast"
     TOO_DARK = "too_dark"
@@ -73,7 +73,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class WalkFigures:
-    """What was measured about a walk; None where it could not be.
+    """Figures of a walk; None if not measured.
 
     Attributes:
         turn_deg_s: the turning speed, degrees a second, that is exceeded in a tenth of the walk.
@@ -95,7 +95,7 @@ class WalkFigures:
 
 @dataclass(frozen=True)
 class CoachingReport:
-    """What a mapping job reports about one recording.
+    """A mapping job's report on one recording.
 
     Attributes:
         recording: its name.

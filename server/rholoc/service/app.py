@@ -148,7 +148,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 def _middlewares(
     app: FastAPI, settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, lanes: StorageLanes
 ) -> list[Middleware]:
-    """What a request passes on its way to its route, from the outermost to the innermost."""
+    """Middlewares between a request and its route, outermost first."""
     origins = [origin for origin in settings.origins.split(",") if origin]
     return [
         Middleware(Metered, metrics=metrics),

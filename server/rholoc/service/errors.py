@@ -97,7 +97,7 @@ class RequestTimeout(HttpError):
 
 
 class PreconditionFailed(HttpError):
-    """What is to be replaced is not what the request's ``If-Match`` or ``If-None-Match`` says."""
+    """The object to be replaced does not match the request's ``If-Match`` or ``If-None-Match``."""
 
     code = "precondition_failed"
 

@@ -302,7 +302,7 @@ class AsyncLearning:
 
 
 class AsyncQuotas:
-    """What API keys hold."""
+    """Quotas of API keys and their use."""
 
     def __init__(self, quotas: Quotas, lanes: StorageLanes) -> None:
         self.sync = quotas

@@ -47,7 +47,7 @@ _CACHE_MEMORY_SHARE = 1 / 4
 
 
 class Settings(BaseSettings):
-    """How one process of the service runs. ``RHOLOC_PORT=80`` sets ``port``."""
+    """Settings of one process of the service. ``RHOLOC_PORT=80`` sets ``port``."""
 
     model_config = SettingsConfigDict(env_prefix="RHOLOC_", frozen=True, extra="ignore")
 
@@ -209,7 +209,7 @@ class Settings(BaseSettings):
 
     @property
     def worker_setup(self) -> WorkerSetup:
-        """Where this service's workers work, and how much they take on."""
+        """Folders and limits of this service's workers."""
         return WorkerSetup(
             self.data_dir,
             self.maps_dir,

@@ -1,4 +1,4 @@
-"""What rooms are built of: painted walls with what hangs on them, boxes, and the furniture made of boxes."""
+"""Parts of rooms: painted walls with their decor, boxes, and furniture made of boxes."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ FACE_NAMES = ("x+", "y+", "x-", "y-", "z+", "z-")
 
 
 class Source(Enum):
-    """What emits light."""
+    """Kind of a light source."""
 
     WINDOW = "window"
     LAMP = "lamp"
@@ -28,7 +28,7 @@ class Source(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Paint:
-    """What a face looks like. Row 0 is the top of an upright face; columns run to the right as seen.
+    """Paint of a face. Row 0 is the top of an upright face; columns run to the right as seen.
 
     Attributes:
         albedo: (H, W, 3) BGR, gamma-encoded reflectance.

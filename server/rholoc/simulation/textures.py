@@ -362,7 +362,7 @@ def screen(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def outdoors(rng: Rng, height: int, width: int) -> ByteArray:
-    """What is seen through a window: sky, houses, trees."""
+    """View through a window: sky, houses, trees."""
     sky = (
         np.array(color(0.58, 0.3, 1.0), np.float32)
         * (1 + 0.06 * noise(rng, height, width, height / 5, width / 4))[..., None]

@@ -1,4 +1,4 @@
-"""Where a worker works, and how much it takes on."""
+"""Folders and limits of a worker."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rholoc.worker.build_process import BuildLimits
 
 @dataclass(frozen=True)
 class WorkerSetup:
-    """Where a worker works, and how much it takes on.
+    """Folders and limits of a worker.
 
     Attributes:
         data_dir, maps_dir: folders of jobs and of maps.

@@ -1,4 +1,4 @@
-"""How quickly workers notice things."""
+"""Intervals and timeouts of workers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rholoc.jobs.workers import DEAD_AFTER_S
 
 @dataclass(frozen=True)
 class Timing:
-    """How quickly workers notice things [s].
+    """Intervals and timeouts of workers [s].
 
     Attributes:
         poll_s: interval at which the queue is polled for jobs, and a running job is checked for cancellation.

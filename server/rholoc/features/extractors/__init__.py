@@ -28,7 +28,7 @@ class Extractor(Protocol):
 
     @property
     def metric(self) -> Metric:
-        """How its descriptors are compared."""
+        """Metric between its descriptors."""
         ...
 
     @property

@@ -25,12 +25,12 @@ class Graph:
         self._numbers = count()
 
     def input(self, name: str, shape: Sequence[int]) -> str:
-        """What is given to the network."""
+        """Declare an input of the network."""
         self._fields.append(_bytes(11, _value(name, shape)))
         return name
 
     def output(self, tensor: str, name: str, shape: Sequence[int]) -> None:
-        """What the network is asked for, under a name."""
+        """Declare a named output of the network."""
         self._fields.append(_bytes(1, _node("Identity", [tensor], name, {})))
         self._fields.append(_bytes(12, _value(name, shape)))
 

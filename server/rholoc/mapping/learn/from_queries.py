@@ -252,7 +252,7 @@ def _spread(T_map_camera: FloatArray, most: int) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class _Lesson:
-    """What queries teach.
+    """Result of learning from queries.
 
     Attributes:
         map_: the map after learning.
@@ -390,7 +390,7 @@ def _bounded(map_: Map) -> Map:
 
 @dataclass(frozen=True)
 class _Answers:
-    """How a map answered test queries.
+    """A map's answers to test queries.
 
     Attributes:
         asked: number of queries.

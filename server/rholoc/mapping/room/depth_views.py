@@ -39,7 +39,7 @@ _MIN_RATIOS = 20  # of recorded depths to landmarks', for a scale
 
 @dataclass(frozen=True, eq=False)
 class DepthView:
-    """What a pinhole camera with square pixels sees.
+    """Depth picture of a pinhole camera with square pixels.
 
     Attributes:
         T_map_camera: (4, 4).
@@ -67,7 +67,7 @@ class DepthView:
         return local @ self.T_map_camera[:3, :3].T + self.T_map_camera[:3, 3], np.column_stack([v, u])
 
     def look_at(self, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, ByteArray]:
-        """What a view shows of points (P, 3) of the map frame.
+        """Project points (P, 3) of the map frame into a view.
 
         Returns:
             Their depths (P,), the measured depths (P,) there, NaN where unknown, the mask (P,) of those in the picture,

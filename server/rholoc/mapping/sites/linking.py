@@ -36,7 +36,7 @@ class SearchedPair:
 
 
 def map_state(map_id: str, version: int) -> str:
-    """What stays the same for as long as a map's frame, landmarks and views do."""
+    """Key of a map's content: changes whenever its frame, landmarks or views do."""
     return f"{map_id} {version}"
 
 
@@ -112,7 +112,7 @@ def add_links(
 
 
 def _of_pair(progress: ProgressListener, number: int, pairs: int) -> ProgressListener:
-    """What hears the progress with one pair, and tells that with all of them."""
+    """Progress listener that maps one pair's progress onto the progress of all pairs."""
 
     def note(stage: Stage, fraction: float, message: str = "") -> None:
         progress(Stage.LINKS, (number + fraction) / pairs, message)

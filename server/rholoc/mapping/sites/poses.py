@@ -1,4 +1,4 @@
-"""Where the maps of a site lie: poses from links between pairs of them, and those links from the maps themselves."""
+"""Poses of a site's maps from links between pairs of maps, and these links from the maps themselves."""
 
 from __future__ import annotations
 

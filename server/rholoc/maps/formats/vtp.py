@@ -12,7 +12,7 @@ from rholoc.geometry import FloatArray, IntArray
 
 
 class Cells(StrEnum):
-    """What the cells of a piece are."""
+    """Kind of a piece's cells."""
 
     POINTS = "Verts"
     LINES = "Lines"
@@ -20,7 +20,7 @@ class Cells(StrEnum):
 
 
 class Owner(StrEnum):
-    """What the data of a piece belong to."""
+    """Owner of a data array: points or cells."""
 
     POINTS = "PointData"
     CELLS = "CellData"

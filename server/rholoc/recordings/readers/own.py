@@ -66,7 +66,7 @@ def read(folder: Path) -> Recording:
 
 
 def read_description(folder: Path) -> CameraFile:
-    """What ``camera.json`` says, or nothing where there is none.
+    """Content of ``camera.json``; an empty description if there is none.
 
     Raises:
         InvalidCamera: it is broken.

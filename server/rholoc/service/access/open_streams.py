@@ -23,7 +23,7 @@ _RETRY_AFTER_S = 5.0
 
 
 class StreamKind(StrEnum):
-    """What a stream carries."""
+    """Content of a stream."""
 
     FRAMES = "frames"  # a WebSocket
     EVENTS = "events"  # server-sent

@@ -190,7 +190,7 @@ def _fonts(_: Settings) -> _Found:
 
 
 def _videos(_: Settings) -> _Found:
-    """What phones record can be decoded."""
+    """Check that videos recorded by phones can be decoded."""
     unread = []
     for codec, name in _CLIPS.items():
         with resources.as_file(resources.files("rholoc.service.operate") / "clips" / name) as path:

@@ -1,4 +1,4 @@
-"""What clients hold open: streams and unfinished uploads, for administrators."""
+"""Open streams and unfinished uploads of clients, for administrators."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ async def readyz(service: Service, response: Response) -> Readiness:
     **declared(NEEDS_READ, "Metrics for Prometheus", also=content("Text.", METRICS_TYPE)),
 )
 async def metrics(service: Service) -> Response:
-    """Requests by route and status, frames by outcome, jobs by state, frames in progress."""
+    """Metrics for Prometheus: requests by route and status, frames by outcome, jobs by state, frames in progress."""
     await service.operation.readiness.refresh()
     return Response(await run_in_threadpool(service.operation.metrics.text), media_type=METRICS_TYPE)
 

@@ -21,7 +21,7 @@ from rholoc.service.state import Service, State
 
 
 class JobChange(RequestModel):
-    """What of a job can be changed."""
+    """New priority of a job."""
 
     priority: JobPriority
 
@@ -63,7 +63,7 @@ async def get_job(job: str, service: Service) -> JobOut:
 
 @router.patch("/{job}", **declared(NEEDS_MAP, "Change a job's priority", UnknownJob, Conflict))
 async def change_job(job: str, wanted: JobChange, service: Service) -> JobOut:
-    """While it waits for a worker."""
+    """Change the priority of a job while it waits for a worker."""
     return job_out(await service.jobs.prioritize(job, wanted.priority))
 
 

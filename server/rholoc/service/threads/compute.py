@@ -38,7 +38,7 @@ _MAX_CLIENTS = 1000
 
 
 class Effort(Enum):
-    """How long work is expected to take."""
+    """Expected duration of work."""
 
     ORDINARY = auto()  # like one camera frame
     LARGE = auto()  # many times that

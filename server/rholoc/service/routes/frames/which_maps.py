@@ -1,4 +1,4 @@
-"""Which maps a request is for."""
+"""The maps that a request is for."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a map holds, for people to see: reports, pictures, scenes, points, its floor plan."""
+"""A map's contents for people: reports, pictures, scenes, points, its floor plan."""
 
 from __future__ import annotations
 
@@ -291,7 +291,7 @@ async def get_preview(map_name: str, request: Request, service: Service) -> Resp
 async def _made(
     request: Request, service: State, name: str, make: Callable[[Map], tuple[bytes, str]], *parts: object
 ) -> Response:
-    """What ``make`` makes of a map: content and media type. 304 where the browser has it.
+    """Response with the content and media type that ``make`` returns for a map; 304 if the browser has it.
 
     ``parts`` tell it from what else is made of the map.
     """
