@@ -323,6 +323,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
         replace(_report(found, method, len(rows), kept, doubts), missing=missing),
         None if sights.shutter is None else sights.shutter.take(kept),
         found.covariances[kept],
+        None if found.zooms is None else found.zooms[kept],
     )
 
 

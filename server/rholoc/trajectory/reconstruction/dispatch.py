@@ -99,7 +99,7 @@ def _from_film(
             raise (failure if found is None else error) from None
         return found
     better = found is None or contradicted or other.placed.sum() > found.placed.sum()
-    return replace(other, note=_AS_SET) if better or found is None else found
+    return replace(other, note=f"{_AS_SET} {other.note}".strip()) if better or found is None else found
 
 
 def _agreement(found: Reconstruction, sights: Sights) -> Agreement:

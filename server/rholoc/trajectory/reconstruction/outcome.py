@@ -86,6 +86,7 @@ class Reconstruction:
         loops: number of loop closures.
         median_depth: of the points in the cameras that see them, in the map's unit.
         agreement: with a second reconstruction, if there is no IMU to check the pictures.
+        zooms: (K,) of each picture relative to the camera, where autofocus changed it; or None.
         note: one line on a fallback that was used, or empty.
     """
 
@@ -104,6 +105,7 @@ class Reconstruction:
     loops: int
     median_depth: float
     agreement: Agreement | None = None
+    zooms: FloatArray | None = None
     note: str = ""
 
 
