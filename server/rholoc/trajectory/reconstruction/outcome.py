@@ -17,6 +17,7 @@ from rholoc.trajectory.reconstruction.rounds import MIN_PX, OUTLIER
 
 _SEEN = 12  # sightings that fix a keyframe by themselves
 _CARRIED_SIGMA_M = 0.05  # maximum, for a keyframe fixed by the IMU alone
+_SHARED = 0.0012  # of the median depth: sigma of errors that sightings share, which no number of them averages out
 _COVARIANCES = 60  # keyframes with a computed covariance; interpolated between them
 
 
@@ -132,6 +133,8 @@ def finished(
         sigma_m = np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2))
         usual_m = float(np.median(sigma_m[placed])) if placed.any() else 0.0
         placed |= sigma_m <= max(_CARRIED_SIGMA_M, 2 * usual_m)
+    median_depth = scale * median_depth_of(observations, adjusted)
+    covariances[:, :3, :3] += (_SHARED * median_depth) ** 2 * np.eye(3)
     return Reconstruction(
         placed,
         state.T_map_camera,
@@ -146,7 +149,7 @@ def finished(
         float(np.median(off_px[adjusted.used])),
         len(np.unique(observations.tracks[right])),
         loops,
-        scale * median_depth_of(observations, adjusted),
+        median_depth,
     )
 
 
