@@ -325,6 +325,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
         None if sights.shutter is None else sights.shutter.take(kept),
         found.covariances[kept],
         None if second is None else second[kept],
+        None if found.zooms is None else found.zooms[kept],
     )
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+
+import numpy as np
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.reports import TrajectoryReport
+from rholoc.trajectory.optimization.zooms import unzoomed
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
 
 
@@ -47,6 +50,7 @@ class Trajectory:
             unknown.
         second_positions: (K, 3) the same frames in a second reconstruction that checked this one, in the map frame;
             NaN where it has none. None without one.
+        zooms: (K,) of each frame relative to the camera, where autofocus changed it; or None.
     """
 
     rows: IntArray
@@ -59,7 +63,14 @@ class Trajectory:
     rolling_shutter: RollingShutter | None = None
     covariances: FloatArray | None = None
     second_positions: FloatArray | None = None
+    zooms: FloatArray | None = None
 
     def at_once(self, k: int, features: FeatureSet) -> FeatureSet:
-        """``features`` of frame ``k`` (0..K-1), moved to their pixels at the read-out of the middle row."""
-        return features if self.rolling_shutter is None else self.rolling_shutter.at_once(k, features)
+        """``features`` of frame ``k`` (0..K-1), moved to their pixels at the read-out of the middle row, unzoomed."""
+        if self.rolling_shutter is not None:
+            features = self.rolling_shutter.at_once(k, features)
+        if self.zooms is None:
+            return features
+        factor = 1 / float(self.zooms[k])
+        pixels = unzoomed(features.pixels.astype(np.float64), factor, self.camera).astype(np.float32)
+        return replace(features, pixels=pixels, sizes=np.asarray(features.sizes * factor, np.float32))

@@ -246,3 +246,25 @@ def test_a_film_whose_halves_contradict_each_other_makes_no_map(placed: int, mon
             dispatch.reconstruct(_sights(), None, [])
     else:
         assert dispatch.reconstruct(_sights(), None, []).placed.sum() == 10
+
+
+def test_where_corners_cannot_be_followed_matched_pictures_calibrate_the_gyroscope(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """At a picture a second 19 of 30 were placed, without the IMU, for it seemed to contradict them."""
+    route = _Route(monkeypatch, None, starts=True)
+    monkeypatch.setattr(dispatch, "calibrated", lambda *what: (_GYRO, "") if what[3:] else (None, "It contradicts."))
+    assert dispatch.reconstruct(replace(_sights(), is_film=False), _IMU, []) == "with the IMU"
+    assert route.felt == [None, "felt"]
+
+
+def test_pictures_that_are_linked_calibrate_the_gyroscope(monkeypatch: pytest.MonkeyPatch) -> None:
+    sights = _sights(5)
+    R = Rotation.from_euler("y", np.arange(5.0)).as_matrix()
+    monkeypatch.setattr(from_imu, "average_rotations", lambda *_: (R, np.array([0, 1, 1, 0, 1])))
+    monkeypatch.setattr(from_imu, "calibrate_gyro", lambda *what: replace(_GYRO, bias=what))
+    gyro, reason = from_imu.calibrated(sights, CAMERA, _IMU, Evidence(_NOTHING, [], [], []))
+    assert reason == ""
+    assert gyro is not None
+    np.testing.assert_allclose(gyro.bias[0], sights.times[[1, 2, 4]])
+    np.testing.assert_allclose(gyro.bias[1], R[[1, 2, 4]])

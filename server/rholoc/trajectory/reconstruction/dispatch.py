@@ -51,8 +51,13 @@ def _reconstruct(
 ) -> Reconstruction:
     camera = sights.camera or guess_camera(sights.flow, imu, sights.focal_px)
     gyro, reason = (None, "") if imu is None else calibrated(sights, camera, imu)
+    evidence: Evidence | None = None
+    if imu is not None and gyro is None and not sights.is_film:
+        evidence = gather_evidence(sights, camera, None, progress)
+        gyro, reason = calibrated(sights, camera, imu, evidence)
     felt = None if imu is None or gyro is None else camera_rotations(imu, gyro, sights.times)
-    evidence = gather_evidence(sights, camera, felt, progress)
+    if evidence is None or felt is not None:
+        evidence = gather_evidence(sights, camera, felt, progress)
     steps = AdjustmentProgress(progress)
     if imu is not None and gyro is not None and felt is not None:
         start = start_with_imu(sights, camera, evidence, imu, gyro, felt)
@@ -99,7 +104,7 @@ def _from_film(
             raise (failure if found is None else error) from None
         return found
     better = found is None or contradicted or other.placed.sum() > found.placed.sum()
-    return replace(other, note=_AS_SET) if better or found is None else found
+    return replace(other, note=f"{_AS_SET} {other.note}".strip()) if better or found is None else found
 
 
 def _agreement(found: Reconstruction, sights: Sights) -> Agreement:

@@ -12,7 +12,7 @@ from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.recordings import GRAVITY, Imu, Waypoint
 from rholoc.trajectory.frame.map_frame import ScaleMeasurement, ScaleSource, up_by_gravity
 from rholoc.trajectory.frame.upright import rotation_to_upright
-from rholoc.trajectory.inertial.gyroscope import GyroCalibration
+from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro
 from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import Adjusted, InertialState, Problem, State, adjust
@@ -44,9 +44,20 @@ _DIRECTION_TOLERANCE_PX = 2.0
 _ACCELEROMETER_SCALE = 0.01  # from which it is corrected
 
 
-def calibrated(sights: Sights, camera: Camera, imu: Imu) -> tuple[GyroCalibration | None, str]:
-    """The gyroscope against the pictures, or why it is of no use."""
-    gyro = calibrate_by_flow(sights.flow, camera, imu)
+def calibrated(
+    sights: Sights, camera: Camera, imu: Imu, evidence: Evidence | None = None
+) -> tuple[GyroCalibration | None, str]:
+    """The gyroscope against the pictures, or why it is of no use.
+
+    Args:
+        evidence: of pictures too far apart for corners to be followed; or None.
+    """
+    if evidence is None:
+        gyro = calibrate_by_flow(sights.flow, camera, imu)
+    else:
+        R, component = average_rotations(len(sights.rows), evidence.rotations, sights.times, None)
+        linked = component == np.bincount(component).argmax()
+        gyro = calibrate_gyro(sights.times[linked], R[linked], imu)
     if gyro is None:
         return None, "IMU and video hardly overlap; the poses are from the pictures alone."
     if not gyro.fits:

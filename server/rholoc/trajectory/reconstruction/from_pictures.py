@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, pose_matrix
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, pose_matrix
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.checks.given_poses import epipolar_errors
@@ -17,6 +17,7 @@ from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import GUESSED, Adjusted, Problem, State, adjust
+from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.figures import median_depth_of
 from rholoc.trajectory.reconstruction.measured_scale import (
@@ -46,6 +47,7 @@ _ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
+_ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures that show them
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _LOOSE = 0.1  # of the extent, by which poses are uncertain that nothing confirms, for them to be worth nothing
@@ -128,12 +130,14 @@ class _Part:
         members: (N,) the pictures, increasing.
         problem, adjusted: of those.
         in_metres: whether depth pictures gave it its first poses, so that they check its shape.
+        zooms: (N,) of each picture relative to the camera, which its sightings are corrected for; or None.
     """
 
     members: IntArray
     problem: Problem
     adjusted: Adjusted
     in_metres: bool = False
+    zooms: FloatArray | None = None
 
 
 def _placed_by(
@@ -186,7 +190,29 @@ def _refined(
         found = _adjusted(sights, whole, start, progress, (0.75, 0.85))
     except (MappingFailed, RuntimeError):
         return part, evidence
-    return (found, richer) if _agreement(found, part).same else (part, evidence)
+    if not _agreement(found, part).same:
+        return part, evidence
+    return _unzoomed(found, sights, whole, progress), richer
+
+
+def _unzoomed(part: _Part, sights: Sights, whole: Observations, progress: AdjustmentProgress) -> _Part:
+    """The part with each picture's zoom estimated, where autofocus changed it; as it is where they are alike."""
+    if part.adjusted.state.camera.lens is not Lens.PINHOLE:
+        return part
+    found, zooms = part, np.ones(len(sights.rows))
+    for _ in range(_ZOOM_ROUNDS):
+        problem = found.problem
+        more, differ = measure_zooms(problem.observations, found.adjusted.state, problem.pixel_sigma_px)
+        if not differ and found is part:
+            break
+        zooms[found.members] *= more**_ZOOM_HASTE
+        start = replace(found.adjusted.state, points=np.zeros((0, 3))), found.members
+        try:
+            corrected = zoomed(whole, zooms, found.adjusted.state.camera)
+            found = _adjusted(sights, corrected, start, progress, (0.85, 0.85))
+        except (MappingFailed, RuntimeError):
+            return part
+    return found if found is part else replace(found, zooms=zooms[found.members])
 
 
 def _fitting(part: _Part, sights: Sights, camera: Camera, evidence: Evidence) -> list[VerifiedPair]:
@@ -318,6 +344,11 @@ def _finished(
     if sights.camera is not None:
         doubts = (*found.frame.doubts, *_doubts_about_focal(part, sights.camera))
         found = replace(found, frame=replace(found.frame, doubts=doubts))
+    if part.zooms is not None:
+        spread = 100 * float(np.std(part.zooms))
+        found = replace(
+            found, zooms=part.zooms, note=f"Autofocus zooms its pictures by {spread:.1f} %; this is corrected."
+        )
     return _of_all(found, part.members, len(sights.rows))
 
 
@@ -347,7 +378,11 @@ def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstructi
     T[members] = part.T_map_camera
     covariances = np.zeros((count, 6, 6))
     covariances[members] = part.covariances
-    return replace(part, placed=placed, T_map_camera=T, covariances=covariances)
+    zooms = part.zooms
+    if zooms is not None:
+        zooms = np.ones(count)
+        zooms[members] = part.zooms
+    return replace(part, placed=placed, T_map_camera=T, covariances=covariances, zooms=zooms)
 
 
 def _own_start(

@@ -17,6 +17,7 @@ from rholoc.trajectory.reconstruction.rounds import MIN_PX, OUTLIER
 
 _SEEN = 12  # sightings that fix a keyframe by themselves
 _CARRIED_SIGMA_M = 0.05  # maximum, for a keyframe fixed by the IMU alone
+_SHARED = 0.0012  # of the median depth: sigma of errors that sightings share, which no number of them averages out
 _COVARIANCES = 60  # keyframes with a computed covariance; interpolated between them
 
 
@@ -86,6 +87,7 @@ class Reconstruction:
         loops: number of loop closures.
         median_depth: of the points in the cameras that see them, in the map's unit.
         agreement: with a second reconstruction, if there is no IMU to check the pictures.
+        zooms: (K,) of each picture relative to the camera, where autofocus changed it; or None.
         note: one line on a fallback that was used, or empty.
     """
 
@@ -104,6 +106,7 @@ class Reconstruction:
     loops: int
     median_depth: float
     agreement: Agreement | None = None
+    zooms: FloatArray | None = None
     note: str = ""
 
 
@@ -130,6 +133,8 @@ def finished(
         sigma_m = np.sqrt(np.trace(covariances[:, :3, :3], axis1=1, axis2=2))
         usual_m = float(np.median(sigma_m[placed])) if placed.any() else 0.0
         placed |= sigma_m <= max(_CARRIED_SIGMA_M, 2 * usual_m)
+    median_depth = scale * median_depth_of(observations, adjusted)
+    covariances[:, :3, :3] += (_SHARED * median_depth) ** 2 * np.eye(3)
     return Reconstruction(
         placed,
         state.T_map_camera,
@@ -144,7 +149,7 @@ def finished(
         float(np.median(off_px[adjusted.used])),
         len(np.unique(observations.tracks[right])),
         loops,
-        scale * median_depth_of(observations, adjusted),
+        median_depth,
     )
 
 
