@@ -126,8 +126,8 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
     ),
 )
 async def get_names(map_name: str, request: Request, service: Service) -> Response:
-    """Longitude, latitude and height of WGS 84 in a map with a place on Earth, its own or its site's; else metres of the
-    map, and the collection says `"frame": "map"`."""
+    """Longitude, latitude and height of WGS 84 in a map with a place on Earth, its own or its site's; else metres of
+    the map, and the collection says `"frame": "map"`."""
 
     by_site = await service.sites.earth_of(map_name)
 
