@@ -33,6 +33,7 @@ NOISE = {  # and whether more is better
     "localized": (0, False),
 }  # fmt: skip
 STRANGERS_EACH = 6
+LARGE = ("scipy", "opencv_python_headless", "numpy", "faiss_cpu")
 FEATURES = "sift48"
 
 
@@ -93,7 +94,10 @@ print(int(peak.split()[1]) / 1024, file=sys.stderr)
 
 
 def installed_mb() -> dict[str, float]:
-    """Disk that localizing needs on this machine and on ARM64 Linux, MB: files of all wheels, unpacked."""
+    """Disk that localizing needs on this machine and on ARM64 Linux, MB: files of all wheels, unpacked.
+
+    And that of the four largest packages on ARM64 Linux.
+    """
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     found = {}
     for machine in ("x86_64", "aarch64"):
@@ -112,9 +116,13 @@ def installed_mb() -> dict[str, float]:
             only = ["--only-binary=:all:", "--python-version=3.11", "--abi=cp311", "--abi=abi3", "--abi=none"]
             constraints = ["-c", str(ROOT / "server" / "constraints.txt"), "httpx", *names]
             subprocess.run([*pip, "download", "-d", folder, *platforms, *only, *constraints], check=True)
-            files = (file for wheel in Path(folder).glob("*.whl") for file in zipfile.ZipFile(wheel).infolist())
-            found[machine] = sum(file.file_size for file in files) / 1e6
-    return found
+            sizes = {wheel.name.partition("-")[0]: _unpacked_mb(wheel) for wheel in Path(folder).glob("*.whl")}
+        found[machine] = sum(sizes.values())
+    return found | {f"{machine}_{name.partition('_')[0]}": sizes[name] for name in LARGE}
+
+
+def _unpacked_mb(wheel: Path) -> float:
+    return sum(file.file_size for file in zipfile.ZipFile(wheel).infolist()) / 1e6
 
 
 def main() -> None:

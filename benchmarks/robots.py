@@ -18,6 +18,7 @@ import math
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -93,12 +94,21 @@ class Drive:
 
 @dataclass
 class Run:
-    """What became of a drive: poses of the base by frame, the odometry, answers by frame, broadcasts by time."""
+    """What became of a drive.
+
+    Attributes:
+        T_odom_camera: (N, 4, 4) by odometry.
+        estimates: poses of the base, by frame.
+        answers: of the service, by frame.
+        broadcasts: time, T_map_odom or None, T_odom_base.
+        node_s: processor time of the node's logic for each picture, without the service's.
+    """
 
     T_odom_camera: FloatArray
     estimates: dict[int, Estimate] = field(default_factory=dict)
     answers: dict[int, Localization] = field(default_factory=dict)
     broadcasts: list[tuple[float, FloatArray | None, FloatArray]] = field(default_factory=list)
+    node_s: list[float] = field(default_factory=list)
 
 
 class Noting(Client):
@@ -180,19 +190,20 @@ def _drive_through(url: str, drive: Drive, seed: int) -> Run:
         robot.camera(drive.camera)
         rows = {round(1e9 * time_s): row for row, time_s in enumerate(drive.times)}
         for stamp_ns, row in rows.items():
-            clock.now_s = float(drive.times[row])
+            clock.now_s, clock.away_s, begun_s = float(drive.times[row]), 0.0, time.thread_time()
             robot.odometry(stamp_ns, T_odom_base[row])
             robot.picture(Picture(stamp_ns, "camera", drive.pictures[row], clock.now_s))
             run.estimates |= {rows[one.stamp_ns]: one for one in robot.poll(clock.now_s)}
             run.broadcasts.append((clock.now_s, robot.map_to_odom(clock.now_s), T_odom_base[row]))
+            run.node_s.append(time.thread_time() - begun_s - clock.away_s)
         run.answers = client.answers
     return run
 
 
 class _Clock:
-    """The time of the drive, which does not depend on how fast this machine is."""
+    """The time of the drive, which does not depend on how fast this machine is; and processor time of questions."""
 
-    now_s = 0.0
+    now_s, away_s = 0.0, 0.0
 
 
 class _Late:
@@ -202,7 +213,10 @@ class _Late:
         self._clock = clock
 
     def submit(self, call: Callable[[], Localization]) -> _LateAnswer:
-        return _LateAnswer(self._clock, self._clock.now_s + ANSWER_S, call())
+        begun_s = time.thread_time()
+        answer = call()
+        self._clock.away_s += time.thread_time() - begun_s
+        return _LateAnswer(self._clock, self._clock.now_s + ANSWER_S, answer)
 
     def shutdown(self, cancel_futures: bool = False) -> None:
         """Nothing runs."""
@@ -252,6 +266,9 @@ def _figures(drive: Drive, runs: list[Run], recognizable_s: float) -> Figures:
         "first_pose_s": Figure(round(max(first_s) - recognizable_s, 2), 0.3, False),
         "poses_elsewhere": Figure(elsewhere, 0, False),
         "speed_of_bound_percent": Figure(round(100 * max(_speed(one) for one in runs), 1), 0.5, False),
+        "node_ms": Figure(
+            round(1e3 * float(np.quantile(np.concatenate([one.node_s for one in runs]), 0.95)), 1), 2.0, False
+        ),
         "js_median_cm": length_cm(100 * float(np.median(apart_m))),
         "js_p95_cm": length_cm(100 * float(np.quantile(apart_m, 0.95)), 0.3),
         "js_worst_cm": length_cm(100 * float(np.max(apart_m)), 0.5),

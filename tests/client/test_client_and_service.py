@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import threading
 import zipfile
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,7 +16,18 @@ import rholoc_client
 from rholoc.features import get_extractor
 from rholoc.library import RecordingStore
 from rholoc.reports import MapReport, report_from_json
-from rholoc_client import AsyncClient, Camera, Client, ConnectionFailed, Features, Frame, JobFailed, Prior, WaitTimedOut
+from rholoc_client import (
+    AsyncClient,
+    Camera,
+    Client,
+    ConnectionFailed,
+    Features,
+    Frame,
+    JobFailed,
+    Prior,
+    UnknownMap,
+    WaitTimedOut,
+)
 
 _PATIENCE_S = 120.0  # the clients' own ten seconds are for machines at rest
 
@@ -227,3 +239,50 @@ def test_a_pose_is_frozen(picture_world, service):
     assert replace(pose, roll_deg=1.0) != pose
     with pytest.raises(AttributeError):
         pose.roll_deg = 2.0
+
+
+def test_streams_are_read_as_they_come(serve, picture_world):
+    running = serve(live=True)
+    (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
+    with connected("sync", running.url) as client:
+        stream = client.live("room")
+        answered = threading.Timer(1.0, lambda: client.localize("room", picture_world.png()))
+        answered.start()
+        (pose,) = next(stream)
+        np.testing.assert_allclose(pose["position"], picture_world.pose.position, atol=0.02)
+        assert [one["kind"] for one in client.streams()] == ["events"]
+        stream.close()
+        answered.join()
+        with pytest.raises(UnknownMap):
+            next(client.live("attic"))
+
+
+def test_a_stream_is_read_by_asyncio(serve, tmp_path):
+    (tmp_path / "walk.mp4").write_bytes(b"\0\0\0\x18ftypisom" + b"x" * 100)
+
+    async def last_of(url):
+        async with AsyncClient(url, timeout_s=_PATIENCE_S) as client:
+            job = await client.upload_recording(tmp_path / "walk.mp4", "hall")
+            return [event async for event in client.job_events(job.id)][-1]
+
+    ended = asyncio.run(last_of(serve(worker=True).url))
+    assert (ended.has_ended, ended.state) == (True, "failed")
+
+
+def test_what_the_rarer_methods_answer(client, picture_world):
+    client.localize("room", picture_world.png())
+    assert client.map_versions("room") == []
+    assert client.map_coverage("room")["sufficient"] > 0
+    landmarks = len(picture_world.map_)
+    assert int.from_bytes(client.map_scene("room")[:4], "little") == landmarks
+    assert int.from_bytes(client.map_scene("room", landmarks=3)[:4], "little") <= 3
+    assert client.map_feature("room", 0)["feature"] == 0
+    assert client.map_names("room") == {"type": "FeatureCollection", "frame": "map", "features": []}
+    assert client.landscape("room", picture_world.png())["map"] == "room"
+    assert client.health()["version"]
+    assert "rholoc_" in client.metrics()
+    assert client.upload_rules()["tus-version"] == "1.0.0"
+    assert client.recordings() == client.uploads() == client.streams() == client.keys() == []
+    assert isinstance(client.audit(limit=5), list)
+    assert client.draw_qr("https://rholoc.example").rstrip().endswith("</svg>")
+    assert client.geopose_status() == {"status": "running"}

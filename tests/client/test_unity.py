@@ -87,13 +87,13 @@ def test_a_session_is_where_the_javascript_client_has_it(unity, tmp_path):
                 "localized": number % 7 != 0,
                 "recognized": 0.65 if number < 5 else 0.95,
                 "T_map_camera": T_map_camera.ravel().tolist(),
-                "unity": unity_pose.ravel().tolist(),
+                "session_pose": unity_pose.ravel().tolist(),
                 "position": unity_pose[:3, 3].tolist(),
                 "rotation": Rotation.from_matrix(unity_pose[:3, :3]).as_quat().tolist(),
             }
         )
     found = unity("session", {"frames": frames})
-    (tmp_path / "frames.json").write_text(json.dumps({"frames": frames}))
+    (tmp_path / "frames.json").write_text(json.dumps({"axes": "unity", "frames": frames}))
     module = (ROOT / "js" / "index.js").as_uri()
     command = ["node", str(HERE / "session_replay.mjs"), module, str(tmp_path / "frames.json")]
     said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.splitlines()

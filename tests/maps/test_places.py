@@ -132,6 +132,10 @@ def test_damaged_geojson_is_refused_in_a_line(document):
         ({"type": "Point", "coordinates": [13.0]}, {"name": "a"}),
         ({"type": "Point", "coordinates": ["x", 1]}, {"name": "a"}),
         ({"type": "Point", "coordinates": [80.0, 50.0]}, {"name": "a"}),
+        ({"type": "Point", "coordinates": [10**400, 50.0]}, {"name": "a"}),
+        ({"type": "Point", "coordinates": RING[0]}, {"name": "a", "note": 10**400}),
+        ({"type": "Point", "coordinates": RING[0]}, {"name": "a", "note": "\ud800"}),
+        ({"type": "Point", "coordinates": RING[0]}, {"name": "a", "kind": "\ud800"}),
         ({"type": "LineString", "coordinates": RING}, {"name": "a"}),
         ({"type": "Polygon", "coordinates": [RING, RING]}, {"name": "a"}),
         ({"type": "Polygon", "coordinates": [RING[:2]]}, {"name": "a"}),
@@ -175,8 +179,9 @@ def test_a_plan_of_geojson_lies_where_its_coordinates_say():
     np.testing.assert_allclose([*plan.corner, plan.turn_deg], [0, 0, 33], atol=1e-6)
     _, moved = read_plan(content, "application/geo+json", None, PlanPlacement(x=2.0), EARTH)
     assert (moved.corner, moved.turn_deg) == ((2.0, 0.0), 0.0)
-    with pytest.raises(InvalidInput, match="longitude"):
-        read_plan(b'{"type": "FeatureCollection", "features": []}', None, None, PlanPlacement(), EARTH)
+    for empty in (b'{"type": "FeatureCollection", "features": []}', b'{"type": "Point", "coordinates": [1e400, 2]}'):
+        with pytest.raises(InvalidInput, match="longitude"):
+            read_plan(empty, None, None, PlanPlacement(), EARTH)
 
 
 @pytest.mark.parametrize(("level", "names"), [(None, "G, 1"), ("Roof", "G, 1")])

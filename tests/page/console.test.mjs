@@ -2,6 +2,8 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { cameraAt, moved, nextWalk, sayFailures, sayPlace, summary } from "../../client/page/console/coverage_view.js";
+import { fieldsOf } from "../../client/page/console/correct.js";
+import { planOfGeoJson } from "../../client/page/console/floor_plan.js";
 import { halfExtents, intrinsicsFor, intrinsicsOfFieldOfView, Known } from "../../client/page/console/intrinsics.js";
 import { summary as landscapeInWords, heights } from "../../client/page/console/landscape_view.js";
 import { learningText } from "../../client/page/console/learning.js";
@@ -337,4 +339,19 @@ test("a place is as right as the views near it", () => {
   assert.ok(Math.abs(errorAt(views, errors, 4, 0) - 0.04) < 1e-3);
   assert.equal(errorAt(views, errors, 4, 9), null);
   assert.equal(errorAt(views, [null, null, null], 4, 0), null);
+});
+
+test("a plan of GeoJSON has the size that the ellipsoid gives it", () => {
+  const ring = [[13.405, 52.52], [13.407, 52.52], [13.407, 52.521], [13.405, 52.521], [13.405, 52.52]];
+  const plan = planOfGeoJson(JSON.stringify({ type: "Polygon", coordinates: [ring] }));
+  // geodesics of WGS 84 by pyproj: along the parallel of the middle, and along a meridian
+  assert.ok(Math.abs(plan.width - 135.75728) < 1e-4, plan.width);
+  assert.ok(Math.abs(plan.height - 111.27722) < 1e-4, plan.height);
+});
+
+test("fields that are typed become numbers, true and false, and text", () => {
+  assert.deepEqual(fieldsOf("seats=12, owner=Ada Lovelace,open = true, code=a=b, note="), {
+    seats: 12, owner: "Ada Lovelace", open: true, code: "a=b", note: "",
+  });
+  assert.deepEqual(fieldsOf(" , "), {});
 });

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import Similarity
-from rholoc.maps import load_map, save_map
+from rholoc.maps import FramePose, SiteOnEarth, load_map, save_map
 from rholoc_client import Client
 
 SQUARE = [[0, -9], [9, -9], [9, 9], [0, 9]]
@@ -173,6 +173,27 @@ def test_names_go_out_and_in_as_geojson(site):
         refused = httpx.put(f"{site.url}/v1/maps/hall/names", content=body, headers={"Content-Type": kind})
         assert refused.json()["code"] == code
     assert httpx.get(f"{site.url}/v1/maps/hall/names").json() == taken.json()
+
+
+def test_a_map_is_on_earth_by_its_site(site):
+    """Beside the map's own place, which its corrections gave it: the same point, by another way."""
+    client = Client(site.url)
+    client.correct_map("room", {"kind": "names", "points": [{"name": "door", "position": [3, 1, 0.5]}]})
+    earth = {"latitude_deg": 52.52, "longitude_deg": 13.405, "height_m": 40.0, "heading_deg": 30.0}
+    turned = {"position": [10, -5, 2], "quaternion_xyzw": [0, 0, 0.6, 0.8]}
+    client.put_site("campus", {"maps": [{"map": "room", "pose": turned}], "earth": earth})
+    (found,) = client.map_names("room")["features"]
+    longitude, latitude, height = found["geometry"]["coordinates"]
+    T = FramePose((10.0, -5.0, 2.0), (0.0, 0.0, 0.6, 0.8)).matrix
+    expected = SiteOnEarth(**earth).place((T @ [3, 1, 0.5, 1])[:3])
+    assert (latitude, longitude) == pytest.approx((expected.latitude_deg, expected.longitude_deg), abs=1e-8)
+    assert height == pytest.approx(expected.height_m, abs=1e-4)
+    client.put_map_names("room", client.map_names("room"))
+    position = httpx.get(f"{site.url}/v1/maps/room").json()["names"]["points"][0]["position"]
+    np.testing.assert_allclose(position, [3, 1, 0.5], atol=1e-4)
+    client.delete_site("campus")
+    assert client.map_names("room")["frame"] == "map"
+    client.restore_map("room", 2)
 
 
 def test_a_floor_plan_comes_as_a_map_server_has_it(site, tmp_path):

@@ -19,6 +19,7 @@ _MAP_FRAME = "map"  # the member "frame" of a collection whose coordinates are m
 _DIGITS = 10  # of degrees: 0.01 mm
 _MILLIMETRES = 6  # digits of a metre
 _MAX_M = 1e6
+_MAX_NUMBER = 1e9  # of a coordinate: JSON's integers have no bound
 
 
 def names_to_geojson(names: MapNames, earth: SiteOnEarth | None) -> dict[str, Any]:
@@ -104,7 +105,8 @@ def features_of(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     found = [document] if document.get("type") == "Feature" else document.get("features")
     if document.get("type") not in ("Feature", "FeatureCollection") or not isinstance(found, list):
         raise InvalidInput("The GeoJSON is not a collection of features.", "Send a FeatureCollection.")
-    if not all(isinstance(one, dict) and isinstance(one.get("geometry") or {}, dict) for one in found):
+    members = ("geometry", "properties")
+    if not all(isinstance(one, dict) and all(isinstance(one.get(key) or {}, dict) for key in members) for one in found):
         raise InvalidInput("The GeoJSON has a feature that is none.", "Give each a geometry and properties.")
     return found
 
@@ -176,8 +178,6 @@ def _ring(geometry: Mapping[str, Any], what: str) -> list[Any]:
 def _properties(feature: Mapping[str, Any]) -> tuple[str, str, dict[str, FieldValue]]:
     """Name, kind and fields of a feature."""
     properties = feature.get("properties") or {}
-    if not isinstance(properties, dict):
-        raise InvalidInput("The GeoJSON has a feature whose properties are no object.", "Give properties by name.")
     kind = next((str(properties[key]) for key in ("kind", "category") if properties.get(key)), "")
     fields = {
         key: value
@@ -198,7 +198,7 @@ def _is_position(value: object) -> TypeGuard[list[float]]:
     return (
         isinstance(value, list)
         and len(value) >= 2
-        and all(isinstance(one, int | float) and not isinstance(one, bool) for one in value)
+        and all(isinstance(one, int | float) and not isinstance(one, bool) and abs(one) < _MAX_NUMBER for one in value)
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from rholoc.errors import InvalidInput
 from rholoc.geometry import BoolArray, FloatArray
+from rholoc.reports.json_values import check_json_value
 
 MAX_NAMES = 500
 MAX_CORNERS = 200
@@ -163,12 +163,15 @@ def _check_details(one: NamedPoint | NamedArea) -> None:
             raise InvalidInput(
                 f"{key[:_MAX_LENGTH]!r} of {one.name} is not a valid field.", f"Use 1 to {_MAX_LENGTH} characters."
             )
-        if (isinstance(value, str) and len(value) > _MAX_VALUE_LENGTH) or (
-            isinstance(value, float) and not math.isfinite(value)
-        ):
+        try:
+            check_json_value(value)
+        except ValueError as error:
             raise InvalidInput(
-                f"The field {key} of {one.name} is not valid.",
-                f"Use finite numbers, and text of at most {_MAX_VALUE_LENGTH} characters.",
+                f"The field {key} of {one.name} holds {error}.", "Use text and finite numbers."
+            ) from error
+        if isinstance(value, str) and len(value) > _MAX_VALUE_LENGTH:
+            raise InvalidInput(
+                f"The field {key} of {one.name} is too long.", f"Use at most {_MAX_VALUE_LENGTH} characters."
             )
 
 

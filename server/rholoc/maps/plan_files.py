@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import lzma
 import math
+import struct
 import zipfile
+import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -23,6 +26,17 @@ from rholoc.maps.sites import SiteOnEarth
 _MAX_EXPANDED_BYTES = 64 * 2**20
 _MAX_YAML_BYTES = 2**14
 _DRAWN = ("level", "unit", "section", "fixture", "kiosk", "opening", "detail")  # feature types of IMDF with walls
+_DAMAGED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
+)  # of zipfile
 _YAML = (".yaml", ".yml")
 
 
@@ -140,7 +154,7 @@ def _on_earth(content: bytes, plan: FloorPlan, earth: SiteOnEarth) -> FloorPlan:
 def _opened(content: bytes) -> zipfile.ZipFile:
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
-    except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
+    except _DAMAGED as error:
         raise InvalidInput("The floor plan is not a ZIP archive.", "Send it as it was written.") from error
     if sum(one.file_size for one in archive.infolist()) > _MAX_EXPANDED_BYTES:
         raise InvalidInput(
@@ -153,7 +167,7 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
     try:
         with archive.open(name) as file:
             content = file.read(max_bytes + 1)
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, OSError) as error:
+    except _DAMAGED as error:
         raise InvalidInput(f"{name[:60]} of the archive cannot be read.", "Pack it again.") from error
     if len(content) > max_bytes:
         raise InvalidInput(f"{name[:60]} of the archive is longer than {max_bytes} bytes.", "Send a smaller one.")

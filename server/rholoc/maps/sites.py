@@ -210,6 +210,14 @@ class Site:
         """The map of that name, if it is one of the site's."""
         return next((one for one in self.maps if one.map == map_name), None)
 
+    def earth_of(self, map_name: str) -> SiteOnEarth | None:
+        """Pose on Earth of a map's frame; None if it is unknown, or the map's z is not up."""
+        member = self.member(map_name)
+        if self.earth is None or member is None or member.pose is None:
+            return None
+        T_map_site = np.linalg.inv(member.pose.matrix)
+        return self.earth.moved(Similarity(1.0, T_map_site[:3, :3], T_map_site[:3, 3]))
+
     def maps_near(self, place: EarthPlace, radius_m: float) -> list[str]:
         """Names of the maps with an origin within ``radius_m`` of a place on Earth, the nearest first."""
         if self.earth is None:

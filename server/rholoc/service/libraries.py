@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from rholoc.errors import Conflict, InvalidMap, UnknownMap, UnknownRecording
+from rholoc.errors import Conflict, InvalidInput, InvalidMap, NotFound, UnknownMap, UnknownRecording
 from rholoc.exports import ExportFormat
 from rholoc.jobs import Job, JobKind, JobOptions, JobQueue, UploadStore
 from rholoc.library import (
@@ -30,7 +30,7 @@ from rholoc.library import (
     waypoints_file,
 )
 from rholoc.mapping import MIN_QUERIES, set_floor_plan, too_few_queries
-from rholoc.maps import FloorPlan, Map, MapInfo, check_memory
+from rholoc.maps import FloorPlan, Map, MapInfo, SiteOnEarth, check_memory
 from rholoc.service.access.audit import AuditLog
 from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.access.quotas import Quotas, Usage
@@ -157,6 +157,16 @@ class AsyncSites:
         self.put = lanes.database.offload(sites.put)
         self.delete = lanes.database.offload(sites.delete)
         self.rename_map = lanes.database.offload(sites.rename_map)
+        self._sync = sites
+        self.earth_of = lanes.database.offload(self._earth_of)
+
+    def _earth_of(self, map_name: str) -> SiteOnEarth | None:
+        """Pose on Earth of a map by the first site that has placed it; None if that is unknown."""
+        name = self._sync.site_of(map_name)
+        try:
+            return None if name is None else self._sync.get(name).earth_of(map_name)
+        except (NotFound, InvalidInput):  # deleted meanwhile
+            return None
 
 
 class AsyncJobs:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import math
+import shutil
+import subprocess
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -332,3 +336,43 @@ def test_options_that_make_no_sense_are_refused(name: str) -> None:
 def test_motions_and_poses_are_each_others_inverse(values: list[float]) -> None:
     T, motion = walk(1)[7], np.array(values)
     assert np.allclose(motion_between(T, moved(T, motion)), motion, atol=1e-9)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="Node.js is not installed")
+@pytest.mark.parametrize("seed", range(3))
+def test_the_session_of_javascript_has_the_camera_within_two_centimetres(seed, tmp_path):
+    """On the same odometry and the same answers, which come a few frames late to the track."""
+    rng = np.random.default_rng(seed)
+    truth = walk(40)
+    moves = odometry(truth, rng)
+    answers = right(rng)
+    given: dict[int, Answer] = {}
+
+    def noted(frame: int, T: FloatArray) -> Answer | None:
+        given[frame] = said = answers(frame, T)
+        return said
+
+    tracked, _ = follow(Track(), truth, moves, noted)
+    frames = [
+        {
+            "time_s": number / FRAMES_PER_S,
+            "session_pose": T.ravel().tolist(),
+            "T_map_camera": given[number].T_map_camera.ravel().tolist() if number in given else None,
+            "localized": True,
+            "recognized": 0.97,
+        }
+        for number, T in enumerate(moves)
+    ]
+    (tmp_path / "frames.json").write_text(json.dumps({"axes": "opencv", "intervalMs": 0, "frames": frames}))
+    here = Path(__file__).parents[1]
+    module = (here.parents[1] / "client" / "js" / "index.js").as_uri()
+    command = ["node", str(here / "session_replay.mjs"), module, str(tmp_path / "frames.json")]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.splitlines()[:-1]
+    apart = [
+        np.linalg.norm(np.reshape(json.loads(line)[0], (4, 4))[:3, 3] - np.array(one.pose.T_map_camera)[:3, 3])
+        for line, one in zip(said, tracked, strict=True)
+        if one.pose is not None and json.loads(line)[0] is not None
+    ]
+    assert len(apart) > 0.95 * len(truth)
+    assert np.quantile(apart, 0.99) < 0.02
+    assert max(apart[5 * FRAMES_PER_S :]) < 0.03  # of answers that are off by 1 cm along each axis

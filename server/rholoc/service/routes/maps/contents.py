@@ -126,13 +126,16 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
     ),
 )
 async def get_names(map_name: str, request: Request, service: Service) -> Response:
-    """Longitude, latitude and height of WGS 84 in a map with a place on Earth; else metres of the map, and the
-    collection says `"frame": "map"`."""
+    """Longitude, latitude and height of WGS 84 in a map with a place on Earth, its own or its site's; else metres of
+    the map, and the collection says `"frame": "map"`."""
+
+    by_site = await service.sites.earth_of(map_name)
 
     def names(map_: Map) -> tuple[bytes, str]:
-        return json.dumps(names_to_geojson(map_.info.names, map_.info.earth), ensure_ascii=False).encode(), GEOJSON
+        collection = names_to_geojson(map_.info.names, map_.info.earth or by_site)
+        return json.dumps(collection, ensure_ascii=False).encode(), GEOJSON
 
-    return await _made(request, service, map_name, names, "names")
+    return await _made(request, service, map_name, names, "names", by_site)
 
 
 @router.get(

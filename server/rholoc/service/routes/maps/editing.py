@@ -116,11 +116,12 @@ async def put_names(map_name: str, request: Request, service: Service, level: Le
     if kind not in (GEOJSON, "application/json", ARCHIVE):
         raise UnsupportedMediaType(f"Names cannot be {kind or 'nothing'}.", f"Send {GEOJSON} or {ARCHIVE}.")
     map_ = await service.maps.get(map_name)
+    earth = map_.info.earth or await service.sites.earth_of(map_name)
     body = await read_body(request, MAX_GEOJSON_BYTES)
 
     def named() -> Map:
         content = level_of_archive(body, level) if kind == ARCHIVE else body
-        return set_names(map_, names_from_geojson(content, map_.info.earth))
+        return set_names(map_, names_from_geojson(content, earth))
 
     changed = await service.frames.compute.run(named, Effort.LARGE)
     await service.maps.replace(map_name, changed)
@@ -165,7 +166,7 @@ async def put_plan(
         raise UnsupportedMediaType(
             f"A floor plan cannot be {kind or 'nothing'}.", f"Send {', '.join([*MEDIA_TYPES, ARCHIVE])}."
         )
-    earth = (await service.maps.get(map_name)).info.earth
+    earth = (await service.maps.get(map_name)).info.earth or await service.sites.earth_of(map_name)
     body = await read_body(request, MAX_PLAN_BYTES)
     placement = PlanPlacement(x, y, turn_deg, m_per_unit)
     content, plan = await service.frames.compute.run(
