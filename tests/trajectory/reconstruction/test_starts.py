@@ -260,7 +260,7 @@ def test_where_corners_cannot_be_followed_matched_pictures_calibrate_the_gyrosco
 
 def test_pictures_that_are_linked_calibrate_the_gyroscope(monkeypatch: pytest.MonkeyPatch) -> None:
     sights = _sights(5)
-    R = Rotation.from_euler("y", np.arange(5.0)).as_matrix()
+    R = Rotation.from_rotvec(np.outer(np.arange(5.0), [0, 1, 0])).as_matrix()
     monkeypatch.setattr(from_imu, "average_rotations", lambda *_: (R, np.array([0, 1, 1, 0, 1])))
     monkeypatch.setattr(from_imu, "calibrate_gyro", lambda *what: replace(_GYRO, bias=what))
     gyro, reason = from_imu.calibrated(sights, CAMERA, _IMU, Evidence(_NOTHING, [], [], []))
