@@ -29,6 +29,8 @@ PAGES = (
     "server/LIGHT.md",
     "maps/README.md",
     "client/README.md",
+    "client/js/README.md",
+    "client/unity/README.md",
     "benchmarks/lab/README.md",
     "ros/README.md",
     "docs/howto.md",
@@ -37,6 +39,7 @@ PAGES = (
     "docs/others.md",
     "docs/experiments.md",
     "docs/page.md",
+    "docs/robots.md",
     "docs/paper.md",
 )
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)|(?<=src=\")([^\"]+)")
