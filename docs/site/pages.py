@@ -40,6 +40,7 @@ PAGES = (
     "docs/others.md",
     "docs/experiments.md",
     "docs/page.md",
+    "docs/robots.md",
     "docs/paper.md",
 )
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)|(?<=src=\")([^\"]+)")

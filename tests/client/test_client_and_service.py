@@ -282,7 +282,8 @@ def test_what_the_rarer_methods_answer(client, picture_world):
     assert client.health()["version"]
     assert "rholoc_" in client.metrics()
     assert client.upload_rules()["tus-version"] == "1.0.0"
-    assert client.recordings() == client.uploads() == client.streams() == client.keys() == []
-    assert isinstance(client.audit(limit=5), list)
+    assert all(isinstance(client.recording(one["id"])["files"], list) for one in client.recordings())
+    assert client.uploads() == client.streams() == client.keys() == []
+    assert len(client.audit(limit=1)) <= 1
     assert client.draw_qr("https://rholoc.example").rstrip().endswith("</svg>")
     assert client.geopose_status() == {"status": "running"}

@@ -223,8 +223,9 @@ def test_archives_that_are_damaged_or_too_large_are_refused():
     bomb = io.BytesIO()
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("level.geojson", b"0" * 2**27)
+    crowd = imdf(**{f"part{i}": [] for i in range(1001)})
     broken = bytearray(BUILDING)
     broken[60:200] = b"\0" * 140
-    for content in (b"PK", b"no archive", bytes(broken), bomb.getvalue(), imdf(unit=[])):
+    for content in (b"PK", b"no archive", bytes(broken), bomb.getvalue(), crowd, imdf(unit=[])):
         with pytest.raises(InvalidInput):
             plan_of_archive(content, "G")

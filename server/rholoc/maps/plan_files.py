@@ -24,6 +24,7 @@ from rholoc.maps.geojson import features_of, plain_label, positions_of, read_geo
 from rholoc.maps.sites import SiteOnEarth
 
 _MAX_EXPANDED_BYTES = 64 * 2**20
+_MAX_FILES, _ENTRY = 1000, b"PK\x01\x02"  # of an archive's directory
 _MAX_YAML_BYTES = 2**14
 _DRAWN = ("level", "unit", "section", "fixture", "kiosk", "opening", "detail")  # feature types of IMDF with walls
 _DAMAGED = (
@@ -152,6 +153,8 @@ def _on_earth(content: bytes, plan: FloorPlan, earth: SiteOnEarth) -> FloorPlan:
 
 
 def _opened(content: bytes) -> zipfile.ZipFile:
+    if content.count(_ENTRY) > _MAX_FILES:  # before they are parsed, which takes much memory
+        raise InvalidInput(f"The archive holds more than {_MAX_FILES} files.", "Pack the plan alone.")
     try:
         archive = zipfile.ZipFile(io.BytesIO(content))
     except _DAMAGED as error:
