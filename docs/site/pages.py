@@ -40,7 +40,6 @@ PAGES = (
     "docs/others.md",
     "docs/experiments.md",
     "docs/page.md",
-    "docs/robots.md",
     "docs/paper.md",
 )
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)|(?<=src=\")([^\"]+)")
