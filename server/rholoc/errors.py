@@ -37,7 +37,7 @@ _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+")  # 
 
 
 def one_line(text: str) -> str:
-    """Text as one line: what would break it, steer a terminal, or is half a character becomes a space."""
+    """Replace each run of line breaks, control characters and surrogates in a text by one space."""
     return _UNPRINTABLE.sub(" ", text)
 
 

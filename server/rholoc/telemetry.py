@@ -111,7 +111,7 @@ _NOTHING = Marks()
 
 @contextmanager
 def request_span(name: str, headers: Mapping[str, str]) -> Iterator[Marks]:
-    """A span of the answer to a request, in the trace that its header ``traceparent`` names."""
+    """Context of a request's span, in the trace of its header ``traceparent`` or a new one; empty without tracing."""
     if _tracing is None:
         yield _NOTHING
         return

@@ -395,7 +395,7 @@ class SeenPoints:
         return cls(plane[seen, heading], positions[seen], axes[heading, 2])
 
     def factors(self, degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The monomials (N, U) of (u, v), (N, X) of the position and (N, H) of the heading at every point."""
+        """Monomials of ``kept_powers(degree)``: (N, U) of (u, v), (N, X) of the position, (N, H) of the heading."""
         plane, position, heading = kept_powers(degree)
         return (
             monomials(plane, self.plane),

@@ -66,10 +66,11 @@ def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = 
     """Pair poses by frame number if both tables have numbers, else by time.
 
     By number, every true frame (in ``frames``, if given) is paired; one missing in ``estimated`` has no pose. By time,
-    only estimated poses are paired, so failures do not show.
+    only estimated poses near a true one are paired, so failures do not show.
 
     Raises:
-        InvalidTrajectory: the tables share neither frame numbers nor times, or no frame is in both.
+        InvalidTrajectory: the tables share neither frame numbers nor times, ``frames`` is given without numbers, or
+            there is nothing to pair.
     """
     truth = truth.known()
     if estimated.frames is not None and truth.frames is not None:

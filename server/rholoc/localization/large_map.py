@@ -256,7 +256,7 @@ class _Clock:
         self._started = time.perf_counter()
 
     def remaining(self, query: Query) -> Query:
-        """The query with its deadline reduced by the time spent."""
+        """The query with its deadline reduced by the time spent, at least to 0; unchanged without a deadline."""
         if self._deadline_s is None:
             return query
         return replace(query, deadline_s=max(self._deadline_s - (time.perf_counter() - self._started), 0.0))

@@ -483,7 +483,7 @@ def _expected_error_deg(found: Reconstruction) -> float | None:
 
 
 def _median_sigma(covariances: FloatArray) -> float | None:
-    """Median of the root traces of covariances (K, 3, 3). NaN stands for no bound; None if the median has none."""
+    """Median of the root traces of covariances (K, 3, 3), of which NaN counts as infinite; None if it is infinite."""
     variances = np.nan_to_num(np.trace(covariances, axis1=1, axis2=2), nan=np.inf)
     median = float(np.median(np.sqrt(variances)))
     return median if np.isfinite(median) else None

@@ -62,7 +62,7 @@ class Claims:
             self._changed.wait_for(lambda: not self._claims, timeout_s)
 
     def free_bytes(self, lease: Lease) -> float:
-        """Memory that the other jobs leave to one [bytes]."""
+        """Upper bound on a job's memory [bytes]: what other jobs have not claimed, at most the limit of one job."""
         with self._changed:
             others = sum(claim.memory_bytes for claim in self._claims.values() if claim.lease != lease)
         return min(self._job_memory_bytes, self._capacity.memory_bytes - others)

@@ -114,7 +114,7 @@ class MappingPipeline:
         return None
 
     def publish(self, task: MappingTask, library: MapLibrary) -> tuple[str, ...]:
-        """Put the map into the library, unless it is already there.
+        """Put the map into the library, unless it is already there. Returns the reasons not to trust its poses.
 
         Raises:
             Conflict: the map that was updated is no longer the one in the library.

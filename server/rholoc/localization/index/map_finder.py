@@ -98,7 +98,7 @@ class MapFinder:
         return sorted(name for name, file in self._present.items() if files.get(name) != file)
 
     def counts(self) -> dict[str, int]:
-        """Number of maps, and how many of them are indexed."""
+        """Number of maps in the library (``present``) and in the index (``indexed``)."""
         return {"present": len(self._present), "indexed": len(self._present) - len(self.unknown)}
 
     def likeliest(

@@ -310,7 +310,10 @@ class _Observed:
 def _guided_matches(
     views: Views, landmarks: Landmarks, medoids: IntArray, presence: Presence, k: int, metric: Metric
 ) -> tuple[IntArray, IntArray]:
-    """Landmarks (C,) and detections (C,) of view ``k`` near their projections that are mutual best matches."""
+    """Mutual best matches of view ``k``: rows (C,) of landmarks and of detections.
+
+    Candidates are visible landmarks within ``_SEARCH_RADIUS_PX`` of a detection, of its channel, and similar enough.
+    """
     T, camera = views.T_map_camera[k], views.cameras[k]
     pixels = camera.project((landmarks.positions - T[:3, 3]) @ T[:3, :3])
     visible = np.flatnonzero(camera.contains(pixels) & presence.allows(landmarks.positions, T[:3, 3]))

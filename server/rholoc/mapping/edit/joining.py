@@ -100,7 +100,7 @@ def with_sources_once(map_: Map) -> Map:
 
 
 def _latest(features: IntArray, sources: IntArray) -> BoolArray:
-    """Mask (D,) of the last descriptors that a source contributed to a feature."""
+    """Mask (D,) of the last ``DESCRIPTORS_PER_FEATURE`` descriptors of each source for each feature."""
     order = np.lexsort((np.arange(len(features)), sources, features))[::-1]
     starts = np.append(True, (np.diff(features[order]) != 0) | (np.diff(sources[order]) != 0))
     rank = np.arange(len(order)) - np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))

@@ -322,7 +322,7 @@ def _some_of_each_view(views: Views, labels: IntArray) -> IntArray:
 
 
 def _without_like_descriptors(map_: Map, metric: Metric) -> Map:
-    """The map without descriptors from queries that resemble a recording's for the same feature."""
+    """Drop each query's descriptor that is closer than half the strict limit to a recording's of the same feature."""
     kept = check_memory(map_, "The map")
     of_queries = _is_of_queries(map_.info)[kept.descriptor_sources]
     features = map_.descriptors.features

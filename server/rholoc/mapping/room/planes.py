@@ -156,7 +156,7 @@ def close_gaps(grid: DistanceGrid, floor: float, walls: list[Wall]) -> None:
 
 
 def _set(grid: DistanceGrid, voxels: BoolArray, distances: FloatArray) -> None:
-    """Take the smaller of the distances where several planes meet: a room is in front of all of them."""
+    """Set the masked voxels in place; those that another plane has set keep the smaller of both distances."""
     d = distances[voxels]
     first = grid.weights[voxels] == 0
     grid.distances[voxels] = np.where(first, d, np.minimum(grid.distances[voxels], d))

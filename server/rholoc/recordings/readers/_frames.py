@@ -62,7 +62,7 @@ def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
 
 
 def timed_images(paths: Sequence[Path], times: FloatArray, cameras: Sequence[Camera] | None = None) -> TimedFrames:
-    """Images in the order of a list, with times (N,) in seconds; numbered from 0.
+    """Images with times, numbered by their place in ``paths``. Those whose time does not increase are left out.
 
     Args:
         paths: N files.
@@ -70,7 +70,7 @@ def timed_images(paths: Sequence[Path], times: FloatArray, cameras: Sequence[Cam
         cameras: each image's camera; None if the intrinsics are unknown.
 
     Raises:
-        InvalidRecording: an image is missing or broken, or times go back.
+        InvalidRecording: an image is missing or broken, or too many times do not increase.
     """
     rows, warnings = advancing_rows(times, "frames")
     chosen = None if cameras is None else [cameras[row] for row in rows]

@@ -44,7 +44,7 @@ _ADVICE = "Export the cameras again, as Agisoft XML."
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a file of cameras."""
+    """Whether there is an XML file of Metashape's cameras."""
     return _document(folder) is not None
 
 

@@ -150,7 +150,8 @@ class KeyStore:
             scope: of the key.
             lifetime_s: None for an unlimited lifetime.
             limits: of the key.
-            handed_by: parent key, whose scope, lifetime and limits bound the new key's.
+            handed_by: parent key. Its limits cap the new key's, which is invalid as soon as the parent is; its scope is
+                for the caller to check.
             site: only site that a key of scope ``visit`` is for; empty for all.
 
         Raises:

@@ -127,10 +127,15 @@ def _weights_of_directions(between: FloatArray, unit: FloatArray, sigma_rad: Flo
 
 
 def _turned_to(between: FloatArray, unit: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Free directions (N, 3) of the displacements, and the targets (N, 3) of their components across these.
+    """Constraints that turn displacements towards their measured directions and leave their lengths to the IMU.
 
-    A zero target would also be met by a displacement of zero length. These targets turn a displacement towards its
-    measured direction and leave its length to the IMU.
+    Args:
+        between: (N, 3) present displacements [m].
+        unit: (N, 3) measured directions.
+
+    Returns:
+        Directions (N, 3) along which the displacements stay free: their own, or ``unit`` where a displacement points
+        backwards or is shorter than ``_MIN_WAY_M``; and targets (N, 3) [m] of their components across these.
     """
     way_m = np.linalg.norm(between, axis=1)
     ahead = (np.sum(between * unit, axis=1) > 0) & (way_m > _MIN_WAY_M)
