@@ -447,7 +447,7 @@ def _unpacked_plan(arrays: Arrays) -> bytes:
 
 
 def _views_of(offsets: IntArray, views: int, observations: int) -> IntArray:
-    """View (V,) of each of V observations, from the offsets (K + 1,) of K views; raises InvalidMap if these are broken."""
+    """View (V,) of each of V observations, from the offsets (K + 1,) of K views. Raises InvalidMap if these misfit."""
     parts = np.diff(offsets)
     if not (len(offsets) == views + 1 and offsets[0] == 0 and offsets[-1] == observations and np.all(parts >= 0)):
         raise InvalidMap("The map contradicts itself: the views' lists of features are broken.", _HINT)
