@@ -20,7 +20,7 @@ from rholoc.geometry import BoolArray, Camera, FloatArray, angles_between, inter
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.maps import Map, load_map, read_trajectory_csv, save_map
 from rholoc.recordings import GivenPoses, Recording, read_image, read_recording
-from rholoc.recordings.selection import SelectedFrames
+from rholoc.recordings.frame_slice import SelectedFrames
 from rholoc.simulation import Light
 from rholoc.trajectory import PoseMethod, estimate_trajectory
 from rholoc_lab.simulation.sites import Site, simulate_site

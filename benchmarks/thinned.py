@@ -27,7 +27,7 @@ from rholoc.errors import RholocError
 from rholoc.geometry import FloatArray, kabsch, umeyama
 from rholoc.maps import read_trajectory_csv
 from rholoc.recordings import Recording, read_recording
-from rholoc.recordings.selection import select_frames
+from rholoc.recordings.frame_slice import select_frames
 from rholoc.reports import ImuReport
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 from rholoc_lab.simulation.sites import Site, simulate_site

@@ -9,7 +9,7 @@ import pytest
 
 from rholoc.geometry import pose_distances
 from rholoc.localization import Localizer
-from rholoc.localization.place_recognition import likeliest_views
+from rholoc.localization.similar_views import likeliest_views
 from rholoc.maps import Map
 from rholoc.paper.density_localizer import TOLERANCES_PX, DensityLocalizer
 

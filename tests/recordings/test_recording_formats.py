@@ -23,11 +23,11 @@ from rholoc.recordings import (
     write_camera_json,
     write_waypoints_csv,
 )
+from rholoc.recordings.frame_slice import SelectedFrames, select_frames
 from rholoc.recordings.frames.steady_frames import SteadyFrames
 from rholoc.recordings.frames.unified_pictures import resampled
 from rholoc.recordings.readers import READERS
 from rholoc.recordings.recording import Waypoint
-from rholoc.recordings.selection import SelectedFrames, select_frames
 
 UNTIMED = ("7-scenes", "colmap", "nerfstudio", "metashape")
 SCANNING_APPS = ("scanner-app", "polycam", "record3d", "arkit-scenes")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, align_poses, pose_matrix
 from rholoc.recordings import Recording, read_recording
-from rholoc.recordings.selection import select_frames
+from rholoc.recordings.frame_slice import select_frames
 from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk
 from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
 from rholoc.trajectory.estimate import _chosen_moments

@@ -6,7 +6,6 @@ from rholoc.localization.index.map_finder import VECTORS_FILE, MapFinder
 from rholoc.localization.index.view_index import LikelyMap
 from rholoc.localization.large_map import AnyLocalizer, LargeMapLocalizer, localizer_of
 from rholoc.localization.localizer import Localizer
-from rholoc.localization.place_recognition import LikelyView, likeliest_views
 from rholoc.localization.several_frames import (
     MAX_FRAMES,
     MIN_FRAMES,
@@ -14,6 +13,7 @@ from rholoc.localization.several_frames import (
     SeveralFrames,
     localize_together,
 )
+from rholoc.localization.similar_views import LikelyView, likeliest_views
 from rholoc.localization.types import (
     NO_BELIEF,
     Alternative,

@@ -4,11 +4,12 @@ from rholoc.recordings.archive import MAX_FILES, check_archive
 from rholoc.recordings.camera_file import CameraFile, read_camera_json, write_camera_json
 from rholoc.recordings.description import describe_recording
 from rholoc.recordings.file_contents import START_BYTES, ZIP_SUFFIXES, check_file_name, check_file_start
+from rholoc.recordings.frame_slice import parse_frame_slice
 from rholoc.recordings.frames.image_decoding import decode_image, read_image
 from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.frames.video import MAX_FRAME_PIXELS, frame_pixels_limited
 from rholoc.recordings.reader import read_recording
-from rholoc.recordings.readers._lenses import camera_of_model
+from rholoc.recordings.readers._camera_models import camera_of_model
 from rholoc.recordings.recording import (
     GRAVITY,
     FrameSource,
@@ -22,7 +23,6 @@ from rholoc.recordings.recording import (
     RecordingFormat,
     Waypoint,
 )
-from rholoc.recordings.selection import parse_frame_slice
 from rholoc.recordings.tables.frames_table import read_frames_csv, write_frames_csv
 from rholoc.recordings.tables.imu_table import read_imu_csv, write_imu_csv
 from rholoc.recordings.tables.pose_table import read_pose_table

@@ -14,12 +14,12 @@ from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
 from rholoc.recordings.file_contents import ZIP_SUFFIXES
+from rholoc.recordings.frame_slice import parse_frame_slice, select_frames
 from rholoc.recordings.frames.bag import BAG_SUFFIXES
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
 from rholoc.recordings.readers.bag import read_bag
 from rholoc.recordings.recording import Recording, RecordingFormat
-from rholoc.recordings.selection import parse_frame_slice, select_frames
 from rholoc.recordings.tables.lengths import parse_length
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.recordings.walk.checks import whole_warnings

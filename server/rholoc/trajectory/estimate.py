@@ -34,12 +34,12 @@ from rholoc.trajectory.reconstruction import (
 )
 from rholoc.trajectory.reconstruction.sights import DENSER
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
+from rholoc.trajectory.visual.calibration_report import calibration_report
 from rholoc.trajectory.visual.flow import Flow, track_corners
 from rholoc.trajectory.visual.keyframe_features import ImageListener, KeyframeFeatures
 from rholoc.trajectory.visual.keyframes import MAX_PICTURES, choose_keyframes, is_film
 from rholoc.trajectory.visual.loop_candidates import least_alike
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
-from rholoc.trajectory.visual.self_calibration import calibration_report
 
 _FEWEST_GIVEN = 3
 _FEWEST_KEYFRAMES = 4

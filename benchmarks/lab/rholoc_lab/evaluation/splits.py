@@ -11,7 +11,7 @@ from rholoc.evaluation.pose_pairing import FramePoses, in_range
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.recordings import GivenPoses, Recording, parse_frame_slice
-from rholoc.recordings.selection import SelectedFrames
+from rholoc.recordings.frame_slice import SelectedFrames
 
 _BLOCKS = 25
 _HELD_OUT_OF = 5

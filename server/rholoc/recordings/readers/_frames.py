@@ -10,13 +10,13 @@ import numpy as np
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import Camera, FloatArray, IntArray
+from rholoc.recordings.frame_slice import SelectedFrames
 from rholoc.recordings.frames.depth import MILLIMETRE_M, DepthImages
 from rholoc.recordings.frames.image_folder import ImageFolderFrames, image_frames, numbered
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, VideoFrames, read_video
 from rholoc.recordings.imu_normalisation import advancing_rows
 from rholoc.recordings.recording import FrameSource
-from rholoc.recordings.selection import SelectedFrames
 from rholoc.reports import RecordingWarning, WarningKind
 
 MAX_FRAME_COUNT_DIFFERENCE = 2  # frames lost at the end of the video or of its table

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray, Lens
-from rholoc.recordings.readers._lenses import unsupported
+from rholoc.recordings.readers._camera_models import unsupported
 from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning
 

@@ -7,13 +7,13 @@ from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path, PurePath
 
+from rholoc.recordings.frame_slice import SelectedFrames
 from rholoc.recordings.frames.bag import BagFrames
 from rholoc.recordings.frames.image_folder import ImageFolderFrames
 from rholoc.recordings.frames.steady_frames import SteadyFrames
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures
 from rholoc.recordings.frames.video import VideoFrames
 from rholoc.recordings.recording import FrameSource, Recording
-from rholoc.recordings.selection import SelectedFrames
 from rholoc.reports import RecordingWarning, WarningKind
 
 _ALWAYS = (

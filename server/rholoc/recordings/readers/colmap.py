@@ -23,8 +23,8 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera
+from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
-from rholoc.recordings.readers._lenses import camera_of_model, unsupported
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.recordings.tables.pose_table import poses_from_rows

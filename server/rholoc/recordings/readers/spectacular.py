@@ -19,8 +19,8 @@ import numpy as np
 from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
+from rholoc.recordings.readers._camera_models import unsupported
 from rholoc.recordings.readers._frames import require_video, timed_video
-from rholoc.recordings.readers._lenses import unsupported
 from rholoc.recordings.recording import Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import parse_json, read_text
 from rholoc.reports import RecordingWarning, WarningKind

@@ -19,7 +19,7 @@ from rholoc.trajectory.reconstruction.from_pictures import solve_from_pictures, 
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
-from rholoc.trajectory.visual.camera_guess import guess_camera
+from rholoc.trajectory.visual.focal_guess import guess_camera
 
 _WELL_PLACED = 0.9  # share of a film's keyframes, below which other ways to place them are tried
 _AS_SET = "What was followed from frame to frame left it open; the keyframes were matched as a set of pictures."

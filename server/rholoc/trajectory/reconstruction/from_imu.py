@@ -34,8 +34,8 @@ from rholoc.trajectory.reconstruction.rounds import (
 )
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
-from rholoc.trajectory.visual.camera_guess import calibrate_by_flow
 from rholoc.trajectory.visual.directions import PairDirection, direction_between
+from rholoc.trajectory.visual.focal_guess import calibrate_by_flow
 from rholoc.trajectory.visual.matching import VerifiedPair
 
 _CORNERS_APART = (1, 2, 4, 8)  # keyframes, between which corners show the direction of the way

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from synthetic_walk import DELAY_S, SyntheticWalk, followed
 
 from rholoc.simulation import PHONE_CAMERA
-from rholoc.trajectory.visual.camera_guess import calibrate_by_flow, centred_camera, guess_camera
 from rholoc.trajectory.visual.flow import Flow
+from rholoc.trajectory.visual.focal_guess import calibrate_by_flow, centred_camera, guess_camera
 
 
 @pytest.fixture(scope="module")

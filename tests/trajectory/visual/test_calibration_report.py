@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rholoc.trajectory.visual.camera_guess import centred_camera
-from rholoc.trajectory.visual.self_calibration import calibration_report
+from rholoc.trajectory.visual.calibration_report import calibration_report
+from rholoc.trajectory.visual.focal_guess import centred_camera
 
 
 @pytest.mark.parametrize(("sigma_px", "observable"), [(5.0, True), (14.9, True), (15.1, False), (200.0, False)])
