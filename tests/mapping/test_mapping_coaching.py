@@ -28,6 +28,7 @@ def dark(tmp_path: Path) -> Path:
 
 
 def test_a_section_holds_what_was_measured_and_advised(dark: Path) -> None:
+    write_frames_csv(dark / "frames.csv", np.arange(20), np.arange(20) / 30)
     recording = read_recording(dark)
     straight = [Pose.from_heading(np.array([t, 0, 1.5]), np.array([1.0, 0, 0])).T_map_camera for t in range(20)]
     section = coach(recording, [Look(120.0, 400)] * 20, recording.frames.times, np.array(straight))

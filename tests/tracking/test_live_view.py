@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-import struct
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from mcap_ros2._dynamic import generate_dynamic
 from scipy.spatial.transform import Rotation
-from websockets.sync.client import connect
 
 from bag_messages import bag_messages
+from foxglove_client import PATIENCE_S, Foxglove
 from rholoc.errors import InvalidInput
 from rholoc.geometry import Camera
 from rholoc.tracking import MessagesOfTrack, PoseBag
@@ -25,45 +22,12 @@ from rholoc.tracking.pose_messages import PICTURE_TOPICS, TOPICS
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove.json"
 CAMERA = Camera(960, 720, 800.0, 810.0, 470.0, 350.0)
-MESSAGE, PATIENCE_S = 1, 20.0
 
 
 @pytest.fixture
 def view():
     with LiveView("127.0.0.1:0", np.eye(4)) as view:
         yield view
-
-
-class Foxglove:
-    """What the application does: it learns the channels, subscribes to all of them, and decodes their messages."""
-
-    def __init__(self, port):
-        self._connection = connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])
-        self.channels = {}
-
-    def __enter__(self):
-        self._socket = self._connection.__enter__()
-        while len(self.channels) < len(TOPICS) + len(PICTURE_TOPICS):
-            said = json.loads(self._socket.recv(PATIENCE_S))
-            if said["op"] == "advertise":
-                self.channels |= {one["id"]: one for one in said["channels"]}
-        wanted = [{"id": number, "channelId": number} for number in self.channels]
-        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-        return self
-
-    def __exit__(self, *error):
-        self._connection.__exit__(*error)
-
-    def messages(self, patience_s):
-        """Topic and content of the messages that come, until none comes for a while."""
-        with suppress(TimeoutError):
-            while True:
-                said = self._socket.recv(patience_s)
-                if isinstance(said, bytes) and said[0] == MESSAGE:
-                    number, _ = struct.unpack_from("<IQ", said, 1)
-                    channel = self.channels[number]
-                    decode = generate_dynamic(channel["schemaName"], channel["schema"])[channel["schemaName"]]
-                    yield channel["topic"], decode(said[13:])
 
 
 def test_all_that_the_layout_shows_is_sent_as_it_happens(view, step, point_room):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import cameras, demo, localize, maps, recordings, sites, track
+from rholoc.cli import cameras, demo, localize, maps, recordings, sites, track, watch
 from rholoc.cli.console import print_error
 from rholoc.cli.lab import CommandsOfTheLab, add_lab
 from rholoc.cli.operate import audit, backup, doctor, jobs, keys, serve, storage
@@ -46,6 +46,7 @@ app.add_typer(jobs.app, name="job")
 app.add_typer(storage.app, name="storage")
 app.command()(localize.localize)
 app.command()(track.track)
+app.command()(watch.watch)
 add_lab(app, maps.app, recordings.app)
 
 

@@ -112,6 +112,10 @@ class PoseMessages(ABC):
             self._transforms("/tf_static", time_s, (BASE, OPTICAL, self._T_base_camera))
             self._is_begun = True
 
+    def camera(self, time_s: float, name: str, T_map_camera: FloatArray) -> None:
+        """Write the transform of one of several cameras: its frame, which has its name, in the map."""
+        self._transforms("/tf", time_s, (MAP, name, T_map_camera))
+
     def belief(self, time_s: float, recognized: float, confidence: float) -> None:
         """Write the probabilities of an answer, see :class:`rholoc.localization.Belief`."""
         for name, value in (("recognized", recognized), ("confidence", confidence)):
