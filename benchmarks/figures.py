@@ -377,7 +377,7 @@ def read_results() -> Figures:
     return found
 
 
-def write_results(part: str, figures: Figures, command: str, seed: int = SEED) -> None:
+def write_results(part: str, figures: Figures, command: str, seeds: Sequence[int] = (SEED,)) -> None:
     """Write the file of a part; ``command`` is what measured it."""
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
     described = {
@@ -385,7 +385,7 @@ def write_results(part: str, figures: Figures, command: str, seed: int = SEED) -
         "commit": commit.stdout.strip(),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
-        "seeds": [seed],
+        "seeds": list(seeds),
         "figures": {name: asdict(one) for name, one in figures.items()},
     }
     RESULTS.mkdir(exist_ok=True)
@@ -420,7 +420,7 @@ def with_figures(text: str, figures: Figures) -> str:
     return QUOTED.sub(measured, text)
 
 
-def run(description: str | None, parts: dict[str, Callable[[Path], Figures]]) -> None:
+def run(description: str | None, parts: dict[str, Callable[[Path], Figures]], seeds: Sequence[int] = (SEED,)) -> None:
     """The command of a benchmark that measures parts: print what each gives beside its file, or write it there."""
     script = Path(sys.argv[0]).name
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -446,7 +446,7 @@ def run(description: str | None, parts: dict[str, Callable[[Path], Figures]]) ->
                 if known is not None and one.worse_by(known) > 0:
                     worse.append(f"{title}: {one.value:g}, {was}")
             if asked.write:
-                write_results(part, figures, f"python benchmarks/{script} {part} --write")
+                write_results(part, figures, f"python benchmarks/{script} {part} --write", seeds)
     if asked.write:
         quote_anew()
     elif worse:

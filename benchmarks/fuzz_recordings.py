@@ -302,7 +302,7 @@ def main() -> int:
             "fuzz.maps": Figure(ends["map"], len(found), True),
             "fuzz.ended_otherwise": Figure(ends["FAILED"], 0, False),
         }
-        write_results("fuzz", figures, "python benchmarks/fuzz_recordings.py --write", arguments.seed)
+        write_results("fuzz", figures, "python benchmarks/fuzz_recordings.py --write", [arguments.seed])
     return 1 if ends["FAILED"] else 0
 
 

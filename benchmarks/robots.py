@@ -345,4 +345,4 @@ def robots(cache: Path) -> Figures:
 
 
 if __name__ == "__main__":
-    run(__doc__, {"robots": robots})
+    run(__doc__, {"robots": robots}, SEEDS)

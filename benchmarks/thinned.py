@@ -111,13 +111,12 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="where simulated walks are kept")
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
+    seeds = [int(one) for one in options.seeds.split(",")]
     table: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         cache = options.cache or Path(folder)
         rates = [float(one) for one in options.rates.split(",")]
-        for name, recording, truth in walks(
-            [int(one) for one in options.seeds.split(",")], options.seconds, max(rates), cache
-        ):
+        for name, recording, truth in walks(seeds, options.seconds, max(rates), cache):
             for rate_hz in rates:
                 row = measure(name, recording, truth, rate_hz)
                 if row is not None:
@@ -136,7 +135,7 @@ def main() -> None:
     print(", ".join(f"{name} {one.value:g}" for name, one in figures.items()))
     if options.write:
         asked = f"--seeds {options.seeds} --rates {options.rates} --seconds {options.seconds:g}"
-        write_results("thinned", figures, f"python benchmarks/thinned.py {asked} --write")
+        write_results("thinned", figures, f"python benchmarks/thinned.py {asked} --write", seeds)
         quote_anew()
 
 
