@@ -27,6 +27,7 @@ _MAX_POINTS = 250
 _FLOW = {"winSize": (21, 21), "maxLevel": 4}
 _BACK_PX = 1.0  # forward and backward flow must end where it began
 _TOLERANCES_PX = (60.0, 20.0, 8.0, 4.0)
+_FIRST_TOLERANCE = 3.0  # in medians, where the picture moved further than the first tolerance
 _ITERATIONS, _SETTLED = 5, 1e-5  # metres or radians
 _MIN_DEPTH = 0.05  # in front of the camera, metres
 _SAME_PX = 4.0
@@ -136,20 +137,26 @@ def _placed(camera: Camera, points: _Points, T_guess: FloatArray) -> tuple[Float
     """The pose (4, 4) that projects the points to their pixels, and the points that agree with it.
 
     Gauss–Newton from a guess, with weights that fall to 0 at a tolerance that narrows: flow has few outliers and
-    the guess is the frame before, so that no random sampling is needed.
+    the guess is the frame before, so that no random sampling is needed. The first tolerance covers the whole picture's
+    motion: a camera that turns quickly, or frames that are far apart, move every point by more than flow is ever off.
     """
     if len(points.points) < _MIN_POINTS:
         return None
     R_plane_camera, plane = image_planes(camera, points.pixels)
     T, focal_px = inverse(T_guess), float(np.sqrt(camera.fx * camera.fy))
     agreeing = np.zeros(len(plane), dtype=bool)
-    for tolerance_px in _TOLERANCES_PX:
+
+    def projected() -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        seen = points.points @ T[:3, :3].T + T[:3, 3]
+        there = np.einsum("nij,nj->ni", R_plane_camera, seen)
+        residual = plane - there[:, :2] / np.maximum(there[:, 2:], _MIN_DEPTH)
+        return seen, there, residual, focal_px * np.linalg.norm(residual, axis=1)
+
+    first, *narrower = _TOLERANCES_PX
+    for tolerance_px in (max(first, _FIRST_TOLERANCE * float(np.median(projected()[3]))), *narrower):
         for _ in range(_ITERATIONS):
-            seen = points.points @ T[:3, :3].T + T[:3, 3]
-            there = np.einsum("nij,nj->ni", R_plane_camera, seen)
+            seen, there, residual, off_px = projected()
             x, y, depth = there[:, 0], there[:, 1], np.maximum(there[:, 2], _MIN_DEPTH)
-            residual = plane - there[:, :2] / depth[:, None]
-            off_px = focal_px * np.linalg.norm(residual, axis=1)
             agreeing = (off_px < tolerance_px) & (there[:, 2] > _MIN_DEPTH)
             if agreeing.sum() < _MIN_POINTS:
                 return None

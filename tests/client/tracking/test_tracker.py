@@ -144,7 +144,8 @@ def test_a_camera_is_scaled_to_its_pictures_or_refused():
         fitted(CAMERA, 480, 640)
 
 
-def test_points_that_an_answer_named_give_the_motion_since(picture_world):
+@pytest.mark.parametrize("step_deg", [1, 7], ids=["slowly", "64 px a frame"])
+def test_points_that_an_answer_named_give_the_motion_since(picture_world, step_deg: int):
     """The answer is of three frames ago, and 20 cm off as a whole: motion is that of the camera all the same."""
     rng = np.random.default_rng(0)
     pixels = rng.uniform((250, 170), (390, 310), (80, 2))
@@ -156,7 +157,7 @@ def test_points_that_an_answer_named_give_the_motion_since(picture_world):
     motion.keep()
     K = np.array([[520.0, 0, 319.5], [0, 520.0, 239.5], [0, 0, 1]])
     for number in (1, 2, 3):
-        turn = cv2.Rodrigues(np.array([0.0, np.radians(number), 0.0]))[0]
+        turn = cv2.Rodrigues(np.array([0.0, np.radians(step_deg * number), 0.0]))[0]
         turned = cv2.warpPerspective(picture_world.image, K @ turn.T @ np.linalg.inv(K), (640, 480))
         motion.follow(number / 30, turned, CAMERA)
     way = motion.answered(shift, pixels, landmarks @ shift[:3, :3].T + shift[:3, 3])
