@@ -1,19 +1,21 @@
 """Pictures of every page of the console and of the recorder, for docs/page.md: desktop and phone, light and dark.
 
-    python benchmarks/page_screenshots.py [OUT]
+    python benchmarks/page_screenshots.py [OUT] [--every-look]
 
 Simulates a walk, maps it, and starts a service of its own with the map, trusted and, under another name, not. It takes
-some three minutes. Needs Chromium.
+some three minutes. With ``--every-look`` also on a tablet, and the pages as they open in German: for looking at, not
+for the documents. Needs Chromium.
 """
 
 from __future__ import annotations
 
+import argparse
+import itertools
 import json
 import math
 import random
 import shutil
 import socket
-import sys
 import tempfile
 import threading
 import time
@@ -25,7 +27,7 @@ import httpx
 import numpy as np
 import uvicorn
 from fastapi import FastAPI
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import BrowserContext, Page, sync_playwright
 
 from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import notes_of
@@ -40,8 +42,11 @@ from rholoc.simulation import simulate_recording
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "docs" / "page"
-WINDOWS = {"desktop": {"width": 1280, "height": 850}, "phone": {"width": 390, "height": 844}}
+WINDOWS = {"desktop": {"width": 1440, "height": 900}, "phone": {"width": 390, "height": 844}}
+TABLET = {"tablet": {"width": 1024, "height": 768}}
 SCHEMES = ("light", "dark")
+ENGLISH, GERMAN = "en-GB", "de-DE"
+ACTED_ON = ("refused", "room", "live", "map-made-right", "try", "landscape", "track")  # by the words on their buttons
 PAGES = {
     "maps": "#/maps",
     "map": "#/maps/testsite",
@@ -82,7 +87,13 @@ WHY = (
 
 def main() -> None:
     """Write the pictures."""
-    out = Path(sys.argv[1]) if len(sys.argv) > 1 else OUT
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", nargs="?", type=Path, default=OUT)
+    parser.add_argument("--every-look", action="store_true", help="on a tablet and in German, too; needs OUT")
+    options = parser.parse_args()
+    out = options.out
+    if options.every_look and out == OUT:
+        parser.error("Say where the pictures go: those of every look are too many for the documents.")
     out.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp())
     simulate_recording(folder / "walk")
@@ -103,9 +114,14 @@ def main() -> None:
         with sync_playwright() as playwright:
             arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
             browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=arguments)
-            for device in WINDOWS:
-                for scheme in SCHEMES:
-                    take_all(browser, pages, tried, device, scheme, out)
+            windows = WINDOWS | TABLET if options.every_look else WINDOWS
+            for (device, window), scheme in itertools.product(windows.items(), SCHEMES):
+                context = browser.new_context(viewport=window, color_scheme=scheme, locale=ENGLISH)
+                take_all(context, pages, tried, f"{device}-{scheme}", out)
+                if options.every_look:
+                    context = browser.new_context(viewport=window, color_scheme=scheme, locale=GERMAN)
+                    opened = {name: where for name, where in pages.items() if name not in ACTED_ON}
+                    take_all(context, opened, tried, f"{device}-{scheme}-german", out)
             browser.close()
     finally:
         server.should_exit = True
@@ -207,9 +223,8 @@ def write_film(path: Path, walk: Recording) -> None:
     film.release()
 
 
-def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, scheme: str, out: Path) -> None:
-    """Every page on one device in one colour scheme."""
-    context = browser.new_context(viewport=WINDOWS[device], color_scheme=scheme, locale="en-GB")
+def take_all(context: BrowserContext, pages: dict[str, str], tried: Path, look: str, out: Path) -> None:
+    """Every page on one device in one colour scheme and language; then the context is closed."""
     page = context.new_page()
     page.set_default_timeout(300_000)
     for name, address in pages.items():
@@ -228,7 +243,7 @@ def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, 
                 page.wait_for_timeout(500)
                 if landmark.is_visible():
                     break
-            page.locator(".scene").screenshot(path=out / f"{name}-{device}-{scheme}.jpg", type="jpeg", quality=QUALITY)
+            page.locator(".scene").screenshot(path=out / f"{name}-{look}.jpg", type="jpeg", quality=QUALITY)
             continue
         if name == "live":
             page.get_by_role("button", name="Live").click()
@@ -252,7 +267,7 @@ def take_all(browser: Browser, pages: dict[str, str], tried: Path, device: str, 
             page.get_by_role("button", name="Use the camera").wait_for()
             page.get_by_role("button", name="From above").click()
         page.wait_for_timeout(1500)
-        save(page, out / f"{name}-{device}-{scheme}.jpg")
+        save(page, out / f"{name}-{look}.jpg")
     context.close()
 
 
