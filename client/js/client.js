@@ -1,16 +1,26 @@
-// The service over HTTP, with fetch alone: a method for each call, and one kind of error.
+// The service over HTTP, with what every browser has: a method for each call, and one kind of error.
+
+import { TrackStream } from "./track.js";
 
 const PIECE = 2 ** 21;
 const TUS = { "Tus-Resumable": "1.0.0" };
 const TRIES = 5;
-const PAUSE_MS = 1000;
+const PAUSES_S = [1, 2, 4, 8, 15, 30];
+const ENDED = new Set(["published", "failed", "cancelled"]);
+const UNREACHABLE = {
+  code: "unreachable",
+  message: "The server does not answer.",
+  hint: "Check the connection and try again.",
+};
+const BROKE_OFF = { code: "unreachable", message: "The connection broke off." };
 
 /** What the service answered instead of what was asked for; the code is "unreachable" where there was no answer. */
 export class RholocError extends Error {
-  constructor({ code, message, hint = "", request_id = "" }, status = 0) {
-    super([message, hint].filter(Boolean).join(" "));
+  constructor({ code, message, hint = "", request_id = "" }, status = 0, cause = undefined) {
+    super([message, hint].filter(Boolean).join(" "), { cause });
     this.name = "RholocError";
     this.code = code;
+    this.summary = message;
     this.hint = hint;
     this.status = status;
     this.requestId = request_id;
@@ -22,6 +32,11 @@ export class RholocError extends Error {
   }
 }
 
+/** A path with its parts escaped: path`v1/maps/${name}`. */
+export function path(texts, ...values) {
+  return texts.reduce((whole, text, i) => whole + encodeURIComponent(values[i - 1]) + text);
+}
+
 /**
  * A rholoc service.
  *
@@ -30,14 +45,30 @@ export class RholocError extends Error {
  *     if (answer.localized) console.log(answer.pose.position, answer.recognized);
  */
 export class Client {
+  #base;
+  #key;
+  #fetch;
+  #translate;
+  #onRefused;
+
   /**
    * @param {string | URL} address of the service
-   * @param {{key?: string, fetch?: typeof fetch}} options the API key, where the service asks for one
+   * @param {object} [options]
+   * @param {string | (() => string | null)} [options.key] the API key, where the service asks for one, or what gives it
+   * @param {typeof fetch} [options.fetch]
+   * @param {(text: string) => string} [options.translate] messages and hints of errors into another language
+   * @param {(error: RholocError) => Promise<boolean>} [options.onRefused] called where the key is missing or does not suffice;
+   *   gives whether there is another one, with which the request is made again
    */
-  constructor(address, { key = "", fetch = globalThis.fetch } = {}) {
-    this._base = new URL(`${String(address).replace(/\/+$/, "")}/`);
-    this._headers = key ? { Authorization: `Bearer ${key}` } : {};
-    this._fetch = fetch;
+  constructor(
+    address,
+    { key = "", fetch = globalThis.fetch, translate = (text) => text, onRefused = async () => false } = {},
+  ) {
+    this.#base = new URL(`${String(address).replace(/\/+$/, "")}/`);
+    this.#key = typeof key === "function" ? key : () => key;
+    this.#fetch = fetch;
+    this.#translate = translate;
+    this.#onRefused = onRefused;
   }
 
   /**
@@ -49,14 +80,27 @@ export class Client {
    * @returns {Promise<import("./types/api.d.ts").LocalizationOut>}
    */
   async localize(map, image, options = {}, { signal } = {}) {
-    const form = new FormData();
-    form.append("image", image instanceof Blob ? image : new Blob([image]), "image");
-    form.append("request", new Blob([JSON.stringify(options)], { type: "application/json" }), "request.json");
-    const several = Array.isArray(map) || map === "all";
-    const where = several
-      ? `v1/localize?maps=${encodeURIComponent([map].flat().join(","))}`
-      : `${mapPath(map)}/localize`;
-    return this._json("POST", where, { body: form, signal });
+    const body = new FormData();
+    body.append("image", image instanceof Blob ? image : new Blob([image]), "image");
+    body.append("request", new Blob([JSON.stringify(options)], { type: "application/json" }), "request.json");
+    if (Array.isArray(map) || map === "all")
+      return this.call("POST", "v1/localize", { body, signal, query: { maps: [map].flat().join(",") } });
+    return this.call("POST", path`v1/maps/${map}/localize`, { body, signal });
+  }
+
+  /**
+   * Follow a camera in a map; resolves once the service is ready for frames.
+   * @param {string} map
+   * @param {{camera?: object, dof?: string | number}} begin what holds for all frames
+   * @param {(tracked: any) => void} onTracked hears what is known of the camera whenever that changes
+   * @param {{signal?: AbortSignal}} how the signal ends it
+   * @throws {RholocError} what the service objects to, or that it cannot be reached
+   */
+  track(map, begin, onTracked, { signal } = {}) {
+    const address = this.url(path`v1/maps/${map}/track`);
+    address.protocol = address.protocol.replace("http", "ws");
+    const failed = (error) => this.#error(error ?? BROKE_OFF);
+    return TrackStream.open(address, this.#key(), begin, onTracked, failed, signal);
   }
 
   /**
@@ -64,7 +108,7 @@ export class Client {
    * @returns {Promise<import("./types/api.d.ts").MapSummary[]>}
    */
   async maps() {
-    return (await this._json("GET", "v1/maps")).maps;
+    return (await this.get("v1/maps")).maps;
   }
 
   /**
@@ -73,7 +117,7 @@ export class Client {
    * @returns {Promise<import("./types/api.d.ts").MapDetail>}
    */
   map(name) {
-    return this._json("GET", mapPath(name));
+    return this.get(path`v1/maps/${name}`);
   }
 
   /**
@@ -82,85 +126,231 @@ export class Client {
    * @returns {Promise<import("./types/api.d.ts").JobOut>}
    */
   job(id) {
-    return this._json("GET", `v1/jobs/${encodeURIComponent(id)}`);
+    return this.get(path`v1/jobs/${id}`);
+  }
+
+  /**
+   * Follow a job until it ends, through breaks of the connection; resolves to the job as it ended.
+   * @param {string} id
+   * @param {object} [options]
+   * @param {(job: import("./types/api.d.ts").JobOut) => void} [options.onChange]
+   * @param {(error: RholocError) => void} [options.onLost] there is no connection; it is waited for
+   * @param {AbortSignal} [options.signal]
+   * @returns {Promise<import("./types/api.d.ts").JobOut>}
+   */
+  async waitForJob(id, { onChange = () => {}, onLost = () => {}, signal } = {}) {
+    for (;;) {
+      try {
+        for await (const job of this.events(path`v1/jobs/${id}/events`, { signal })) {
+          onChange(job);
+          if (ENDED.has(job.state)) return job;
+        }
+      } catch (error) {
+        if (!error.passes) throw error;
+        onLost(error);
+      }
+      await pause(PAUSES_S[0], signal);
+    }
   }
 
   /**
    * Send a recording, in pieces that go on where they broke off; resolves to the id of the job that makes a map of it.
    * @param {Blob} recording a video, or a zip archive of a recording's files
-   * @param {{map: string, name?: string, onProgress?: (sent: number, total: number) => void, signal?: AbortSignal}} options
+   * @param {object} options
+   * @param {string} options.map
+   * @param {string} [options.name] of the file
+   * @param {string} [options.kind] what to do with the map there is: build, replace, update
+   * @param {string} [options.camera] one that the service knows, by name
+   * @param {string | null} [options.location] where an earlier try stands
+   * @param {number} [options.tries] failures in a row after which to give up
+   * @param {(sent: number, total: number) => void} [options.onProgress]
+   * @param {(location: string | null) => void} [options.onLocation] where to go on after a reload; null where it is gone
+   * @param {(error: RholocError) => void} [options.onWaiting] it failed, and is tried again
+   * @param {AbortSignal} [options.signal]
+   * @returns {Promise<string>}
    */
-  async upload(recording, { map, name = "walk.mp4", onProgress = () => {}, signal }) {
-    const metadata = Object.entries({ map, filename: name }).map(([key, value]) => `${key} ${base64(value)}`);
-    const headers = { ...TUS, "Upload-Length": String(recording.size), "Upload-Metadata": metadata.join(",") };
-    const made = await this._request("POST", "v1/recordings", { headers, signal });
-    const location = new URL(made.headers.get("Location"), this._base).href;
-    let standing = { offset: 0, job: null };
-    for (let failures = 0; standing.offset < recording.size; ) {
+  async upload(
+    recording,
+    {
+      location = null,
+      tries = TRIES,
+      onProgress = () => {},
+      onLocation = () => {},
+      onWaiting = () => {},
+      signal,
+      name = "walk.mp4",
+      ...metadata
+    },
+  ) {
+    for (let failures = 0; ; ) {
       try {
-        if (failures > 0) standing = await this._stand(location, signal);
-        if (standing.offset < recording.size) standing = await this._send(location, recording, standing.offset, signal);
-        onProgress(standing.offset, recording.size);
-        failures = 0;
+        if (!location) {
+          location = await this.#begin({ filename: name, ...metadata }, recording.size, signal);
+          onLocation(location);
+        }
+        let standing = standingOf(await this.request("HEAD", location, { headers: TUS, signal }));
+        while (standing.offset < recording.size) {
+          onProgress(standing.offset, recording.size);
+          standing = await this.#send(location, recording, standing.offset, signal);
+          failures = 0;
+        }
+        onProgress(recording.size, recording.size);
+        return standing.job;
       } catch (error) {
-        if (!(error instanceof RholocError) || !error.passes || ++failures >= TRIES) throw error;
-        await new Promise((resolve) => setTimeout(resolve, failures * PAUSE_MS));
+        if (!(error instanceof RholocError) || ++failures >= tries) throw error;
+        if (location && [404, 410].includes(error.status)) {
+          location = null; // it expired, or the service lost it
+          onLocation(location);
+        } else if (!error.passes && error.status !== 409) throw error;
+        onWaiting(error);
+        await pause(PAUSES_S[Math.min(failures, PAUSES_S.length) - 1], signal);
       }
     }
-    return standing.job;
   }
 
-  async _stand(location, signal) {
-    return standingOf(await this._request("HEAD", location, { headers: TUS, signal }));
+  async #begin(metadata, size, signal) {
+    const described = Object.entries(metadata).filter(([, value]) => value);
+    const text = described.map(([key, value]) => `${key} ${base64(value)}`).join(",");
+    const headers = { ...TUS, "Upload-Length": String(size), "Upload-Metadata": text };
+    const made = await this.request("POST", "v1/recordings", { headers, signal });
+    return new URL(made.headers.get("Location"), this.#base).href;
   }
 
-  async _send(location, recording, offset, signal) {
+  async #send(location, recording, offset, signal) {
     const headers = { ...TUS, "Upload-Offset": String(offset), "Content-Type": "application/offset+octet-stream" };
     const body = recording.slice(offset, offset + PIECE);
-    return standingOf(await this._request("PATCH", location, { headers, body, signal }));
+    return standingOf(await this.request("PATCH", location, { headers, body, signal }));
   }
 
-  async _json(method, where, options = {}) {
-    const response = await this._request(method, where, options);
+  /**
+   * What a stream of events holds, as JSON, until it ends: `v1/jobs/ID/events`, `v1/maps/NAME/live`.
+   * @param {string} where
+   * @param {{signal?: AbortSignal}} how
+   * @returns {AsyncGenerator<any>}
+   */
+  async *events(where, { signal } = {}) {
+    const response = await this.request("GET", where, { signal, headers: { Accept: "text/event-stream" } });
+    const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
+    const read = () =>
+      reader.read().catch((error) => {
+        throw signal?.aborted ? error : this.#error(BROKE_OFF, 0, error);
+      });
+    try {
+      let text = "";
+      for (let piece = await read(); !piece.done; piece = await read()) {
+        text += piece.value.replaceAll("\r", "");
+        const blocks = text.split("\n\n");
+        text = blocks.pop();
+        for (const block of blocks) {
+          const data = [...block.matchAll(/^data: ?(.*)$/gm)].map((match) => match[1]).join("\n");
+          if (data) yield JSON.parse(data);
+        }
+      }
+    } finally {
+      reader.cancel().catch(() => {});
+    }
+  }
+
+  /** What a GET of any route answers, as {@link call} does. */
+  get(where, options = {}) {
+    return this.call("GET", where, options);
+  }
+
+  /** What a GET of a route answers that is no JSON: a map's scene or room, a file. */
+  async bytes(where, options = {}) {
+    return (await this.request("GET", where, options)).arrayBuffer();
+  }
+
+  /**
+   * What any route answers, as JSON; null where it answers nothing.
+   * @param {string} method
+   * @param {string} where the path, such as path`v1/sites/${name}`
+   * @param {{query?: object, body?: any, headers?: Record<string, string>, signal?: AbortSignal}} options
+   * @returns {Promise<any>}
+   */
+  async call(method, where, options = {}) {
+    const response = await this.request(method, where, options);
+    if (response.status === 204) return null;
     try {
       return await response.json();
-    } catch {
-      throw new RholocError({ code: "invalid_answer", message: `${response.url} did not answer as rholoc does.` });
+    } catch (error) {
+      const message = `${response.url} did not answer as rholoc does.`;
+      throw this.#error({ code: "invalid_answer", message }, response.status, error);
     }
   }
 
   /**
+   * The response of any route.
    * @param {string} method
    * @param {string} where
-   * @param {RequestInit} options
+   * @param {{query?: object, body?: any, headers?: Record<string, string>, signal?: AbortSignal}} options a body is sent as JSON
+   *   unless it is a Blob, FormData or bytes
    * @throws {RholocError} for every answer but success, and where there is none
    */
-  async _request(method, where, { headers, ...options } = {}) {
-    const address = new URL(where, this._base);
-    let response;
-    try {
-      const { _fetch } = this;
-      response = await _fetch(address, {
+  async request(method, where, { query, body, headers, signal } = {}) {
+    const raw = [Blob, FormData, ArrayBuffer].some((kind) => body instanceof kind) || ArrayBuffer.isView(body);
+    const json = body === undefined || raw ? {} : { "Content-Type": "application/json" };
+    const sent = /** @type {BodyInit | undefined} */ (body === undefined || raw ? body : JSON.stringify(body));
+    const fetch = this.#fetch;
+    for (;;) {
+      const all = { ...json, ...headers, ...this.authorization };
+      const response = await fetch(this.url(where, query), {
         method,
-        ...options,
-        headers: { ...headers, ...this._headers },
+        body: sent,
+        headers: all,
+        signal,
         credentials: "omit",
+      }).catch((error) => {
+        throw signal?.aborted ? error : this.#error(UNREACHABLE, 0, error);
       });
-    } catch (error) {
-      if (error.name === "AbortError") throw error;
-      throw new RholocError({ code: "unreachable", message: `${address.origin} does not answer.` });
+      if (response.ok) return response;
+      const error = await this.#refusal(response);
+      const keyWouldHelp = response.status === 401 || error.code === "forbidden";
+      if (!keyWouldHelp || !(await this.#onRefused(error))) throw error;
     }
-    if (response.ok) return response;
-    let body;
-    try {
-      body = await response.json();
-    } catch {
-      body = { code: "error", message: `${address} answered with status ${response.status}.` };
-    }
-    throw new RholocError(body, response.status);
+  }
+
+  /** The headers that prove who asks; none without a key. */
+  get authorization() {
+    const key = this.#key();
+    return key ? { Authorization: `Bearer ${key}` } : {};
+  }
+
+  /** The address of a path; what is empty in the query is left out. */
+  url(where, query = {}) {
+    const address = new URL(where, this.#base);
+    for (const [name, value] of Object.entries(query))
+      if (value !== null && value !== undefined && value !== "") address.searchParams.set(name, value);
+    return address;
+  }
+
+  async #refusal(response) {
+    const said = await response.json().catch(() => null);
+    const other = { code: "error", message: `The server answered with status ${response.status}.` };
+    return this.#error(typeof said?.message === "string" ? said : other, response.status);
+  }
+
+  /** The error that a body reports, translated. */
+  #error(body, status = 0, cause = undefined) {
+    const [message, hint] = [body.message, body.hint ?? ""].map(this.#translate);
+    return new RholocError({ ...body, message, hint }, status, cause);
   }
 }
 
-const mapPath = (name) => `v1/maps/${encodeURIComponent(name)}`;
 const base64 = (text) => btoa(String.fromCharCode(...new TextEncoder().encode(text)));
 const standingOf = ({ headers }) => ({ offset: Number(headers.get("Upload-Offset")), job: headers.get("Rholoc-Job") });
+
+/** Wait, but no longer than until the connection is back. */
+function pause(seconds, signal) {
+  return new Promise((resolve, reject) => {
+    const over = new AbortController();
+    const end = (settle) => {
+      clearTimeout(timer);
+      over.abort();
+      settle();
+    };
+    const timer = setTimeout(() => end(resolve), 1000 * seconds);
+    globalThis.addEventListener?.("online", () => end(resolve), { signal: over.signal });
+    signal?.addEventListener("abort", () => end(() => reject(signal.reason)), { signal: over.signal });
+  });
+}

@@ -1,5 +1,5 @@
 // What applications import.
 
-export { Client, RholocError } from "./client.js";
-export { Axes, camera, cameraOfProjection, inverse, multiply, toOpenCV, turned } from "./poses.js";
+export { Client, path, RholocError } from "./client.js";
+export { Axes, camera, cameraOfProjection, carried, inverse, multiply, toOpenCV, turned } from "./poses.js";
 export { MapSession } from "./session.js";

@@ -30,6 +30,26 @@ export function inverse(T) {
 }
 
 /**
+ * A point that a transform takes to another frame.
+ * @param {number[][]} T
+ * @param {Iterable<number>} point
+ */
+export function carried(T, [x, y, z]) {
+  return [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
+}
+
+/** The rotation of a quaternion x, y, z, w of any length, as three rows. */
+export function rotationOf(quaternion) {
+  const length = Math.hypot(...quaternion) || 1;
+  const [x, y, z, w] = quaternion.map((value) => value / length);
+  return [
+    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+  ];
+}
+
+/**
  * The pose of a camera in a session's frame, by the service's axes. A left-handed session becomes the right-handed one
  * whose z axis is turned round.
  * @param {number[][] | ArrayLike<number>} pose four rows, or sixteen numbers column by column, as WebXR and ARKit give them
@@ -119,13 +139,7 @@ export function meanRotation(rotations, weights) {
     const sign = q.reduce((sum, value, i) => sum + value * first[i], 0) < 0 ? -1 : 1;
     for (let i = 0; i < 4; i++) mean[i] += sign * weights[k] * q[i];
   });
-  const length = Math.hypot(...mean);
-  const [x, y, z, w] = mean.map((value) => value / length);
-  return [
-    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-  ];
+  return rotationOf(mean);
 }
 
 /** The quaternion x, y, z, w of a rotation: of four ways to compute it, that with the largest divisor. */

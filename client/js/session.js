@@ -1,6 +1,6 @@
 // The place of an AR session in a map: its poses are smooth but begin anywhere, answers are rare but of the map.
 
-import { Axes, angleBetween, inverse, meanRotation, multiply, toOpenCV } from "./poses.js";
+import { Axes, angleBetween, carried, inverse, meanRotation, multiply, toOpenCV } from "./poses.js";
 
 const KEPT = 12; // samples
 const DRIFT_M = 0.05; // by which a session may have drifted between two samples that agree
@@ -111,11 +111,10 @@ export class MapSession {
    * @param {number[]} point
    * @returns {number[] | null}
    */
-  toSession([x, y, z]) {
+  toSession(point) {
     if (this.T_map_session === null) return null;
-    const T = inverse(this.T_map_session);
-    const point = [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
-    return this.axes === Axes.UNITY ? [point[0], point[1], -point[2]] : point;
+    const [x, y, z] = carried(inverse(this.T_map_session), point);
+    return this.axes === Axes.UNITY ? [x, y, -z] : [x, y, z];
   }
 
   _take(answer, T_session_camera) {
@@ -175,6 +174,3 @@ function mean(samples, at) {
   const t = there.map((value, i) => value - R[i].reduce((sum, one, j) => sum + one * at[j], 0));
   return [...R.map((row, i) => [...row, t[i]]), [0, 0, 0, 1]];
 }
-
-const carried = (T, point) =>
-  [0, 1, 2].map((i) => T[i][0] * point[0] + T[i][1] * point[1] + T[i][2] * point[2] + T[i][3]);

@@ -19,6 +19,8 @@ ROOTS = ("LocalizationOut", "LocalizeOptions", "MapSummary", "MapDetail", "JobOu
 _NOTE = "// Written by client/js/write_types.py: run `make format`.\n"
 _PLAIN = {"string": "string", "number": "number", "integer": "number", "boolean": "boolean", "null": "null"}
 _REFERENCE = re.compile(r"#/components/schemas/(\w+)")
+_DECLARED = re.compile(r"^ *\* @(param \{.*\} [\w.\[\]]+|returns \{.*\})\n", re.MULTILINE)  # tags that say a type alone
+_ALONE = re.compile(r"/\*\*\n *\* (.+)\n *\*/")  # comments whose one line is left
 _WORD = re.compile(r"^[A-Za-z_$][\w$]*$")
 
 
@@ -46,8 +48,13 @@ def written_types(schemas: dict[str, Any]) -> dict[str, str]:
         target = ["--target", "es2023", "--module", "esnext", "--moduleResolution", "bundler"]
         subprocess.run([tsc, *emit, *target, copy / "index.js"], check=True, cwd=copy)
         declared = {path.name: path.read_text(encoding="utf-8") for path in sorted((copy / "out").glob("*.d.ts"))}
-    own = {name: _NOTE + text.replace('"./types/api.d.ts"', '"./api.d.ts"') for name, text in declared.items()}
-    return {"api.d.ts": api, **own}
+    own = {name: _without_types(text).replace('"./types/api.d.ts"', '"./api.d.ts"') for name, text in declared.items()}
+    return {"api.d.ts": api, **{name: _NOTE + text for name, text in own.items()}}
+
+
+def _without_types(text: str) -> str:
+    """Declarations without the comments that repeat them."""
+    return _ALONE.sub(r"/** \1 */", _DECLARED.sub("", text))
 
 
 def _declaration(name: str, schema: dict[str, Any]) -> str:

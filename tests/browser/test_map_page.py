@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from dataclasses import replace
@@ -110,9 +111,7 @@ def test_a_job_whose_map_is_not_trusted_is_no_success(desk_browser, running, ope
     }  # fmt: skip
     with opened(desk_browser, running.url, "cameras", failures=-1) as page:
         page.route("**/v1/jobs", lambda route: route.fulfill(json={"jobs": [job]}))
-        none = {"code": "unknown_route", "message": "", "hint": ""}
-        page.route(f"**/v1/jobs/{job['id']}/events", lambda route: route.fulfill(status=404, json=none))
-        page.route(f"**/v1/jobs/{job['id']}", lambda route: route.fulfill(json=job))
+        page.route("**/v1/jobs/*/events", lambda route: route.fulfill(body=f"data: {json.dumps(job)}\n\n"))
         page.goto(f"{running.url}/#/jobs")
         expect(page.locator("main .badge")).to_have_text("published, not trusted")
         page.get_by_role("link", name="hall").click()

@@ -156,13 +156,13 @@ def test_an_upload_cut_five_times_goes_on_from_what_the_server_has(running, phon
     size = page.evaluate(
         """async () => {
             const {zip, crc32} = await import("/web/record/zip.js");
-            const {upload} = await import("/web/record/upload.js");
+            const {Client} = await import("/js/client.js");
             const bytes = new Uint8Array(60e6);
             for (let at = 0; at < bytes.length; at += 65536) crypto.getRandomValues(bytes.subarray(at, at + 65536));
             bytes.set([0x1a, 0x45, 0xdf, 0xa3]);  // what every WebM begins with
             window.file = zip([{name: "video.webm", blob: new Blob([bytes]), crc: crc32(bytes)}], new Date(0));
-            window.ended = upload(file, {metadata: {filename: "big.zip", map: "big", kind: "build"}, location: null,
-                hear: () => {}});
+            const rholoc = new Client(location.origin);
+            window.ended = rholoc.upload(file, {name: "big.zip", map: "big", kind: "build", tries: Infinity});
             return file.size;
         }"""
     )

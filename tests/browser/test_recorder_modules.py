@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import os
 import re
 import zipfile
 from collections.abc import Callable, Iterator
@@ -297,4 +298,4 @@ def test_all_that_the_recorder_is_made_of_is_kept_for_use_without_a_connection()
     worker = (MODULES / "record" / "service-worker.js").read_text(encoding="utf-8")
     listed = re.findall(r'^  "([^"]+)",$', worker, re.MULTILINE)
     assert sorted(listed) == listed
-    assert set(listed) == {str(path.relative_to(MODULES)) for path in made_of}
+    assert set(listed) == {os.path.relpath(path, MODULES) for path in made_of}

@@ -23,14 +23,15 @@ MAGENTA = (230, 20, 160)
 PAINTED = """async () => {
     const { GlPainter } = await import('/web/console/gl_painter.js');
     const { PlainPainter } = await import('/web/console/plain_painter.js');
-    const { lookAt, multiply, perspective } = await import('/web/console/matrix.js');
+    const { columns, lookAt, perspective } = await import('/web/console/matrix.js');
+    const { multiply } = await import('/js/poses.js');
     let seed = 1;
     const random = () => (seed = (seed * 16807) % 2147483647) / 2147483647;
     const some = (count, scale) => Float32Array.from({ length: count }, () => scale * (random() - 0.5));
     const [positions, lines] = [some(600, 6), some(90, 6)];
     const corners = Float32Array.of(-2, -1, -1, 1, 2, -1, 1, 2, 1, -2, -1, 1);
     const tints = Uint8Array.from({ length: 600 }, () => 255 * random());
-    const matrix = multiply(perspective(0.9, 1.5, 0.02, 100), lookAt([4, -4, 2], [0, 0, 0]));
+    const matrix = columns(multiply(perspective(0.9, 1.5, 0.02, 100), lookAt([4, -4, 2], [0, 0, 0])));
     const shown = (Painter) => {
         const canvas = Object.assign(document.createElement('canvas'), { width: 300, height: 200 });
         const painter = new Painter(canvas);
@@ -66,8 +67,8 @@ def test_both_painters_draw_the_same(launch):
 
 
 def _file(route):
-    name = route.request.url.removeprefix("http://page.test/web/")
-    file = Path(__file__).parents[2] / "client" / "page" / name
+    name = route.request.url.removeprefix("http://page.test/").replace("web/", "page/", 1)
+    file = Path(__file__).parents[2] / "client" / name
     if file.is_file():
         route.fulfill(path=file, content_type="text/javascript")
     else:

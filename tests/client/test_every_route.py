@@ -1,4 +1,4 @@
-"""The Python client against the service's OpenAPI document: every route has a method."""
+"""The clients against the OpenAPI document: every route has a method in Python, and JavaScript asks for no other."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ GIVEN: dict[str, Any] = {
     "view": 7,
     "waypoints": [],
 }
+CLIENT = Path(__file__).parents[2] / "client"
+WRITTEN = re.compile(r'path`(v1/[^`]+)`|"(v1/[^"]+)"')
 FOR_OTHERS = {
     "upload_map": {"source": b"rho"},
     "localize_descriptors": None,  # the route of localize
@@ -75,10 +77,19 @@ def test_every_route_has_a_method(asked, openapi, tmp_path):
                 if inspect.isgenerator(answer):
                     next(answer)
         assert routes != before or name in ("map", "job"), f"{name} asked for nothing new"
-    known = {
+    assert routes == {
         (method.upper(), re.sub(r"\{.+?\}", "{}", path))
         for path, methods in openapi["paths"].items()
         for method in methods
         if method in ("get", "put", "post", "delete", "patch", "head", "options")
     }
-    assert routes == known
+
+
+def test_pages_and_the_javascript_client_ask_for_routes_that_there_are(openapi):
+    known = {"/v1/maps/{map}/track", *openapi["paths"]}  # OpenAPI has no WebSockets
+    sources = [*(CLIENT / "js").glob("*.js"), *(CLIENT / "page").rglob("*.js")]
+    written = {"".join(found) for one in sources for found in WRITTEN.findall(one.read_text(encoding="utf-8"))}
+    assert len(written) > 40
+    for path in written:
+        pattern = re.sub(r"\$\{.+?\}", "[^/]+", path) + (".+" if path.endswith("/") else "")
+        assert any(re.fullmatch("/" + pattern, one) for one in known), path

@@ -21,7 +21,7 @@ import yaml
 
 from rholoc import __version__
 from rholoc.service import Settings
-from rholoc.service.http.web import PAGES, PREFIX
+from rholoc.service.http.web import FOLDERS, PAGES
 from waiting import until
 
 _ROOT = Path(__file__).parents[2]
@@ -54,7 +54,7 @@ def test_only_settings_that_there_are_are_set(path: Path) -> None:
 
 def test_probes_ask_routes_that_there_are(manifests: list[dict[str, Any]], openapi) -> None:
     asked = set(re.findall(r'"path": "(/[a-z]+)"', json.dumps(manifests)))
-    assert {"/healthz", "/readyz"} <= asked <= {*openapi["paths"], *PAGES, PREFIX}
+    assert {"/healthz", "/readyz"} <= asked <= {*openapi["paths"], *PAGES, *FOLDERS}
 
 
 def test_metrics_that_need_no_key_are_not_passed_on_to_others(manifests: list[dict[str, Any]]) -> None:

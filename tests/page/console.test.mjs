@@ -9,7 +9,8 @@ import { summary as landscapeInWords, heights } from "../../client/page/console/
 import { learningText } from "../../client/page/console/learning.js";
 import { grouped, matches } from "../../client/page/console/list_tools.js";
 import { Motions } from "../../client/page/console/motions.js";
-import { fittingDistance, lookAt, multiply, perspective, project } from "../../client/page/console/matrix.js";
+import { fittingDistance, lookAt, perspective, project } from "../../client/page/console/matrix.js";
+import { multiply } from "../../client/js/poses.js";
 import { clipped } from "../../client/page/console/plain_painter.js";
 import { strokes } from "../../client/page/console/plan_lines.js";
 import { sayPicked } from "../../client/page/console/scene.js";

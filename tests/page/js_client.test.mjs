@@ -1,7 +1,19 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { Axes, camera, cameraOfProjection, Client, inverse, MapSession, multiply, RholocError, toOpenCV, turned } from "../../client/js/index.js";
+import {
+  Axes,
+  camera,
+  cameraOfProjection,
+  Client,
+  inverse,
+  MapSession,
+  multiply,
+  path,
+  RholocError,
+  toOpenCV,
+  turned,
+} from "../../client/js/index.js";
 
 const IDENTITY = [0, 1, 2, 3].map((i) => [0, 1, 2, 3].map((j) => Number(i === j)));
 const near = (A, B, within = 1e-9) =>
@@ -165,6 +177,95 @@ test("errors have a code, and say whether to try again", async () => {
   assert.equal(found[0].message, "No. Ask.");
 });
 
+test("any route is asked for, with the key there is by then; a refused key is asked for once more", async () => {
+  const asked = [];
+  let key = null;
+  const fetch = async (address, { method, headers, body }) => {
+    asked.push([method, address.href, headers, body]);
+    if (!headers.Authorization) return Response.json({ code: "no_key", message: "A key is missing." }, { status: 401 });
+    return method === "DELETE" ? new Response(null, { status: 204 }) : Response.json({ done: true });
+  };
+  const onRefused = async ({ summary }) => {
+    key = summary.length;
+    return true;
+  };
+  const rholoc = new Client("https://rholoc.example/under", { fetch, key: () => key, onRefused, translate: (text) => `„${text}“` });
+  assert.deepEqual(await rholoc.call("PUT", path`v1/sites/${"a b/c"}`, { body: { maps: [] }, query: { level: "", at: 2 } }), { done: true });
+  assert.equal(await rholoc.call("DELETE", "v1/maps/hall"), null);
+  assert.deepEqual(asked.map(([method, where]) => [method, where]), [
+    ["PUT", "https://rholoc.example/under/v1/sites/a%20b%2Fc?at=2"],
+    ["PUT", "https://rholoc.example/under/v1/sites/a%20b%2Fc?at=2"],
+    ["DELETE", "https://rholoc.example/under/v1/maps/hall"],
+  ]);
+  assert.deepEqual(asked[1].slice(2), [{ "Content-Type": "application/json", Authorization: "Bearer 19" }, '{"maps":[]}']);
+  key = null;
+  const stubborn = new Client("https://rholoc.example", { fetch, key: () => key });
+  await assert.rejects(stubborn.get("v1/maps"), { code: "no_key", status: 401, passes: false });
+});
+
+test("a job is followed through a stream that breaks, in pieces however they come", async () => {
+  const events = (...jobs) => jobs.map((job) => `event: job\r\ndata: ${JSON.stringify(job)}\r\n\r\n`).join("");
+  const broken = new ReadableStream({
+    start(controller) {
+      const bytes = new TextEncoder().encode(events({ state: "queued", message: "ö" }));
+      for (let i = 0; i < bytes.length; i += 7) controller.enqueue(bytes.slice(i, i + 7));
+    },
+    pull: (controller) => controller.error(new TypeError("network error")),
+  });
+  const answers = [broken, events({ state: "running" }, { state: "published" }, { state: "never seen" })];
+  const heard = [];
+  const rholoc = new Client("http://localhost:1", { fetch: async () => new Response(answers.shift()) });
+  const onLost = ({ code }) => heard.push(code);
+  const last = await rholoc.waitForJob("j1", { onChange: ({ state }) => heard.push(state), onLost });
+  assert.deepEqual(last, { state: "published" });
+  assert.deepEqual(heard, ["queued", "unreachable", "running", "published"]);
+  const gone = async () => Response.json({ code: "unknown_job", message: "No." }, { status: 404 });
+  await assert.rejects(new Client("http://localhost:1", { fetch: gone }).waitForJob("j1"), { code: "unknown_job" });
+});
+
+test("a track is begun, answers each frame, and says what broke it off", async (context) => {
+  const sockets = [];
+  class Socket extends EventTarget {
+    static OPEN = 1;
+    sent = [];
+    readyState = Socket.OPEN;
+    constructor(address, protocols) {
+      super();
+      sockets.push(Object.assign(this, { address, protocols }));
+      queueMicrotask(() => this.dispatchEvent(new Event("open")));
+    }
+    say = (data) => this.dispatchEvent(Object.assign(new Event("message"), { data: JSON.stringify(data) }));
+    send(data) {
+      this.sent.push(data);
+      if (typeof data !== "string") this.say({ type: "tracked", answer: null, status: "tracking" });
+      else if (JSON.parse(data).type === "begin") this.say({ type: "begun" });
+    }
+    close() {
+      this.readyState = 3;
+      this.dispatchEvent(new Event("close"));
+    }
+  }
+  const real = globalThis.WebSocket;
+  globalThis.WebSocket = /** @type {any} */ (Socket);
+  context.after(() => (globalThis.WebSocket = real));
+  const heard = [];
+  const rholoc = new Client("https://rholoc.example", { key: "k1" });
+  const stream = await rholoc.track("hall", { dof: "auto" }, ({ status }) => heard.push(status));
+  const [socket] = sockets;
+  assert.equal(socket.address.href, "wss://rholoc.example/v1/maps/hall/track");
+  assert.deepEqual(socket.protocols, ["rholoc.track.1", "rholoc.key.k1"]);
+  await stream.frame(0.5, new Uint8Array(3));
+  assert.deepEqual(socket.sent.slice(0, 2).map(JSON.parse), [
+    { type: "begin", dof: "auto" },
+    { type: "frame", time_s: 0.5, picture: true },
+  ]);
+  assert.deepEqual(heard, ["tracking"]);
+  socket.send = () => socket.say({ type: "error", code: "not_an_image", message: "No picture." });
+  await assert.rejects(stream.frame(0.6, new Uint8Array(3)), { name: "RholocError", code: "not_an_image" });
+  socket.close();
+  await assert.rejects(stream.frame(0.7, new Uint8Array(3)), { code: "unreachable", message: "The connection broke off." });
+});
+
 test("an upload goes on from the last byte that the server has", async () => {
   const server = new Uint8Array(5 * 2 ** 20);
   let [offset, broken] = [0, 0];
@@ -187,4 +288,22 @@ test("an upload goes on from the last byte that the server has", async () => {
   assert.deepEqual(server, sent);
   assert.equal(broken, 2);
   assert.equal(heard.at(-1), sent.length);
+});
+
+test("an upload that the service lost is begun anew, and one that it refuses is not tried again", async () => {
+  const [locations, waited] = [[], []];
+  const fetch = async (address, { method }) => {
+    if (address.pathname.endsWith("old")) return Response.json({ code: "unknown_upload", message: "Gone." }, { status: 404 });
+    if (method === "HEAD") return new Response(null, { headers: { "Upload-Offset": "3", "Rholoc-Job": "j2" } });
+    return new Response(null, { status: 201, headers: { Location: "/v1/recordings/new" } });
+  };
+  const rholoc = new Client("http://localhost:1", { fetch });
+  const options = { map: "hall", location: "http://localhost:1/v1/recordings/old" };
+  const onLocation = (location) => locations.push(location);
+  const onWaiting = ({ status }) => waited.push(status);
+  assert.equal(await rholoc.upload(new Blob(["abc"]), { ...options, onLocation, onWaiting }), "j2");
+  assert.deepEqual([locations, waited], [[null, "http://localhost:1/v1/recordings/new"], [404]]);
+  const full = async () => Response.json({ code: "quota", message: "Full." }, { status: 507 });
+  const refusing = new Client("http://localhost:1", { fetch: full });
+  await assert.rejects(refusing.upload(new Blob(["abc"]), { map: "hall", tries: Infinity }), { code: "quota" });
 });

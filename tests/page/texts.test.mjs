@@ -72,7 +72,9 @@ test("values are put in, in any order, and not looked into", () => {
 test("the server still says what is translated of it, and figures get a comma", () => {
   const server = new URL("../../server/rholoc", import.meta.url).pathname;
   const files = readdirSync(server, { recursive: true, encoding: "utf8" }).filter((name) => name.endsWith(".py"));
-  const source = files.map((name) => readFileSync(join(server, name), "utf8")).join("\n").replace(/"\s*f?"/g, "");
+  const client = new URL("../../client/js/client.js", import.meta.url).pathname;
+  const all = [client, ...files.map((name) => join(server, name))].map((name) => readFileSync(name, "utf8"));
+  const source = all.join("\n").replace(/"\s*f?"/g, "");
   for (const text of Object.keys(GERMAN_OF_SERVER))
     for (const piece of text.split(/\{\d\}|, | \(|\)?\.$/)) assert.ok(source.includes(piece), `${text}: ${piece}`);
   const said = "This picture does not show this map: 20 of 459 matches agree, no better than chance. Ask. The waypoint W2 is missed by 0.31 m.";

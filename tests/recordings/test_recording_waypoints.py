@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidWaypoints
+from rholoc.geometry.earth import enu_of
+from rholoc.geometry.grids import places_in
 from rholoc.recordings import Waypoint, check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
 
 ROWS = "W1,0.5,1,0,1.5\nW2,1.0,1,2,1.5\nE,1.5,0,2,1.6\n"
@@ -145,6 +147,22 @@ def test_waypoints_on_earth_are_metres_around_the_first(tmp_path: Path) -> None:
     assert c.position == pytest.approx((6.788, 0, 1.5), abs=2e-3)
     assert c.earth is not None
     assert (c.earth.latitude_deg, c.earth.longitude_deg, c.earth.height_m) == (52.52, 13.4051, 75.5)
+
+
+@pytest.mark.parametrize(("columns", "crs"), [("x,y,z", "EPSG:25833"), ("lat,lon,h", "EPSG:4326")])
+def test_waypoints_of_a_reference_system_are_metres_around_the_first(tmp_path: Path, columns: str, crs: str) -> None:
+    rows = [(391779.24, 5820072.41, 36.2), (391779.24, 5820082.41, 36.2), (391784.24, 5820072.41, 37.7)]
+    places = places_in("EPSG:25833", np.array(rows))
+    if columns != "x,y,z":
+        rows = [(place.latitude_deg, place.longitude_deg, place.height_m) for place in places]
+    lines = [f"W{i},{2 * i + 100},{x!r},{y!r},{z!r},{crs}" for i, (x, y, z) in enumerate(rows)]
+    text = "\n".join([f"name,frame,{columns},crs", lines[0], lines[1].removesuffix(crs), lines[2]])
+    found = read_waypoints_csv(written(tmp_path, text), FRAMES)
+    for waypoint, place in zip(found, places, strict=True):
+        assert waypoint.earth == place
+        assert waypoint.position == pytest.approx(enu_of(place, places[0]), abs=1e-6)
+    with pytest.raises(InvalidWaypoints, match="EPSG:25832, EPSG:"):
+        read_waypoints_csv(written(tmp_path, text.replace(lines[2], "C,140,1,2,3,EPSG:25832")), FRAMES)
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,11 @@ import cv2
 import httpx
 import numpy as np
 import pytest
+from pyproj import Transformer
 
 from rholoc.geometry import Similarity
 from rholoc.maps import FramePose, SiteOnEarth, load_map, save_map
-from rholoc_client import Client
+from rholoc_client import Client, RholocClientError
 
 SQUARE = [[0, -9], [9, -9], [9, 9], [0, 9]]
 
@@ -173,6 +174,22 @@ def test_names_go_out_and_in_as_geojson(site):
         refused = httpx.put(f"{site.url}/v1/maps/hall/names", content=body, headers={"Content-Type": kind})
         assert refused.json()["code"] == code
     assert httpx.get(f"{site.url}/v1/maps/hall/names").json() == taken.json()
+
+
+def test_a_map_is_on_earth_by_a_national_grid(site):
+    client = Client(site.url)
+    grid = {"easting": 391779.24, "northing": 5820072.41, "height_m": 40}
+    document = {"kind": "earth", "heading_deg": 0, "crs": "EPSG:25833", "points": [{"map": [0, 0, 0], **grid}]}
+    client.correct_map("hall", {"kind": "names", "points": [{"name": "desk", "position": [0, 0, 0]}]})
+    client.correct_map("hall", document)
+    there = Transformer.from_crs(25833, 4326, always_xy=True).transform(grid["easting"], grid["northing"])
+    (found,) = client.map_names("hall")["features"]
+    assert found["geometry"]["coordinates"] == pytest.approx([*there, 40], abs=1e-6)
+    document["points"] = [{"map": [0, 0, 0], "latitude_deg": 52.52, "longitude_deg": 13.405}]
+    with pytest.raises(RholocClientError, match="Give each easting and northing"):
+        client.correct_map("hall", document)
+    with pytest.raises(RholocClientError, match="Give each latitude_deg and longitude_deg"):
+        client.correct_map("hall", {"kind": "earth", "points": [{"map": [0, 0, 0], **grid}]})
 
 
 def test_a_map_is_on_earth_by_its_site(site):

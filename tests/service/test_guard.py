@@ -199,7 +199,13 @@ def test_the_pages_files_are_kept_and_asked_about(service):
     assert first.headers["Cache-Control"] == "no-cache"
     again = httpx.get(f"{service.url}/web/shared/api.js", headers={"If-None-Match": first.headers["ETag"]})
     assert (again.status_code, again.content) == (304, b"")
-    for path in ("/web/nothing.js", "/web/../app.py", "/web/%2e%2e/%2e%2e/pyproject.toml"):
+    for path in (
+        "/web/nothing.js",
+        "/js/nothing.js",
+        "/web/../app.py",
+        "/js/../pyproject.toml",
+        "/web/%2e%2e/%2e%2e/pyproject.toml",
+    ):
         assert httpx.get(service.url + path).json()["code"] == "unknown_route"
 
 

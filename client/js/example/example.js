@@ -1,7 +1,7 @@
 // A named point of a map, drawn into the camera's picture: by WebXR where the browser has it, else by the answers
 // themselves, turned between them as the phone's gyroscope says.
 
-import { Axes, Client, cameraOfProjection, inverse, MapSession, multiply } from "../index.js";
+import { Axes, Client, cameraOfProjection, carried, inverse, MapSession, multiply } from "../index.js";
 
 const { navigator: device, XRWebGLBinding, XRWebGLLayer, DeviceOrientationEvent } = /** @type {any} */ (globalThis);
 const EVERY_MS = 700;
@@ -131,9 +131,8 @@ async function picture() {
 }
 
 /** Where a point of the map is in the picture, in shares of its width and height; null behind the camera. */
-function projected([px, py, pz], T_map_camera, { fx, fy, cx, cy, width, height }) {
-  const T = inverse(T_map_camera);
-  const [x, y, z] = T.slice(0, 3).map((row) => row[0] * px + row[1] * py + row[2] * pz + row[3]);
+function projected(point, T_map_camera, { fx, fy, cx, cy, width, height }) {
+  const [x, y, z] = carried(inverse(T_map_camera), point);
   return z > 0.05 ? [((fx * x) / z + cx + 0.5) / width, ((fy * y) / z + cy + 0.5) / height] : null;
 }
 

@@ -1,4 +1,4 @@
 // Written by client/js/write_types.py: run `make format`.
 export { MapSession } from "./session.js";
-export { Client, RholocError } from "./client.js";
-export { Axes, camera, cameraOfProjection, inverse, multiply, toOpenCV, turned } from "./poses.js";
+export { Client, path, RholocError } from "./client.js";
+export { Axes, camera, cameraOfProjection, carried, inverse, multiply, toOpenCV, turned } from "./poses.js";

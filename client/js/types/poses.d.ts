@@ -3,6 +3,10 @@
 export function multiply(A: any, B: any): any;
 /** The inverse of a rigid transform. */
 export function inverse(T: any): any[][];
+/** A point that a transform takes to another frame. */
+export function carried(T: number[][], [x, y, z]: Iterable<number>): number[];
+/** The rotation of a quaternion x, y, z, w of any length, as three rows. */
+export function rotationOf(quaternion: any): number[][];
 /**
  * The pose of a camera in a session's frame, by the service's axes. A left-handed session becomes the right-handed one
  * whose z axis is turned round.
@@ -19,7 +23,6 @@ export function toOpenCV(pose: number[][] | ArrayLike<number>, axes: string): nu
 export function turned(T_session_camera: any, quarters: any): any;
 /**
  * The intrinsics of a picture that is cropped out of a sensor's, and then scaled.
- * @param {{width: number, height: number, fx: number, fy: number, cx: number, cy: number}} sensor
  * @param {{crop?: {x: number, y: number, width: number, height: number}, width?: number, height?: number}} picture the part in
  *   pixels of the sensor, by default all; and the size that it was scaled to
  */
@@ -51,8 +54,6 @@ export function camera(sensor: {
  * The intrinsics of a view's raw picture by the projection matrix of WebXR or OpenGL, for the picture with its first row at
  * the top.
  * @param {ArrayLike<number>} matrix sixteen numbers, column by column
- * @param {number} width
- * @param {number} height
  */
 export function cameraOfProjection(matrix: ArrayLike<number>, width: number, height: number): {
     width: number;

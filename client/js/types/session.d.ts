@@ -12,7 +12,6 @@ export class MapSession {
     /**
      * @param {(image: any, options: import("./api.d.ts").LocalizeOptions) =>
      *   Promise<import("./api.d.ts").LocalizationOut>} locate answers a picture, as {@link Client.localize} does
-     * @param {object} [options]
      * @param {string} [options.axes] of {@link Axes}: how the session's poses are laid
      * @param {number} [options.minRecognized] the probability of the right place from which one answer is enough; below, two that
      *   agree
@@ -57,7 +56,6 @@ export class MapSession {
     T_map_session: number[][] | null;
     /**
      * Offer a frame; it is asked about if that pays. Resolves once it has been answered, to whether it was asked about.
-     * @param {object} frame
      * @param {number[][] | ArrayLike<number>} frame.pose of the camera in the session, when the picture was taken
      * @param {any} frame.picture the picture, or a function that makes it, called only where it is asked about
      * @param {import("./api.d.ts").CameraChoice} frame.camera its intrinsics: fx, fy, cx, cy, width, height
@@ -68,18 +66,10 @@ export class MapSession {
         picture: any;
         camera: import("./api.d.ts").CameraChoice;
     }): Promise<boolean>;
-    /**
-     * A pose of the session, by its own axes → T_map_camera; null while the place is not known.
-     * @param {number[][] | ArrayLike<number>} pose
-     * @returns {number[][] | null}
-     */
+    /** A pose of the session, by its own axes → T_map_camera; null while the place is not known. */
     inMap(pose: number[][] | ArrayLike<number>): number[][] | null;
-    /**
-     * A point of the map → of the session, by its own axes; null while the place is not known.
-     * @param {number[]} point
-     * @returns {number[] | null}
-     */
-    toSession([x, y, z]: number[]): number[] | null;
+    /** A point of the map → of the session, by its own axes; null while the place is not known. */
+    toSession(point: number[]): number[] | null;
     _take(answer: any, T_session_camera: any): void;
     _lapse(): void;
 }

@@ -1,6 +1,6 @@
 // Cameras: intrinsics that frames and recordings refer to by name.
 
-import { call, get, path } from "../shared/api.js";
+import { path, rholoc } from "../shared/api.js";
 import { action, ask, fill, h } from "../shared/dom.js";
 import { field, nameField } from "../shared/name_choice.js";
 import { coordinates, decimal, t } from "../shared/text.js";
@@ -19,7 +19,8 @@ const LENSES = { pinhole: t`pinhole`, fisheye: t`fisheye`, equirectangular: t`pa
 
 export async function showCameras(main, _, signal) {
   const list = h("ul", { class: "cards", "aria-label": t`Cameras` }, skeletons(3, "camera-card"));
-  const reload = () => loading(list, async () => fillList(list, await get("v1/cameras", { signal }), reload), signal);
+  const reload = () =>
+    loading(list, async () => fillList(list, await rholoc.get("v1/cameras", { signal }), reload), signal);
   fill(
     main,
     page(
@@ -124,7 +125,7 @@ function store(form, camera) {
     .map(Number);
   body.lens = form.get("lens");
   if (camera && FIGURES.every(([key]) => body[key] === camera[key])) body.calibration = camera.calibration;
-  return call("PUT", path`v1/cameras/${form.get("name")}`, { body });
+  return rholoc.call("PUT", path`v1/cameras/${form.get("name")}`, { body });
 }
 
 async function remove(camera, reload) {
@@ -132,7 +133,7 @@ async function remove(camera, reload) {
     t`Delete the camera?`,
     h("p", {}, t`${camera.name}. Maps that were made with it keep it.`),
     h("button", { class: "danger primary" }, t`Delete`),
-    () => call("DELETE", path`v1/cameras/${camera.name}`),
+    () => rholoc.call("DELETE", path`v1/cameras/${camera.name}`),
   );
   if (done) await reload();
 }

@@ -1,6 +1,6 @@
 // A map made right: its frame, its scale, what is to go and what is called what, drawn on the map or typed.
 
-import { call, download, get, path, request } from "../shared/api.js";
+import { download, path, rholoc } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
@@ -221,9 +221,9 @@ class Editor {
     const { signal } = this;
     const address = path`v1/maps/${this.name}`;
     const [map, { versions }, scene] = await Promise.all([
-      get(address, { signal }),
-      get(`${address}/versions`, { signal }),
-      request(`${address}/scene`, { signal }).then((response) => response.arrayBuffer()),
+      rholoc.get(address, { signal }),
+      rholoc.get(`${address}/versions`, { signal }),
+      rholoc.bytes(`${address}/scene`, { signal }),
     ]);
     this.map = map;
     this.metric = map.scale === "metric";
@@ -422,7 +422,7 @@ class Editor {
     this.apply.disabled = true;
     try {
       const wanted = { ...body, version: this.map.version };
-      await call("POST", path`v1/maps/${this.name}/corrections`, { body: wanted, signal: this.signal });
+      await rholoc.call("POST", path`v1/maps/${this.name}/corrections`, { body: wanted, signal: this.signal });
       if (body.kind === "plan") await this.keepPlan();
       tell(t`Done. The version before can be restored.`);
       await this.load();
@@ -439,11 +439,11 @@ class Editor {
     const { body, unit } = await this.plan.content();
     const query = { m_per_unit: unit * this.plan.perPixel(this.pins, this.planPins) };
     const headers = { "Content-Type": body.type };
-    await call("PUT", path`v1/maps/${this.name}/plan`, { query, headers, body, signal: this.signal });
+    await rholoc.call("PUT", path`v1/maps/${this.name}/plan`, { query, headers, body, signal: this.signal });
   }
 
   async forgetPlan() {
-    await call("DELETE", path`v1/maps/${this.name}/plan`, { signal: this.signal });
+    await rholoc.call("DELETE", path`v1/maps/${this.name}/plan`, { signal: this.signal });
     tell(t`Done. The version before can be restored.`);
     await this.load();
     this.clear();
@@ -505,7 +505,12 @@ class Editor {
       const headers = { "Content-Type": /\.zip$/i.test(body.name) ? "application/zip" : GEOJSON };
       const query = { level: level.value.trim() };
       try {
-        await call("PUT", `${path`v1/maps/${this.name}/`}${what.value}`, { query, headers, body, signal: this.signal });
+        await rholoc.call("PUT", `${path`v1/maps/${this.name}/`}${what.value}`, {
+          query,
+          headers,
+          body,
+          signal: this.signal,
+        });
         tell(t`Done. The version before can be restored.`);
         await this.load();
         this.clear();
@@ -531,7 +536,7 @@ class Editor {
   showHistory(versions) {
     const done = this.map.corrections.toReversed();
     const restore = async ({ number: which }) => {
-      await call("POST", path`v1/maps/${this.name}/restore`, { query: { number: which }, signal: this.signal });
+      await rholoc.call("POST", path`v1/maps/${this.name}/restore`, { query: { number: which }, signal: this.signal });
       tell(t`Restored. The version before can be restored in turn.`);
       await this.load();
       this.clear();

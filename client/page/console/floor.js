@@ -1,5 +1,6 @@
 // A floor from above: its rooms, the walks, and what is drawn on them.
 
+import { carried } from "../../js/poses.js";
 import { resolvedColour } from "../shared/colours.js";
 import { drawFloorPlan } from "./plan_view.js";
 import { planOf, surfaces } from "./room.js";
@@ -10,9 +11,7 @@ const LEAST_M = 4; // that a canvas shows
 /** A room (of `readRoom`) in a site, as `drawFloor` takes it. */
 export function placedPlan({ positions, faces, colours }, T) {
   const placed = new Float32Array(positions.length);
-  for (let i = 0; i < positions.length; i += 3)
-    for (let k = 0; k < 3; k++)
-      placed[i + k] = T[k][0] * positions[i] + T[k][1] * positions[i + 1] + T[k][2] * positions[i + 2] + T[k][3];
+  for (let i = 0; i < positions.length; i += 3) placed.set(carried(T, positions.subarray(i, i + 3)), i);
   return planOf(surfaces({ positions: placed, faces, colours }));
 }
 

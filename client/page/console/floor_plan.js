@@ -1,6 +1,6 @@
 // Floor plans: pictures, and GeoJSON, whose lines are brought into metres.
 
-import { path, request } from "../shared/api.js";
+import { path, rholoc } from "../shared/api.js";
 import { t } from "../shared/text.js";
 import { planOf, surfaces } from "./room.js";
 import { readRoom } from "./scene_data.js";
@@ -27,13 +27,12 @@ export async function readPlan(file, name = file.name) {
 export async function planUnder(map, signal) {
   if (map.plan) return keptPlan(map, signal);
   if (!map.room) return null;
-  const response = await request(path`v1/maps/${map.name}/room`, { signal });
-  return planOf(surfaces(readRoom(await response.arrayBuffer())));
+  return planOf(surfaces(readRoom(await rholoc.bytes(path`v1/maps/${map.name}/room`, { signal }))));
 }
 
 /** The floor plan that a map keeps, as a `PlanView` draws it. */
 export async function keptPlan({ name, plan }, signal) {
-  const response = await request(path`v1/maps/${name}/plan`, { signal });
+  const response = await rholoc.request("GET", path`v1/maps/${name}/plan`, { signal });
   const { image, lines } = await readPlan(await response.blob(), t`The floor plan`);
   return { image, lines, corner: plan.corner, turn: (plan.turn_deg * Math.PI) / 180, perPixel: plan.m_per_unit };
 }

@@ -107,7 +107,8 @@ function once(video, event) {
   });
 }
 
-async function frameOf(video, canvas) {
+/** What a video shows now, made smaller: `{blob, source}`. */
+export async function frameOf(video, canvas) {
   const scale = Math.min(1, LONG_SIDE / Math.max(video.videoWidth, video.videoHeight));
   const [width, height] = [video.videoWidth, video.videoHeight].map((size) => Math.round(scale * size));
   Object.assign(canvas, { width, height });

@@ -1,5 +1,7 @@
 // A picture's intrinsics, of what is known of the camera that took it.
 
+import { camera as ofPart } from "../../js/poses.js";
+
 const SAME_SHAPE = 0.01; // by how much two aspect ratios of one shape differ at most
 
 /** How far the intrinsics of a picture are known. */
@@ -29,15 +31,12 @@ export function intrinsicsFor(camera, width, height) {
   const own = turned ? quarterTurn(camera) : camera;
   const scale = Math.max(width, height) / Math.max(own.width, own.height);
   const sameShape = Math.abs((width / height) * (own.height / own.width) - 1) <= SAME_SHAPE;
-  const middle = (size) => (size - 1) / 2;
+  const part = { width: width / scale, height: height / scale };
+  const crop = { ...part, x: (own.width - part.width) / 2, y: (own.height - part.height) / 2 };
   return {
+    distortion: [],
+    ...ofPart(own, { crop, width, height }),
     known: sameShape && !turned ? Known.MEASURED : Known.ASSUMED,
-    fx: scale * own.fx,
-    fy: scale * own.fy,
-    cx: middle(width) + scale * (own.cx - middle(own.width)),
-    cy: middle(height) + scale * (own.cy - middle(own.height)),
-    distortion: own.distortion ?? [],
-    lens: own.lens,
   };
 }
 

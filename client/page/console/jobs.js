@@ -1,7 +1,6 @@
 // Mapping jobs: how far they are, why they failed, cancelled and tried again.
 
-import { cancelJob, followJob } from "../record/job.js";
-import { call, get, passes, path } from "../shared/api.js";
+import { path, rholoc } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
 import { doing, STAGES, timeLeft } from "../shared/job_words.js";
 import { t, translated } from "../shared/text.js";
@@ -26,13 +25,13 @@ async function watchAll(list, lost, signal) {
   let before;
   for (;;) {
     try {
-      const { jobs } = await get("v1/jobs", { signal });
+      const { jobs } = await rholoc.get("v1/jobs", { signal });
       lost.hide();
       const now = JSON.stringify(jobs);
       if (now !== before) fill(list, jobs.length ? jobs.map(row) : h("li", {}, noJobs()));
       before = now;
     } catch (error) {
-      if (signal.aborted || !passes(error)) throw error;
+      if (signal.aborted || !error.passes) throw error;
       lost.show(error);
       if (before === undefined) fill(list);
     }
@@ -86,7 +85,7 @@ export async function showJob(main, id, signal) {
     if (now !== shown) fill(place, overview(job));
     shown = now;
   };
-  await followJob(id, hear, signal, lost.show);
+  await rholoc.waitForJob(id, { onChange: hear, onLost: lost.show, signal });
 }
 
 function overview(job) {
@@ -99,10 +98,10 @@ function overview(job) {
       h(
         "div",
         { class: "row" },
-        !ENDED.includes(job.state) && action(t`Cancel`, () => cancelJob(job.id), "danger"),
+        !ENDED.includes(job.state) && action(t`Cancel`, () => rholoc.call("DELETE", path`v1/jobs/${job.id}`), "danger"),
         ["failed", "cancelled"].includes(job.state) &&
           action(t`Try again`, async () => {
-            await call("POST", path`v1/jobs/${job.id}/retry`);
+            await rholoc.call("POST", path`v1/jobs/${job.id}/retry`);
             again();
           }),
         job.state === "published" &&
@@ -179,7 +178,7 @@ function priorityField(job) {
   const select = h("select", { "aria-label": t`Priority` }, options);
   select.addEventListener("change", async () => {
     try {
-      await call("PATCH", path`v1/jobs/${job.id}`, { body: { priority: select.value } });
+      await rholoc.call("PATCH", path`v1/jobs/${job.id}`, { body: { priority: select.value } });
     } catch (error) {
       select.value = job.priority;
       tell(error.message, "bad");

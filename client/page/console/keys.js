@@ -1,6 +1,6 @@
 // API keys: who may do what, how much, and until when.
 
-import { call, get, path } from "../shared/api.js";
+import { path, rholoc } from "../shared/api.js";
 import { action, ask, fill, h } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
@@ -25,7 +25,7 @@ const LIMITS = [
 export async function showKeys(main, _, signal) {
   const list = h("ul", { class: "cards", "aria-label": t`Keys` }, skeletons(3, "camera-card"));
   const reload = () =>
-    loading(list, async () => fillKeys(list, (await get("v1/keys", { signal })).keys, reload), signal);
+    loading(list, async () => fillKeys(list, (await rholoc.get("v1/keys", { signal })).keys, reload), signal);
   fill(
     main,
     page(
@@ -89,7 +89,7 @@ function keyCard(key, reload) {
 const shown = (name, value) => (name === "stored_bytes" ? bytes(value) : String(value));
 
 async function limit({ name, limits }, reload) {
-  const { used } = await get(path`v1/keys/${name}`);
+  const { used } = await rholoc.get(path`v1/keys/${name}`);
   const done = await ask(
     t`Limits of ${name}`,
     [
@@ -103,7 +103,7 @@ async function limit({ name, limits }, reload) {
     h("button", { class: "primary" }, t`Save`),
     (form) => {
       const entries = LIMITS.map(([key]) => [key, form.get(key) === "" ? null : Number(form.get(key))]);
-      return call("PUT", path`v1/keys/${name}/limits`, { body: { ...limits, ...Object.fromEntries(entries) } });
+      return rholoc.call("PUT", path`v1/keys/${name}/limits`, { body: { ...limits, ...Object.fromEntries(entries) } });
     },
   );
   if (done) await reload();
@@ -116,7 +116,7 @@ async function revoke({ name }, reload) {
     t`Revoke the key?`,
     h("p", {}, t`${name}, and all keys that it handed on, are refused from now on.`),
     h("button", { class: "danger primary" }, t`Revoke`),
-    () => call("DELETE", path`v1/keys/${name}`),
+    () => rholoc.call("DELETE", path`v1/keys/${name}`),
   );
   if (done) await reload();
 }
@@ -135,7 +135,7 @@ async function handOn(reload) {
     [field(t`It may`, scope), field(t`Days`, days)],
     h("button", { class: "primary" }, t`Make the key`),
     async (form) => {
-      made = await call("POST", "v1/keys", {
+      made = await rholoc.call("POST", "v1/keys", {
         body: { scope: form.get("scope"), lifetime_s: Number(form.get("days")) * DAY_S },
       });
     },

@@ -1,8 +1,7 @@
 // Who asks for poses now: in the room, and in a table.
 
-import { path } from "../shared/api.js";
+import { path, rholoc } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
-import { events } from "../shared/events.js";
 import { coordinates, decimal, percent, t } from "../shared/text.js";
 import { length } from "./format.js";
 import { Motions } from "./motions.js";
@@ -67,7 +66,7 @@ export function liveView(map, scene, signal) {
     stop.addEventListener("abort", () => clearInterval(timer));
     while (!stop.aborted) {
       try {
-        for await (const answers of events(path`v1/maps/${map.name}/live`, stop))
+        for await (const answers of rholoc.events(path`v1/maps/${map.name}/live`, { signal: stop }))
           for (const answer of answers) motions.hear(answer, performance.now() / 1000);
       } catch (error) {
         if (stop.aborted) return;

@@ -1,6 +1,6 @@
 // One map: whether it can be relied on, where it works, in 3-D, what it knows of itself, and what can be done with it.
 
-import { call, download, get, objectUrl, path, request } from "../shared/api.js";
+import { download, objectUrl, path, rholoc } from "../shared/api.js";
 import { action, ask, fill, h, tell } from "../shared/dom.js";
 import { field, mapNameOf, nameChoice, nameField } from "../shared/name_choice.js";
 import { coordinates, decimal, heard, t } from "../shared/text.js";
@@ -60,7 +60,7 @@ export async function showMap(main, name, signal) {
     ),
   );
   const address = path`v1/maps/${name}`;
-  const map = await get(address, { signal }); // of a map that is gone the page says so, and nothing else
+  const map = await rholoc.get(address, { signal }); // of a map that is gone the page says so, and nothing else
   if (map.keeps_refused) {
     const where = `#/maps/${encodeURIComponent(name)}/refusals`;
     watching.append(h("a", { class: "button", href: where }, t`Refused`));
@@ -70,8 +70,8 @@ export async function showMap(main, name, signal) {
     watching.append(watcher.button);
     fill(live, watcher.element);
   }
-  const report = get(`${address}/report`, { signal }).then(({ report }) => report);
-  const learning = get(`${address}/learning`, { signal });
+  const report = rholoc.get(`${address}/report`, { signal }).then(({ report }) => report);
+  const learning = rholoc.get(`${address}/learning`, { signal });
   await Promise.all([
     loading(trust, async () => fill(trust, trustNotice(map, await report)), signal),
     loading(about, async () => fillAbout(about, map, ...(await Promise.all([report, learning]))), signal),
@@ -86,11 +86,11 @@ export async function showMap(main, name, signal) {
 
 /** Fetch a map's scene and show it. */
 export async function showScene(view, map, signal) {
-  const fetched = async (where) => (await request(path`v1/maps/${map.name}/${where}`, { signal })).arrayBuffer();
+  const fetched = (where) => rholoc.bytes(path`v1/maps/${map.name}/${where}`, { signal });
   if (map.pictures)
     view.pictureOf = (number) => objectUrl(path`v1/maps/${map.name}/views/${number}/picture.jpg`, { signal });
   view.offerCloud(map.points, async () => readPoints(await fetched("points")));
-  view.featureOf = (number) => get(path`v1/maps/${map.name}/features/${number}`, { signal });
+  view.featureOf = (number) => rholoc.get(path`v1/maps/${map.name}/features/${number}`, { signal });
   view.showMap(readScene(await fetched("scene")), map.waypoints, map.scale === "metric", map.names, map.levelling);
   if (map.room) view.showRoom(readRoom(await fetched("room")));
   if (map.plan) view.showPlan(await keptPlan(map, signal));
@@ -100,8 +100,8 @@ export async function showScene(view, map, signal) {
 async function showCoverage(map, report, scene, signal) {
   const coverage = report.coverage?.counts
     ? report.coverage
-    : await get(path`v1/maps/${map.name}/coverage`, { signal });
-  const failed = map.keeps_failures ? (await get(path`v1/maps/${map.name}/failures`, { signal })).failures : [];
+    : await rholoc.get(path`v1/maps/${map.name}/coverage`, { signal });
+  const failed = map.keeps_failures ? (await rholoc.get(path`v1/maps/${map.name}/failures`, { signal })).failures : [];
   const errors = trustOf(map) === Trust.YES ? (report.expected_error?.views_m ?? []) : [];
   const near = (place, degrees) => scene.scene && rightness(scene.scene.views, errors, place, degrees);
   const look = (T, place, degrees) => {
@@ -259,7 +259,7 @@ function previous({ name, previous: before }) {
           t`It comes back under this name. The present one is kept in its place, and can be restored in turn.`,
         ),
         h("button", { class: "primary" }, t`Restore`),
-        () => call("POST", path`v1/maps/${name}/restore`),
+        () => rholoc.call("POST", path`v1/maps/${name}/restore`),
       );
       if (done) dispatchEvent(new HashChangeEvent("hashchange"));
     }),
@@ -377,7 +377,7 @@ const go = (name) => (location.hash = `#/maps/${encodeURIComponent(name)}`);
 async function rename(name) {
   const input = nameField(name);
   const done = await ask(t`Rename the map`, field(t`Name`, input), h("button", { class: "primary" }, t`Rename`), () =>
-    call("PATCH", path`v1/maps/${name}`, { body: { name: mapNameOf(input.value) } }),
+    rholoc.call("PATCH", path`v1/maps/${name}`, { body: { name: mapNameOf(input.value) } }),
   );
   if (done) go(mapNameOf(input.value));
 }
@@ -387,7 +387,7 @@ async function remove(name) {
     t`Delete the map?`,
     h("p", {}, t`The map ${name} is deleted for good. Recordings are kept.`),
     h("button", { class: "danger primary" }, t`Delete`),
-    () => call("DELETE", path`v1/maps/${name}`),
+    () => rholoc.call("DELETE", path`v1/maps/${name}`),
   );
   if (done) location.hash = "#/maps";
 }
@@ -409,14 +409,14 @@ async function label({ name, labels }) {
     () => {
       const words = tags.value.split(",").map((tag) => tag.trim());
       const body = { kind: "labels", site: site.value, floor: floor.value, tags: words.filter(Boolean) };
-      return call("POST", path`v1/maps/${name}/corrections`, { body });
+      return rholoc.call("POST", path`v1/maps/${name}/corrections`, { body });
     },
   );
   if (done) dispatchEvent(new HashChangeEvent("hashchange"));
 }
 
 async function merge(name) {
-  const others = (await get("v1/maps")).maps.filter((map) => map.name !== name);
+  const others = (await rholoc.get("v1/maps")).maps.filter((map) => map.name !== name);
   if (!others.length) {
     tell(t`There is no other map to merge with.`, "warn");
     return;
@@ -436,13 +436,13 @@ async function merge(name) {
       into.element,
     ],
     h("button", { class: "primary" }, t`Merge`),
-    () => call("POST", path`v1/maps/${name}/merge`, { body: { other: other.value, into: into.value } }),
+    () => rholoc.call("POST", path`v1/maps/${name}/merge`, { body: { other: other.value, into: into.value } }),
   );
   if (done) go(into.value);
 }
 
 async function update(name) {
-  const { recordings } = await get("v1/recordings");
+  const { recordings } = await rholoc.get("v1/recordings");
   if (!recordings.length) {
     tell(t`There is no recording yet. Upload one, and choose to update this map.`, "warn");
     location.hash = "#/recordings";
@@ -459,7 +459,7 @@ async function update(name) {
     field(t`Recording`, chosen),
     h("button", { class: "primary" }, t`Update`),
     async () => {
-      job = await call("POST", path`v1/maps/${name}/update`, { body: { recording: chosen.value } });
+      job = await rholoc.call("POST", path`v1/maps/${name}/update`, { body: { recording: chosen.value } });
     },
   );
   if (done) location.hash = `#/jobs/${job.id}`;
@@ -470,7 +470,7 @@ async function forget(name, source) {
     t`Forget a recording?`,
     h("p", {}, t`What the map learned from ${source.name} is taken out of it.`),
     h("button", { class: "danger primary" }, t`Forget`),
-    () => call("POST", path`v1/maps/${name}/forget`, { body: { source: source.id ?? source.name } }),
+    () => rholoc.call("POST", path`v1/maps/${name}/forget`, { body: { source: source.id ?? source.name } }),
   );
   if (done) dispatchEvent(new HashChangeEvent("hashchange"));
 }

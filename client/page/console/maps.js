@@ -1,6 +1,6 @@
 // The maps that are served.
 
-import { call, get, path, request } from "../shared/api.js";
+import { path, rholoc } from "../shared/api.js";
 import { action, ask, fill, h, tell } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
@@ -39,7 +39,7 @@ export async function showMaps(main, _, signal) {
     loading(
       list,
       async () => {
-        found = await get("v1/maps", { signal });
+        found = await rholoc.get("v1/maps", { signal });
         fillList(list, found, tools, signal);
       },
       signal,
@@ -123,14 +123,13 @@ export const placeOf = ({ labels }) => [labels.site, labels.floor].filter(Boolea
 async function showFromAbove(picture, map, signal) {
   const query = { landmarks: LANDMARKS_DRAWN, level: true };
   try {
-    const shown = map.room ? await request(path`v1/maps/${map.name}/room`, { signal, query: { level: true } }) : null;
-    if (shown) {
+    if (map.room) {
+      const room = await rholoc.bytes(path`v1/maps/${map.name}/room`, { signal, query: { level: true } });
       const [width, height] = [picture.clientWidth, picture.clientHeight].map((size) => 2 * size);
-      drawRoom(picture, surfaces(readRoom(await shown.arrayBuffer())), width, height);
+      drawRoom(picture, surfaces(readRoom(room)), width, height);
       return;
     }
-    const response = await request(path`v1/maps/${map.name}/scene`, { signal, query });
-    const scene = readScene(await response.arrayBuffer());
+    const scene = readScene(await rholoc.bytes(path`v1/maps/${map.name}/scene`, { signal, query }));
     const draw = () => drawFromAbove(picture, scene);
     const scheme = matchMedia("(prefers-color-scheme: dark)");
     scheme.addEventListener("change", draw, { signal });
@@ -163,7 +162,7 @@ async function uploadMap(maps, reload) {
     [field(t`File (.rho or .csv)`, file), name.element],
     h("button", { class: "primary" }, t`Upload`),
     () =>
-      call("PUT", path`v1/maps/${name.value}`, {
+      rholoc.call("PUT", path`v1/maps/${name.value}`, {
         body: file.files[0],
         headers: { "Content-Type": "application/octet-stream" },
       }),

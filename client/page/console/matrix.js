@@ -1,32 +1,34 @@
-// 4 × 4 matrices in column order, as WebGL takes them.
+// 4 × 4 matrices of views, as four rows.
 
-/** a · b */
-export function multiply(a, b) {
-  return Float32Array.from({ length: 16 }, (_, i) => {
-    const [column, row] = [i >> 2, i & 3];
-    return [0, 1, 2, 3].reduce((sum, k) => sum + a[4 * k + row] * b[4 * column + k], 0);
-  });
-}
+import { carried } from "../../js/poses.js";
+
+/** The sixteen numbers column by column, as WebGL takes them. */
+export const columns = (M) => Float32Array.from({ length: 16 }, (_, k) => M[k % 4][k >> 2]);
 
 /** Eye coordinates → clip coordinates; `fov` is the height's angle in radians. */
 export function perspective(fov, aspect, near, far) {
   const f = 1 / Math.tan(fov / 2);
   const depth = near - far;
-  return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / depth, -1, 0, 0, (2 * far * near) / depth, 0];
+  return [
+    [f / aspect, 0, 0, 0],
+    [0, f, 0, 0],
+    [0, 0, (far + near) / depth, (2 * far * near) / depth],
+    [0, 0, -1, 0],
+  ];
 }
 
 /** Eye coordinates → clip coordinates without perspective, of a picture so wide and high. */
 export function orthographic(width, height) {
-  return [2 / width, 0, 0, 0, 0, 2 / height, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1];
+  const scales = [2 / width, 2 / height, -1, 1];
+  return scales.map((scale, i) => scales.map((_, j) => (i === j ? scale : 0)));
 }
 
 /** World coordinates (z up) → eye coordinates. */
 export function lookAt(eye, target) {
   const back = unit(eye.map((value, i) => value - target[i]));
   const right = unit(cross([0, 0, 1], back));
-  const up = cross(back, right);
-  const shift = [right, up, back].map((axis) => -dot(axis, eye));
-  return [0, 1, 2].flatMap((i) => [right[i], up[i], back[i], 0]).concat(shift, 1);
+  const axes = [right, cross(back, right), back];
+  return [...axes.map((axis) => [...axis, -dot(axis, eye)]), [0, 0, 0, 1]];
 }
 
 /** Distance from `target`, seen along the unit vector `away`, at which `points` just fill `share` of the picture. */
@@ -36,23 +38,19 @@ export function fittingDistance(points, target, away, fov, aspect, share = 0.94)
     target,
   );
   const high = share * Math.tan(fov / 2);
-  const needed = points.map(([x, y, z]) => {
-    const [right, up, back] = [0, 1, 2].map((i) => view[i] * x + view[4 + i] * y + view[8 + i] * z + view[12 + i]);
+  const needed = points.map((point) => {
+    const [right, up, back] = carried(view, point);
     return back + 1 + Math.max(Math.abs(right) / aspect, Math.abs(up)) / high;
   });
   return Math.max(...needed);
 }
 
 /** A rotation of three rows as a matrix. */
-export function rotation(R) {
-  return [0, 1, 2].flatMap((column) => [R[0][column], R[1][column], R[2][column], 0]).concat(0, 0, 0, 1);
-}
+export const rotation = (R) => [...R.map((row) => [...row, 0]), [0, 0, 0, 1]];
 
 /** A point in clip coordinates: x and y from -1 to 1 within the picture, and w, positive in front of the camera. */
 export function project(matrix, [x, y, z]) {
-  const [cx, cy, , w] = [0, 1, 2, 3].map(
-    (row) => matrix[row] * x + matrix[4 + row] * y + matrix[8 + row] * z + matrix[12 + row],
-  );
+  const [cx, cy, , w] = matrix.map((row) => row[0] * x + row[1] * y + row[2] * z + row[3]);
   return [cx / w, cy / w, w];
 }
 

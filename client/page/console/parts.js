@@ -1,6 +1,6 @@
 // What several parts of the console show.
 
-import { passes, serverIsBack } from "../shared/api.js";
+import { serverIsBack } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { t, translated } from "../shared/text.js";
 import { restsOnGivenPoses, Trust, trustOf } from "../shared/trust.js";
@@ -58,7 +58,7 @@ export async function loading(element, load, signal) {
 
 /** After an error of a server that is away, do something again once it is back. */
 export function goOn(error, again, signal) {
-  if (passes(error)) serverIsBack(signal).then(again, () => {}); // left meanwhile
+  if (error.passes) serverIsBack(signal).then(again, () => {}); // left meanwhile
 }
 
 /** Names and figures beside each other. */

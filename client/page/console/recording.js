@@ -1,6 +1,6 @@
 // One recording: what it is, its waypoints, which can be corrected, and mapping it again.
 
-import { call, get, objectUrl, path } from "../shared/api.js";
+import { objectUrl, path, rholoc } from "../shared/api.js";
 import { action, busy, fill, h, tell } from "../shared/dom.js";
 import { field, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
@@ -16,7 +16,7 @@ export async function showRecording(main, id, signal) {
     place,
     async () => {
       const [recording, { jobs }, { maps }, { cameras }] = await Promise.all(
-        [path`v1/recordings/${id}`, "v1/jobs", "v1/maps", "v1/cameras"].map((at) => get(at, { signal })),
+        [path`v1/recordings/${id}`, "v1/jobs", "v1/maps", "v1/cameras"].map((at) => rholoc.get(at, { signal })),
       );
       const again = jobs.filter((job) => job.recording === id);
       fill(place, overview(recording, again, maps, cameras, signal));
@@ -103,7 +103,7 @@ function waypoints(recording, signal) {
       : t`As they came with the recording.`;
   };
   const change = async (method, body) => {
-    show(await call(method, address, { body, signal }));
+    show(await rholoc.call(method, address, { body, signal }));
     tell(t`Saved. The recording is mapped with them from now on; maps that there are stay as they are.`);
   };
   show(recording);
@@ -191,7 +191,7 @@ function mapAgain(recording, maps, cameras, signal) {
             frames: frames.value.trim() || null,
           };
           try {
-            const job = await call("POST", path`v1/recordings/${recording.id}/jobs`, { body, signal });
+            const job = await rholoc.call("POST", path`v1/recordings/${recording.id}/jobs`, { body, signal });
             location.hash = `#/jobs/${job.id}`;
           } catch (error) {
             if (!signal.aborted) tell(error.message, "bad");

@@ -1,7 +1,6 @@
 // Recordings: uploaded, and what is kept of them.
 
-import { upload } from "../record/upload.js";
-import { call, get, path } from "../shared/api.js";
+import { path, rholoc } from "../shared/api.js";
 import { action, ask, busy, fill, h, tell } from "../shared/dom.js";
 import { field, mapNameOf, nameChoice } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
@@ -33,7 +32,7 @@ export async function showRecordings(main, _, signal) {
       list,
       async () => {
         const [{ recordings }, { jobs }] = await Promise.all(
-          ["v1/recordings", "v1/jobs"].map((at) => get(at, { signal })),
+          ["v1/recordings", "v1/jobs"].map((at) => rholoc.get(at, { signal })),
         );
         found = { recordings, jobs };
         show();
@@ -67,7 +66,7 @@ function uploadForm(signal) {
     "change",
     () => name.value || name.suggest(mapNameOf((file.files[0]?.name ?? "").replace(/\.[^.]*$/, ""))),
   );
-  const names = get("v1/maps", { signal }).then(({ maps }) => name.know(maps.map((map) => map.name)));
+  const names = rholoc.get("v1/maps", { signal }).then(({ maps }) => name.know(maps.map((map) => map.name)));
   names.catch(() => {}); // the list below says so
   const bar = h("progress", { max: 1, value: 0, "aria-label": t`Upload` });
   const standing = h("p", { class: "muted small", role: "status" }, t`A video, or a recording as a ZIP file.`);
@@ -79,17 +78,15 @@ function uploadForm(signal) {
       onsubmit: (event) => {
         event.preventDefault();
         const [blob] = file.files;
-        const hear = ({ sent, waiting }) => {
-          if (sent !== undefined) {
-            bar.value = blob.size ? sent / blob.size : 1;
-            standing.textContent = t`${bytes(sent)} of ${bytes(blob.size)}`;
-          }
-          if (waiting) standing.textContent = t`${waiting.message} It continues by itself.`;
+        const onProgress = (sent) => {
+          bar.value = blob.size ? sent / blob.size : 1;
+          standing.textContent = t`${bytes(sent)} of ${bytes(blob.size)}`;
         };
-        const metadata = { filename: blob.name, map: name.value, kind: name.kind };
+        const onWaiting = ({ message }) => (standing.textContent = t`${message} It continues by itself.`);
+        const what = { name: blob.name, map: name.value, kind: name.kind };
         busy(button, async () => {
           try {
-            const job = await upload(blob, { metadata, location: null, hear, signal });
+            const job = await rholoc.upload(blob, { ...what, tries: Infinity, onProgress, onWaiting, signal });
             location.hash = `#/jobs/${job}`;
           } catch (error) {
             if (!signal.aborted) tell(error.message, "bad");
@@ -189,7 +186,7 @@ async function remove(recording, reload) {
     t`Delete the recording?`,
     h("p", {}, t`${fileNames(recording)}, ${bytes(recording.size_bytes)}. Maps made of it stay.`),
     h("button", { class: "danger primary" }, t`Delete`),
-    () => call("DELETE", path`v1/recordings/${recording.id}`),
+    () => rholoc.call("DELETE", path`v1/recordings/${recording.id}`),
   );
   if (done) await reload();
 }

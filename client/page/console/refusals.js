@@ -1,6 +1,6 @@
 // What a map refused lately: how often, from whom, why, and each picture beside the view that it resembles most.
 
-import { get, objectUrl, path } from "../shared/api.js";
+import { objectUrl, path, rholoc } from "../shared/api.js";
 import { resolvedColour } from "../shared/colours.js";
 import { action, fill, h } from "../shared/dom.js";
 import { heard, t } from "../shared/text.js";
@@ -30,7 +30,7 @@ export async function showRefusals(main, name, signal) {
   await loading(
     place,
     async () => {
-      const { refusals } = await get(path`v1/maps/${name}/refusals`, { signal });
+      const { refusals } = await rholoc.get(path`v1/maps/${name}/refusals`, { signal });
       fill(place, refusals.length ? overview(name, refusals, signal) : nothing());
     },
     signal,
@@ -87,7 +87,13 @@ function counts(title, values) {
 function card(name, refusal, signal) {
   const canvas = h("canvas", { class: "likeness", role: "img", "aria-label": heard(refusal.message) });
   const compare = action(t`Compare with the map`, async () => {
-    await draw(canvas, name, refusal, await get(path`v1/maps/${name}/refusals/${refusal.number}`, { signal }), signal);
+    await draw(
+      canvas,
+      name,
+      refusal,
+      await rholoc.get(path`v1/maps/${name}/refusals/${refusal.number}`, { signal }),
+      signal,
+    );
     compare.remove();
   });
   draw(canvas, name, refusal, { view: null, lines: [] }, signal).catch(() => canvas.remove()); // it is no longer kept

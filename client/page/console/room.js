@@ -1,6 +1,7 @@
 // The surfaces of a room, as they are drawn: shaded, seen from the free side only, so that one looks into it from outside.
 
-import { lookAt, multiply, orthographic, project, rotation } from "./matrix.js";
+import { multiply } from "../../js/poses.js";
+import { lookAt, orthographic, project } from "./matrix.js";
 
 const LIGHT = [0.35, 0.2, 0.91]; // where it comes from, z up
 const SHADED = [0.6, 0.46]; // least brightness, and what full light adds
@@ -87,10 +88,10 @@ export function planOf(room) {
   const middle = [(west + east) / 2, (south + north) / 2];
   const image = document.createElement("canvas");
   const down = multiply(orthographic(width * perPixel, height * perPixel), [
-    ...[1, 0, 0, 0],
-    ...[0, 1, 0, 0],
-    ...[0, 0, 1, 0],
-    ...[-middle[0], -middle[1], 0, 1],
+    [1, 0, 0, -middle[0]],
+    [0, 1, 0, -middle[1]],
+    [0, 0, 1, 0],
+    [0, 0, 0, 1],
   ]);
   paint(image, room, down, width, height);
   return {
@@ -103,16 +104,16 @@ export function planOf(room) {
 }
 
 /** Fill the triangles that face the eye, the farthest first. */
-function paint(canvas, { level, triangles, tints }, matrix, width, height) {
+function paint(canvas, { level, triangles, tints }, [across, up, away], width, height) {
   Object.assign(canvas, { width, height });
   const context = canvas.getContext("2d");
   const count = level.length / 3;
   const [x, y, depth] = [new Float32Array(count), new Float32Array(count), new Float32Array(count)];
   for (let i = 0; i < count; i++) {
     const [a, b, c] = level.subarray(3 * i, 3 * i + 3);
-    x[i] = (0.5 + 0.5 * (matrix[0] * a + matrix[4] * b + matrix[8] * c + matrix[12])) * width;
-    y[i] = (0.5 - 0.5 * (matrix[1] * a + matrix[5] * b + matrix[9] * c + matrix[13])) * height;
-    depth[i] = matrix[2] * a + matrix[6] * b + matrix[10] * c + matrix[14];
+    x[i] = (0.5 + 0.5 * (across[0] * a + across[1] * b + across[2] * c + across[3])) * width;
+    y[i] = (0.5 - 0.5 * (up[0] * a + up[1] * b + up[2] * c + up[3])) * height;
+    depth[i] = away[0] * a + away[1] * b + away[2] * c + away[3];
   }
   const seen = [];
   for (let i = 0; i < triangles.length; i += 3) {
@@ -136,11 +137,10 @@ function paint(canvas, { level, triangles, tints }, matrix, width, height) {
 
 /** Positions, three numbers each, turned by a rotation. */
 function turned(positions, R) {
-  const matrix = rotation(R);
   const level = new Float32Array(positions.length);
   for (let i = 0; i < positions.length; i += 3)
     for (let k = 0; k < 3; k++)
-      level[i + k] = matrix[k] * positions[i] + matrix[4 + k] * positions[i + 1] + matrix[8 + k] * positions[i + 2];
+      level[i + k] = R[k][0] * positions[i] + R[k][1] * positions[i + 1] + R[k][2] * positions[i + 2];
   return level;
 }
 

@@ -1,11 +1,12 @@
 // A map in 3-D: the room's surfaces, landmarks in the colours of the pictures or by uncertainty, more points on demand, the
 // walk, waypoints, the map's axes, and the pose that was found. z is up; a map that is not upright is levelled for display.
 
+import { multiply } from "../../js/poses.js";
 import { resolvedColour } from "../shared/colours.js";
 import { busy, fill, h } from "../shared/dom.js";
 import { coordinates, t } from "../shared/text.js";
 import { count, length } from "./format.js";
-import { fittingDistance, lookAt, multiply, perspective, project, rotation } from "./matrix.js";
+import { columns, fittingDistance, lookAt, perspective, project, rotation } from "./matrix.js";
 import { painterOf } from "./painter.js";
 import { planLines } from "./plan_lines.js";
 import { presenceLines } from "./presence_lines.js";
@@ -590,7 +591,7 @@ export class SceneView {
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const matrix = this.matrix(width / height);
     this.painter.paint({
-      matrix,
+      matrix: columns(matrix),
       background: this.colour("--surface"),
       surface: this.isSolid,
       count: this.isSolid ? 0 : this.restless ? this.budget : this.count,

@@ -1,5 +1,6 @@
 // What is drawn of a map as lines: each function gives the ends of lines, three numbers each, in the map's frame.
 
+import { carried } from "../../js/poses.js";
 import { quantiles, SHOWN } from "./samples.js";
 import { STRIDE_VIEW } from "./scene_data.js";
 
@@ -89,7 +90,7 @@ export const band = (positions) => BAND.flatMap((by) => segments(positions.map((
  * @param {number[]} extents
  */
 export function frustum(T, [across, down]) {
-  const point = (x, y, z) => [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
+  const point = (...at) => carried(T, at);
   const [w, tall, d] = [across * FRUSTUM, down * FRUSTUM, FRUSTUM];
   const tip = point(0, 0, 0);
   const corners = [point(-w, -tall, d), point(w, -tall, d), point(w, tall, d), point(-w, tall, d)];

@@ -1,8 +1,8 @@
 // Sites: rooms and floors as one plan, placed by their links, with those that have no place yet beside it.
 
-import { call, get, path, request } from "../shared/api.js";
+import { carried, rotationOf } from "../../js/poses.js";
+import { path, rholoc } from "../shared/api.js";
 import { action, ask, fill, h, tell } from "../shared/dom.js";
-import { events } from "../shared/events.js";
 import { Purpose } from "../shared/handover.js";
 import { field, mapNameOf, nameField } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
@@ -29,7 +29,7 @@ export async function showSites(main, _, signal) {
       list,
     ),
   );
-  await loading(list, async () => fillSites(list, await get("v1/sites", { signal })), signal);
+  await loading(list, async () => fillSites(list, await rholoc.get("v1/sites", { signal })), signal);
 }
 
 function fillSites(list, { sites, unreadable }) {
@@ -53,11 +53,14 @@ function siteCard({ name, maps }) {
 }
 
 export async function showSite(main, name, signal) {
-  const [site, { maps }] = await Promise.all([get(path`v1/sites/${name}`, { signal }), get("v1/maps", { signal })]);
+  const [site, { maps }] = await Promise.all([
+    rholoc.get(path`v1/sites/${name}`, { signal }),
+    rholoc.get("v1/maps", { signal }),
+  ]);
   const known = new Map(maps.map((map) => [map.name, map]));
   const placed = site.maps.filter(({ pose, present }) => pose && present);
   const left = site.maps.filter(({ pose, present }) => !pose && present);
-  const details = await Promise.all(placed.map(({ map }) => get(path`v1/maps/${map}`, { signal })));
+  const details = await Promise.all(placed.map(({ map }) => rholoc.get(path`v1/maps/${map}`, { signal })));
   for (const map of details) known.set(map.name, map);
   const floors = [...new Set(placed.map(({ floor }) => floor))].sort();
   const live = h("button", { type: "button", "aria-pressed": "false" }, t`Live`);
@@ -104,7 +107,7 @@ function tray(name, left, known) {
       "div",
       { class: "row" },
       action(t`Place them`, async () => {
-        const { id } = await call("POST", path`v1/sites/${name}/place`);
+        const { id } = await rholoc.call("POST", path`v1/sites/${name}/place`);
         location.hash = `#/jobs/${id}`;
       }),
     ),
@@ -141,10 +144,9 @@ class Floor {
     signal.addEventListener("abort", () => this.unwatch());
     await Promise.all(
       this.rooms.map(async (room) => {
-        const fetched = async (what, query) =>
-          (await request(path`v1/maps/${room.map}/${what}`, { signal, query })).arrayBuffer();
+        const fetched = (what, query) => rholoc.bytes(path`v1/maps/${room.map}/${what}`, { signal, query });
         const { views } = readScene(await fetched("scene", { landmarks: 1 }));
-        for (let i = 0; i < views.length; i += STRIDE_VIEW) room.walk.push(moved(room.T, views.subarray(i, i + 3)));
+        for (let i = 0; i < views.length; i += STRIDE_VIEW) room.walk.push(carried(room.T, views.subarray(i, i + 3)));
         if (this.known.get(room.map)?.room) room.plan = placedPlan(readRoom(await fetched("room")), room.T);
         this.draw();
       }),
@@ -186,7 +188,7 @@ class Floor {
 
 async function hearRobots({ map, motions }, stop) {
   try {
-    for await (const answers of events(path`v1/maps/${map}/live`, stop))
+    for await (const answers of rholoc.events(path`v1/maps/${map}/live`, { signal: stop }))
       for (const answer of answers) motions.hear(answer, performance.now() / 1000);
   } catch (error) {
     if (!stop.aborted) tell(error.message, "bad");
@@ -209,7 +211,7 @@ function drawFrame(context, place, { map, plan, walk }, tint, colour) {
 }
 
 function drawRobot(context, place, T_site_map, { asker, T, stale }, colour) {
-  const [x, y] = place(moved(T_site_map, [T[0][3], T[1][3], T[2][3]]));
+  const [x, y] = place(carried(T_site_map, [T[0][3], T[1][3], T[2][3]]));
   context.fillStyle = colour(stale ? "--muted" : "--accent");
   context.beginPath();
   context.arc(x, y, 6, 0, 2 * Math.PI);
@@ -219,21 +221,12 @@ function drawRobot(context, place, T_site_map, { asker, T, stale }, colour) {
   context.fillText(asker, x + 9, y + 4);
 }
 
-/** @type {(T: number[][], point: any) => number[]} */
-const moved = (T, [x, y, z]) => [0, 1, 2].map((i) => T[i][0] * x + T[i][1] * y + T[i][2] * z + T[i][3]);
-
 /** A pose of the service as a matrix of three rows. */
-function matrixOf({ position, quaternion_xyzw: [x, y, z, w] }) {
-  return [
-    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), position[0]],
-    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), position[1]],
-    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), position[2]],
-  ];
-}
+const matrixOf = ({ position, quaternion_xyzw }) => rotationOf(quaternion_xyzw).map((row, i) => [...row, position[i]]);
 
 /** Make a site, or choose its maps. */
 async function editSite(site, maps = null) {
-  const all = maps ?? (await get("v1/maps")).maps;
+  const all = maps ?? (await rholoc.get("v1/maps")).maps;
   const name = nameField(site?.name);
   name.readOnly = site !== null;
   const before = new Map((site?.maps ?? []).map((one) => [one.map, one]));
@@ -260,7 +253,7 @@ async function editSite(site, maps = null) {
       const kept = new Set(members.map(({ map }) => map));
       const links = (site?.links ?? []).filter(({ first, second }) => kept.has(first) && kept.has(second));
       const body = { maps: members, links, earth: site?.earth ?? null, version: site?.version ?? null };
-      return call("PUT", path`v1/sites/${mapNameOf(name.value)}`, { body });
+      return rholoc.call("PUT", path`v1/sites/${mapNameOf(name.value)}`, { body });
     },
   );
   if (!done) return;
@@ -274,7 +267,7 @@ async function removeSite(name) {
     t`Delete the site?`,
     h("p", {}, t`${name}. Its maps stay.`),
     h("button", { class: "danger primary" }, t`Delete`),
-    () => call("DELETE", path`v1/sites/${name}`),
+    () => rholoc.call("DELETE", path`v1/sites/${name}`),
   );
   if (done) location.hash = "#/sites";
 }

@@ -1,5 +1,6 @@
 // A trajectory (Table 6) → poses to play.
 
+import { rotationOf } from "../../js/poses.js";
 import { t } from "../shared/text.js";
 
 const NEEDED = ["timestamp", "x", "y", "z", "hx", "hy", "hz"];
@@ -31,20 +32,9 @@ export function readTrajectory(text) {
 
 function pose({ timestamp, x, y, z, hx, hy, hz, roll, quaternion }) {
   const position = [x, y, z];
-  const R = quaternion.every(Number.isFinite) ? ofQuaternion(quaternion) : ofHeading([hx, hy, hz], roll);
+  const R = quaternion.every(Number.isFinite) ? rotationOf(quaternion) : ofHeading([hx, hy, hz], roll);
   const T = R.map((row, i) => [...row, position[i]]).concat([[0, 0, 0, 1]]);
   return { time: timestamp, position, T };
-}
-
-/** R_map_camera of a quaternion x, y, z, w of any length. */
-function ofQuaternion(quaternion) {
-  const size = Math.hypot(...quaternion) || 1;
-  const [x, y, z, w] = quaternion.map((value) => value / size);
-  return [
-    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-  ];
 }
 
 /** R_map_camera of a heading and a roll about it against the upright camera: x right, y down, z forward. */

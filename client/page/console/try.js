@@ -1,6 +1,6 @@
 // Try it: a picture, a camera, a video or a trajectory, and where it is in the map.
 
-import { call, get, path, storedKey, url } from "../shared/api.js";
+import { path, rholoc, storedKey } from "../shared/api.js";
 import { action, fill, h, tell } from "../shared/dom.js";
 import { field } from "../shared/name_choice.js";
 import { coordinates, decimal, heard, t } from "../shared/text.js";
@@ -15,7 +15,6 @@ import { play } from "./player.js";
 import { SceneView } from "./scene.js";
 import { LANGUAGES, snippet } from "./snippets.js";
 import { Track, trackReport } from "./track.js";
-import { TrackStream } from "./track_stream.js";
 import { readTrajectory } from "./trajectory.js";
 
 const RATE_OVER = 8; // frames that the rate is measured over
@@ -28,7 +27,7 @@ const FIELD_OF_VIEW = " fov";
 const HIGHEST_SHOWN_CONFIDENCE = 0.99; // above it the page says “over 99 %”: nothing is certain
 
 export async function showTry(main, name, signal) {
-  const { maps } = await get("v1/maps", { signal });
+  const { maps } = await rholoc.get("v1/maps", { signal });
   if (!maps.length) {
     fill(
       main,
@@ -40,8 +39,8 @@ export async function showTry(main, name, signal) {
     );
     return;
   }
-  const { cameras } = await get("v1/cameras", { signal });
-  const map = await get(path`v1/maps/${name ?? mostTrusted(maps).name}`, { signal });
+  const { cameras } = await rholoc.get("v1/cameras", { signal });
+  const map = await rholoc.get(path`v1/maps/${name ?? mostTrusted(maps).name}`, { signal });
   const trial = new Trial(map, cameras, maps.length > 1, signal);
   fill(main, layout(trial, maps));
   await showScene(trial.scene, map, signal);
@@ -106,9 +105,8 @@ class Trial {
     return action(t`Try all maps`, async () => {
       const number = this.#asked;
       const { query, known } = this.intrinsicsOf(source.width, source.height);
-      const found = await call("POST", "v1/localize", {
+      const found = await rholoc.call("POST", "v1/localize", {
         body: blob,
-        headers: { "Content-Type": blob.type },
         query: { ...this.queryOf({ query }), maps: "all" },
         signal: AbortSignal.any([this.signal, this.#question.signal]),
       });
@@ -127,9 +125,8 @@ class Trial {
   offerLandscape({ blob, source }) {
     return action(t`Show the landscape around the pose`, async () => {
       const number = this.#asked;
-      const seen = await call("POST", path`v1/maps/${this.map.name}/landscape`, {
+      const seen = await rholoc.call("POST", path`v1/maps/${this.map.name}/landscape`, {
         body: blob,
-        headers: { "Content-Type": blob.type },
         query: this.queryOf(this.intrinsicsOf(source.width, source.height)),
         signal: AbortSignal.any([this.signal, this.#question.signal]),
       });
@@ -162,9 +159,8 @@ class Trial {
     const query = { ...this.queryOf(intrinsics), ...prior, with_matches: true };
     let found;
     try {
-      found = await call("POST", path`v1/maps/${this.map.name}/localize`, {
+      found = await rholoc.call("POST", path`v1/maps/${this.map.name}/localize`, {
         body: blob,
-        headers: { "Content-Type": blob.type },
         query,
         signal: AbortSignal.any([this.signal, this.#question.signal]),
       });
@@ -362,7 +358,14 @@ function copyButtons(map, query, file, type) {
   const buttons = LANGUAGES.map(([language, name]) =>
     action(t`Copy as ${name}`, async () => {
       const withKey = storedKey() !== null;
-      code.textContent = snippet(language, { url: url("").href, map: map.name, query: options, file, type, withKey });
+      code.textContent = snippet(language, {
+        url: rholoc.url("").href,
+        map: map.name,
+        query: options,
+        file,
+        type,
+        withKey,
+      });
       code.hidden = false;
       await navigator.clipboard?.writeText(code.textContent);
       tell(navigator.clipboard ? t`Copied.` : t`Select the text below and copy it.`);
@@ -592,7 +595,7 @@ function tracked(trial, signal) {
       begunWith = chosen;
       const { fx, fy, cx, cy, distortion, lens } = { distortion: [], ...(found.camera ?? camera) };
       const begin = { camera: { fx, fy, cx, cy, distortion, lens }, dof: trial.rolls.checked ? "auto" : 5 };
-      stream = await TrackStream.open(trial.map.name, begin, show, signal);
+      stream = await rholoc.track(trial.map.name, begin, show, { signal });
     }
     const due = performance.now() + TRACK_MS;
     await stream.frame(frame.time, frame.blob);

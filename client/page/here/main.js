@@ -1,17 +1,16 @@
 // A visitor's page: the camera looks around, a dot on the plan says where one is, an arrow where to go.
 
 import { drawFloor, endsOf, placedPlan } from "../console/floor.js";
+import { frameOf } from "../console/frame_sources.js";
 import { readRoom } from "../console/scene_data.js";
 import { openCamera } from "../record/camera.js";
-import { call, get, path, request, takeKeyOfLink } from "../shared/api.js";
+import { path, rholoc, takeKeyOfLink } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { decimal, t, translatePage } from "../shared/text.js";
 import { Belief } from "./belief.js";
 import { groundOf, guidance, Step, wayBetween } from "./way.js";
 
 const EVERY_MS = 1000; // at most one request in
-const SENT_PX = 640; // of a picture's longer side
-const QUALITY = 0.8;
 const SVG = "http://www.w3.org/2000/svg";
 const ARROW = "M32 4 L56 40 L38 34 L38 60 L26 60 L26 34 L8 40 Z";
 
@@ -24,6 +23,7 @@ class Visit {
     this.plans = new Map(); // of the rooms' maps
     this.said = h("p", { class: "here-said", role: "status" }, t`Point the camera around you.`);
     this.video = h("video", { muted: true, playsinline: true, autoplay: true });
+    this.sent = h("canvas");
     this.arrow = arrow();
     this.plan = h("canvas", { class: "here-plan", role: "img", "aria-label": t`Plan of the floor` });
     this.target = h("select", { onchange: () => this.show() });
@@ -41,7 +41,7 @@ class Visit {
   }
 
   async load() {
-    this.here = await get(path`v1/here/${site}`);
+    this.here = await rholoc.get(path`v1/here/${site}`);
     fill(
       this.target,
       h("option", { value: "" }, t`nowhere`),
@@ -52,8 +52,7 @@ class Visit {
     this.show();
     for (const { map, room, T_site_map: T } of this.here.rooms) {
       if (!room) continue;
-      const found = await request(path`v1/here/${site}/rooms/${map}`);
-      this.plans.set(map, placedPlan(readRoom(await found.arrayBuffer()), T));
+      this.plans.set(map, placedPlan(readRoom(await rholoc.bytes(path`v1/here/${site}/rooms/${map}`)), T));
       this.show();
     }
   }
@@ -88,9 +87,8 @@ class Visit {
     if (!document.hidden && this.video.videoWidth) {
       try {
         const turned = this.turned;
-        const answer = await call("POST", path`v1/here/${site}/localize`, {
-          body: await this.picture(),
-          headers: { "Content-Type": "image/jpeg" },
+        const answer = await rholoc.call("POST", path`v1/here/${site}/localize`, {
+          body: (await frameOf(this.video, this.sent)).blob,
           query: { intrinsics: "unknown" },
         });
         this.belief.hear(answer, began / 1000, turned);
@@ -101,17 +99,6 @@ class Visit {
       this.show();
     }
     setTimeout(() => this.look(), Math.max(0, EVERY_MS - (performance.now() - began)));
-  }
-
-  async picture() {
-    const { videoWidth, videoHeight } = this.video;
-    const scale = Math.min(1, SENT_PX / Math.max(videoWidth, videoHeight));
-    const canvas = Object.assign(document.createElement("canvas"), {
-      width: Math.round(scale * videoWidth),
-      height: Math.round(scale * videoHeight),
-    });
-    canvas.getContext("2d").drawImage(this.video, 0, 0, canvas.width, canvas.height);
-    return new Promise((resolve) => canvas.toBlob(resolve, "image/jpeg", QUALITY));
   }
 
   show() {

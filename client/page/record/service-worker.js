@@ -4,7 +4,10 @@ const CACHE = "rholoc-recorder";
 const worker = /** @type {any} */ (self);
 const WEB = new URL("../", self.location.href);
 const PAGE = new URL("../record", WEB);
+const CLIENT = new URL("../js/", WEB);
 const FILES = [
+  "../js/client.js",
+  "../js/track.js",
   "record/camera.js",
   "record/clock.js",
   "record/coaching.js",
@@ -12,7 +15,6 @@ const FILES = [
   "record/draft.js",
   "record/headings.js",
   "record/icon-192.png",
-  "record/job.js",
   "record/loop_watch.js",
   "record/loop_worker.js",
   "record/main.js",
@@ -28,7 +30,6 @@ const FILES = [
   "record/store.js",
   "record/tables.js",
   "record/take.js",
-  "record/upload.js",
   "record/views/camera_field.js",
   "record/views/guide.js",
   "record/views/home.js",
@@ -44,7 +45,6 @@ const FILES = [
   "record/zip.js",
   "shared/api.js",
   "shared/dom.js",
-  "shared/events.js",
   "shared/handover.js",
   "shared/icon.svg",
   "shared/job_words.js",
@@ -67,7 +67,7 @@ worker.addEventListener("activate", (event) => event.waitUntil(worker.clients.cl
 worker.addEventListener("fetch", (event) => {
   const { request } = event;
   const where = new URL(request.url);
-  const ours = where.pathname === PAGE.pathname || where.href.startsWith(WEB.href);
+  const ours = where.pathname === PAGE.pathname || [WEB, CLIENT].some(({ href }) => where.href.startsWith(href));
   if (request.method === "GET" && ours) event.respondWith(freshOrKept(request));
 });
 

@@ -1,6 +1,6 @@
 // Links with a key in them that expires: to go on with a phone, to show somebody a map.
 
-import { call, request } from "./api.js";
+import { rholoc } from "./api.js";
 import { h } from "./dom.js";
 import { t } from "./text.js";
 
@@ -12,7 +12,7 @@ export const Purpose = Object.freeze({ RECORD: "map", LOOK: "read", VISIT: "visi
  * keys: `{link, expires}`, the time in seconds since the epoch or null. `wanted` is what `POST /v1/keys` takes.
  */
 export async function linkWithKey(where, wanted) {
-  const { key, expires } = await call("POST", "v1/keys", { body: wanted });
+  const { key, expires } = await rholoc.call("POST", "v1/keys", { body: wanted });
   const address = new URL(where, new URL("../../", import.meta.url));
   if (key) address.hash = `#/key/${key}${address.hash.slice(1)}`;
   return { link: address.href, expires };
@@ -20,8 +20,7 @@ export async function linkWithKey(where, wanted) {
 
 /** A link as a picture that a phone's camera opens. */
 export async function qrCode(link) {
-  const body = JSON.stringify({ text: link });
-  const answer = await request("v1/qr", { method: "POST", body, headers: { "Content-Type": "application/json" } });
+  const answer = await rholoc.request("POST", "v1/qr", { body: { text: link } });
   const address = URL.createObjectURL(await answer.blob());
   const picture = h("img", { class: "qr", src: address, alt: t`QR code of the link` });
   picture.addEventListener("load", () => URL.revokeObjectURL(address), { once: true });

@@ -26,9 +26,6 @@ export const GERMAN = {
   "Another key": "Anderer Schlüssel",
   "Remove the key": "Schlüssel entfernen",
   "Type a key, or remove the one that is stored.": "Einen Schlüssel eingeben oder den gespeicherten entfernen.",
-  "The server does not answer.": "Der Server antwortet nicht.",
-  "Check the connection and try again.": "Bitte die Verbindung prüfen und es noch einmal versuchen.",
-  "The server answered with {0}.": "Der Server hat mit {0} geantwortet.",
   "This page continues by itself when it is back.": "Sobald er wieder erreichbar ist, geht es hier von selbst weiter.",
   "Try again": "Erneut versuchen",
   Cancel: "Abbrechen",
@@ -484,7 +481,6 @@ export const GERMAN = {
   "Stop the video": "Video anhalten",
   "track from frame to frame": "von Bild zu Bild verfolgen",
   "This file is not a video that the browser can play.": "Diese Datei ist kein Video, das der Browser abspielen kann.",
-  "The connection broke off.": "Die Verbindung ist abgebrochen.",
   searching: "sucht noch",
   tracking: "verfolgt",
   lost: "verloren",
@@ -896,6 +892,10 @@ export const GERMAN = {
 
 // Sentences of the server, as it says them in English; tests/page looks whether it still does.
 export const GERMAN_OF_SERVER = {
+  "The server does not answer.": "Der Server antwortet nicht.",
+  "Check the connection and try again.": "Bitte die Verbindung prüfen und es noch einmal versuchen.",
+  "The server answered with status {0}.": "Der Server hat mit dem Status {0} geantwortet.",
+  "The connection broke off.": "Die Verbindung ist abgebrochen.",
   "waiting for a worker": "wartet auf einen freien Worker",
   "{0} of {1} pairs of pictures matched": "{0} von {1} Bildpaaren verglichen",
   "all measurements adjusted together": "alle Messungen werden gemeinsam ausgeglichen",

@@ -1,6 +1,6 @@
 // Which of the cameras that the server knows a recording was made with.
 
-import { authorization, url } from "../../shared/api.js";
+import { unasking } from "../../shared/api.js";
 import { fill, h } from "../../shared/dom.js";
 import { t } from "../../shared/text.js";
 
@@ -8,22 +8,16 @@ import { t } from "../../shared/text.js";
 export function cameraField(chosen, changed) {
   const select = h("select", { onchange: () => changed(select.value || null) });
   const field = h("label", { hidden: true }, t`Camera`, select);
-  names().then((known) => {
-    field.hidden = known.length === 0;
-    fill(
-      select,
-      h("option", { value: "" }, t`Unknown: estimated while mapping`),
-      known.map((name) => h("option", { value: name, selected: name === chosen }, name)),
-    );
-  });
+  const names = unasking.get("v1/cameras").then(({ cameras }) => cameras.map(({ name }) => name));
+  names
+    .then((known) => {
+      field.hidden = known.length === 0;
+      fill(
+        select,
+        h("option", { value: "" }, t`Unknown: estimated while mapping`),
+        known.map((name) => h("option", { value: name, selected: name === chosen }, name)),
+      );
+    })
+    .catch(() => {}); // it stays hidden
   return field;
-}
-
-async function names() {
-  try {
-    const response = await fetch(url("v1/cameras"), { credentials: "omit", headers: authorization() });
-    return response.ok ? (await response.json()).cameras.map((camera) => camera.name) : [];
-  } catch {
-    return [];
-  }
 }

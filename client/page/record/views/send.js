@@ -1,16 +1,14 @@
 // A recording on its way to the server, and its job there.
 
-import { get, path } from "../../shared/api.js";
+import { path, rholoc } from "../../shared/api.js";
 import { action, fill, h } from "../../shared/dom.js";
 import { doing, STAGES, timeLeft } from "../../shared/job_words.js";
 import { Existing } from "../../shared/name_choice.js";
 import { percent, t } from "../../shared/text.js";
 import { blamesPoints, inPlainWords, mistakesIn, nextForGood, Trust, whatToDo } from "../../shared/trust.js";
-import { cancelJob, followJob } from "../job.js";
 import { mapNames } from "../map_names.js";
 import { archive } from "../recording.js";
 import { State } from "../store.js";
-import { upload } from "../upload.js";
 import { size } from "./words.js";
 
 /** Upload, going on where an earlier try stood; then the job, stage by stage. */
@@ -46,15 +44,18 @@ async function run(page, store, recording, signal) {
     recording = await send(page, store, recording, signal);
   }
   page.sent();
-  const lost = (error) => page.waiting(error, t`The page continues by itself when it can.`);
-  const job = await followJob(recording.job, (job) => page.jobChanged(job), signal, lost);
+  const job = await rholoc.waitForJob(recording.job, {
+    onChange: (job) => page.jobChanged(job),
+    onLost: (error) => page.waiting(error, t`The page continues by itself when it can.`),
+    signal,
+  });
   page.ended(job, job.state === "published" ? await mistakesOf(job.map, signal) : []);
 }
 
 /** What the map's report says of mistakes in measured points; nothing where there is no asking it. */
 async function mistakesOf(map, signal) {
   try {
-    return mistakesIn((await get(path`v1/maps/${map}/report`, { signal })).report);
+    return mistakesIn((await rholoc.get(path`v1/maps/${map}/report`, { signal })).report);
   } catch {
     return [];
   }
@@ -69,15 +70,19 @@ async function wantsChoice({ location, map, asked }) {
 /** The description of the uploaded recording, whose parts are not needed any more. */
 async function send(page, store, recording, signal) {
   const file = await archive(recording, await store.parts(recording.id));
-  const hear = async ({ sent, location, waiting }) => {
-    if (sent !== undefined) page.sending(sent, file.size);
-    if (waiting) page.waiting(waiting);
-    if (location !== undefined) await store.save(Object.assign(recording, { location }));
-  };
-  const { map, camera } = recording;
-  const kind = recording.kind ?? Existing.REPLACE;
-  const metadata = { filename: `${map}.zip`, map, kind, ...(camera && { camera }) };
-  const job = await upload(file, { metadata, location: recording.location ?? null, hear, signal });
+  const { map, camera, location } = recording;
+  const job = await rholoc.upload(file, {
+    name: `${map}.zip`,
+    map,
+    kind: recording.kind ?? Existing.REPLACE,
+    camera,
+    location,
+    tries: Infinity,
+    onProgress: (sent) => page.sending(sent, file.size),
+    onLocation: (location) => store.save(Object.assign(recording, { location })),
+    onWaiting: (error) => page.waiting(error),
+    signal,
+  });
   fill(page.actions); // from here on the job is what can be cancelled
   const uploaded = { ...recording, state: State.UPLOADED, job };
   await store.dropParts(uploaded);
@@ -137,7 +142,8 @@ class SendPage {
   jobChanged(job) {
     const { id, stage, progress, state } = job;
     this.notice.hidden = true;
-    if (!this.actions.children.length) this.actions.append(action(t`Cancel`, () => cancelJob(id), "danger"));
+    if (!this.actions.children.length)
+      this.actions.append(action(t`Cancel`, () => rholoc.call("DELETE", path`v1/jobs/${id}`), "danger"));
     this.bar.value = progress;
     this.text.textContent =
       state === "queued" ? t`Waiting for a worker` : [doing(job), timeLeft(job)].filter(Boolean).join(" – ");

@@ -255,6 +255,10 @@ def earth(
         list[str],
         typer.Option(metavar="X,Y,Z=LAT,LON,H", help="A point of the map and its place, WGS 84, degrees, m; repeat."),
     ],
+    crs: Annotated[
+        str | None,
+        typer.Option(metavar="EPSG", help="Of a national grid: places are E,N,H. With heights' code: EPSG:25833+7837."),
+    ] = None,
     heading: Annotated[
         float | None,
         typer.Option(metavar="DEG", help="Of the map's y axis from true north, clockwise; default: by two points."),
@@ -266,11 +270,13 @@ def earth(
     import numpy as np
 
     from rholoc.geometry.earth import EarthPlace
+    from rholoc.geometry.grids import places_in
     from rholoc.mapping import set_earth
 
     sides = [one.partition("=") for one in point]
     points = np.array([_vector(left, 3) for left, _, _ in sides])
-    places = [EarthPlace(*_vector(right, 3).tolist()) for _, _, right in sides]
+    given = np.array([_vector(right, 3) for _, _, right in sides])
+    places = [EarthPlace(*one) for one in given.tolist()] if crs is None else places_in(crs, given)
     _correct(map_file, out, as_json, lambda map_: set_earth(map_, points, places, heading))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from rholoc.errors import InvalidWaypoints
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.geometry.earth import EarthPlace, enu_of
+from rholoc.geometry.grids import places_in
 from rholoc.recordings.recording import Waypoint
 from rholoc.recordings.tables.csv_table import parse_number, read_rows, require_columns, shortened
 
@@ -29,7 +30,7 @@ _MAX_APART_M = 10_000.0
 _NAMES_SHOWN = 5
 _COLUMNS_HINT = (
     "The first row must be name,time,x,y,z or name,frame,x,y,z: seconds or a frame's number, metres; or name,x,y,z, "
-    "the rows in the order of the walk, where the camera paused at each; or lat,lon,h instead of x,y,z."
+    "the rows in the order of the walk, where the camera paused at each; or lat,lon,h instead of x,y,z, or x,y,z,crs."
 )
 
 
@@ -55,16 +56,18 @@ class FrameTimes(Protocol):
 def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
     """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``, or ``name,x,y,z`` in their order.
 
-    With ``lat,lon,h`` (WGS 84, degrees and metres) instead of ``x,y,z`` they are placed on Earth.
+    With ``lat,lon,h`` (WGS 84, degrees and metres) instead of ``x,y,z`` they are placed on Earth. A further column
+    ``crs`` names the reference system of coordinates on Earth, as :func:`places_in` takes it.
 
     A further column ``sigma`` is the standard deviation of each in metres; 0.02 if it is absent or empty.
 
     They may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
 
     Raises:
-        InvalidWaypoints: other columns, fewer than three, more than 1000, an empty, repeated or overlong name, a value
-            that is not finite, a time outside the recording, a frame that is not in it, or times although the pictures
-            have none.
+        NotInstalled, InvalidInput: as :func:`places_in`.
+        InvalidWaypoints: other columns, several reference systems, fewer than three, more than 1000, an empty, repeated
+            or overlong name, a value that is not finite, a time outside the recording, a frame that is not in it, or
+            times although the pictures have none.
     """
     header, rows = read_rows(path, InvalidWaypoints, MAX_WAYPOINTS)
     moment = next((column for column in ("time", "frame") if column in header), None)
@@ -78,8 +81,11 @@ def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
         )
     require_columns(path, header, ("name", *([moment] if moment else []), *coordinates), InvalidWaypoints)
     waypoints = tuple(_waypoint(row, line, moment, coordinates, path, frames) for line, row in enumerate(rows, start=2))
-    if coordinates == EARTH_COLUMNS:
-        waypoints = _on_earth(waypoints)
+    systems = {row["crs"] for row in rows if row.get("crs")}
+    if len(systems) > 1:
+        raise InvalidWaypoints(f"{path.name} names {_listed(sorted(systems))} under crs.", "Use one for all waypoints.")
+    if systems or coordinates == EARTH_COLUMNS:
+        waypoints = _on_earth(waypoints, coordinates, *systems)
     _require_enough(waypoints)
     counted = Counter(waypoint.name for waypoint in waypoints)
     repeated = sorted(name for name, count in counted.items() if count > 1)
@@ -135,16 +141,22 @@ def _require_enough(waypoints: Sequence[Waypoint]) -> None:
         )
 
 
-def _on_earth(waypoints: Sequence[Waypoint]) -> tuple[Waypoint, ...]:
-    """Waypoints whose positions are latitude, longitude and height, in metres around the first one."""
-    places = [EarthPlace(*waypoint.position) for waypoint in waypoints]
+def _on_earth(waypoints: Sequence[Waypoint], columns: Sequence[str], crs: str | None = None) -> tuple[Waypoint, ...]:
+    """Waypoints whose positions are places on Earth under these columns, in metres around the first one."""
+    if crs is None:
+        places = [EarthPlace(*waypoint.position) for waypoint in waypoints]
+    else:
+        order = [1, 0, 2] if columns == EARTH_COLUMNS else [0, 1, 2]
+        places = places_in(crs, np.array([waypoint.position for waypoint in waypoints])[:, order])
     if any(abs(place.latitude_deg) > 90 or abs(place.longitude_deg) > 180 for place in places):
         raise InvalidWaypoints("A waypoint has no place on Earth.", "Give lat of -90 to 90°, lon of -180 to 180°.")
     placed = []
     for waypoint, place in zip(waypoints, places, strict=True):
         east, north, up = enu_of(place, places[0]).tolist()
         if max(map(abs, (east, north, up))) > _MAX_APART_M:
-            raise InvalidWaypoints(f"Waypoint {waypoint.name} is over 10 km from the first.", "Check lat and lon.")
+            raise InvalidWaypoints(
+                f"Waypoint {waypoint.name} is over 10 km from the first.", "Check their coordinates."
+            )
         placed.append(replace(waypoint, position=(east, north, up), earth=place))
     return tuple(placed)
 

@@ -1,4 +1,5 @@
-"""The web page: the console, the recorder, the API's description; their files are under ``/web``."""
+"""The web page: the console, the recorder, the API's description. Their files are under ``/web``, and those of the
+JavaScript client, which they import, under ``/js``."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from starlette.staticfiles import StaticFiles
 
 from rholoc.service.access.scopes import OPEN
 
-PREFIX = "/web"
+FOLDERS = {"/web": "page", "/js": "js"}
 PAGES = {"/": "index.html", "/record": "record/index.html", "/here/{site}": "here/index.html", "/docs": "docs.html"}
 _SWAGGER_UI = ("fastapi_offline", "static")  # the package that has its files
 _TYPES = {".js": "text/javascript", ".webmanifest": "application/manifest+json", ".svg": "image/svg+xml"}
@@ -20,9 +21,9 @@ _SERVICE_WORKER = "service-worker.js"
 
 
 def web_folder() -> Path:
-    """The folder of the page's files: in the installed package, or under ``client`` in a checkout."""
+    """The folder of the page and the JavaScript client: in the installed package, or ``client`` of a checkout."""
     installed = Path(__file__).parents[1] / "web_files"
-    return installed if installed.is_dir() else Path(__file__).parents[4] / "client" / "page"
+    return installed if installed.is_dir() else Path(__file__).parents[4] / "client"
 
 
 class _PageFiles(StaticFiles):
@@ -40,11 +41,11 @@ def install(app: FastAPI) -> None:
     """Serve the page's files with the app, to everyone."""
     for suffix, kind in _TYPES.items():
         mimetypes.add_type(kind, suffix)  # operating systems have different types
-    files = _PageFiles(directory=web_folder())
+    folders = {prefix: _PageFiles(directory=web_folder() / name) for prefix, name in FOLDERS.items()}
     served = {
-        f"{PREFIX}/swagger/{{file:path}}": _file(_PageFiles(packages=[_SWAGGER_UI])),
-        f"{PREFIX}/{{file:path}}": _file(files),
-        **{path: _page(files, name) for path, name in PAGES.items()},
+        "/web/swagger/{file:path}": _file(_PageFiles(packages=[_SWAGGER_UI])),
+        **{f"{prefix}/{{file:path}}": _file(files) for prefix, files in folders.items()},
+        **{path: _page(folders["/web"], name) for path, name in PAGES.items()},
     }
     for path, answer in served.items():
         app.add_api_route(path, answer, methods=["GET", "HEAD"], include_in_schema=False, dependencies=[OPEN])

@@ -11,6 +11,7 @@ from rholoc import mapping
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import FloatArray
 from rholoc.geometry.earth import EarthPlace
+from rholoc.geometry.grids import places_in
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint
 from rholoc.service.http.models import Number, RequestModel, Vector2, Vector3
 
@@ -123,12 +124,14 @@ class NamesIn(_CorrectionIn):
 
 
 class EarthPoint(RequestModel):
-    """A point of the map, and where it is on Earth, WGS 84."""
+    """A point of the map, and where it is on Earth: WGS 84, or in the correction's `crs`."""
 
     map: Vector3 = Field(description="present frame")
-    latitude_deg: Number
-    longitude_deg: Number
-    height_m: Number = Field(default=0.0, description="above the ellipsoid")
+    latitude_deg: Number | None = Field(default=None, description="WGS 84, without `crs`")
+    longitude_deg: Number | None = Field(default=None, description="WGS 84, without `crs`")
+    easting: Number | None = Field(default=None, description="in `crs`, in its unit")
+    northing: Number | None = Field(default=None, description="in `crs`, in its unit")
+    height_m: Number = Field(default=0.0, description="above the ellipsoid, or as `crs` counts heights")
 
 
 class EarthIn(_CorrectionIn):
@@ -138,6 +141,11 @@ class EarthIn(_CorrectionIn):
     points: list[EarthPoint] = Field(min_length=1, max_length=100)
     heading_deg: Number | None = Field(
         default=None, description="of the map's y axis: degrees from true north, clockwise; default: by the points"
+    )
+    crs: str | None = Field(
+        default=None,
+        description="EPSG code of a national grid, with that of heights above the sea after a plus sign, such as "
+        "EPSG:25833+7837; default: WGS 84, heights above the ellipsoid",
     )
 
 
@@ -196,10 +204,18 @@ def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
             return mapping.set_names(map_, _names(wanted))
         case EarthIn():
             points = _vector([one.map for one in wanted.points]).reshape(-1, 3)
-            places = [EarthPlace(one.latitude_deg, one.longitude_deg, one.height_m) for one in wanted.points]
-            return mapping.set_earth(map_, points, places, wanted.heading_deg)
+            return mapping.set_earth(map_, points, _places(wanted), wanted.heading_deg)
         case LabelsIn():
             return mapping.set_labels(map_, MapLabels(wanted.site, wanted.floor, tuple(wanted.tags)))
+
+
+def _places(wanted: EarthIn) -> list[EarthPlace]:
+    first, second = ("latitude_deg", "longitude_deg") if wanted.crs is None else ("easting", "northing")
+    given = [(getattr(one, first), getattr(one, second), one.height_m) for one in wanted.points]
+    if any(None in one for one in given):
+        where = "WGS 84" if wanted.crs is None else wanted.crs
+        raise InvalidInput(f"A point has no place in {where}.", f"Give each {first} and {second}.")
+    return [EarthPlace(*one) for one in given] if wanted.crs is None else places_in(wanted.crs, np.array(given))
 
 
 def _names(wanted: NamesIn) -> MapNames:
