@@ -79,7 +79,7 @@ export interface Correction {
   views_removed?: number;
 }
 
-/** What was corrected. */
+/** Kind of a correction. */
 export type CorrectionKind = "origin" | "north" | "wall" | "up" | "scale" | "plan" | "region" | "walk" | "names" | "floor-plan" | "earth" | "labels";
 
 /** The form of equation (3) that a map's densities take. */
@@ -202,7 +202,7 @@ export interface JobError {
   hint: string;
 }
 
-/** What a job does. */
+/** Kind of a job. */
 export type JobKind = "build" | "update" | "learn" | "place";
 
 /** A mapping job. */
@@ -244,7 +244,7 @@ export type JobPriority = "high" | "normal" | "low";
 /** State of a job. */
 export type JobState = "queued" | "running" | "published" | "failed" | "cancelled";
 
-/** How a camera projects. */
+/** Projection model of a camera. */
 export type Lens = "pinhole" | "fisheye" | "equirectangular";
 
 /** The answer for one frame. ``localized`` false is an answer, not an error. */
