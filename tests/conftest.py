@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import socket
+import ssl
 import sys
 import threading
 import time
@@ -62,6 +64,23 @@ if TYPE_CHECKING:
 _PATIENCE_S = 60.0
 for _part in ("connect", "read", "write", "pool"):
     setattr(httpx._config.DEFAULT_TIMEOUT_CONFIG, _part, _PATIENCE_S)  # bound in the signatures of httpx's functions
+
+# httpx reads the certificates of all authorities for every request that has no client: 20 ms of each of thousands.
+_create_ssl_context = httpx._transports.default.create_ssl_context
+
+
+@functools.cache
+def _ssl_context_of(*trusted: str | None) -> ssl.SSLContext:
+    return _create_ssl_context()
+
+
+def _quick_ssl_context(verify: ssl.SSLContext | str | bool = True, **options: Any) -> ssl.SSLContext:
+    if verify is True:
+        return _ssl_context_of(os.environ.get("SSL_CERT_FILE"), os.environ.get("SSL_CERT_DIR"))
+    return _create_ssl_context(verify, **options)
+
+
+httpx._transports.default.create_ssl_context = _quick_ssl_context
 
 # As many examples as find what is easily wrong; each run draws others.
 hypothesis_settings.register_profile("rholoc", max_examples=40, deadline=None)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
-
-from rholoc.reports.json import report_from_json, report_to_json
 
 
 @dataclass(frozen=True)
@@ -151,17 +148,3 @@ class TrajectoryReport:
     expected_error_m: float | None = None
     expected_error_deg: float | None = None
     missing: tuple[MissingSpan, ...] | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """As a map's file keeps it."""
-        members: dict[str, Any] = report_to_json(self)
-        return members
-
-    @classmethod
-    def from_json(cls, members: dict[str, Any]) -> TrajectoryReport:
-        """Report from the JSON of :meth:`to_json`, of this version or an earlier one.
-
-        Raises:
-            ValueError: a member is of another type; names it.
-        """
-        return report_from_json(cls, members)

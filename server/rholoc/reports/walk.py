@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
-
-from rholoc.reports.json import report_to_json
 
 
 class WarningKind(StrEnum):
@@ -108,8 +106,3 @@ class CoachingReport:
     figures: WalkFigures
     warnings: tuple[RecordingWarning, ...] = ()
     advice: tuple[Advice, ...] = ()
-
-    def to_json(self) -> dict[str, Any]:
-        """As a map's file keeps it."""
-        members: dict[str, Any] = report_to_json(self)
-        return members

@@ -17,6 +17,7 @@ from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.initialization.mapper_starts import Mapper
 from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.reconstruction import from_pictures
+from rholoc.trajectory.reconstruction.from_pictures import Pictured
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.visual.matching import VerifiedPair
 
@@ -80,12 +81,9 @@ def taken(
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "_agreement", compared)
     monkeypatch.setattr(from_pictures, "_comparison", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3]))
-    monkeypatch.setattr(from_pictures, "_refined", lambda part, *_: (part, evidence))
-    monkeypatch.setattr(
-        from_pictures, "_finished", lambda sights, evidence, part, *_: Result(part, covariances, placed)
-    )
-    camera: Any = None
-    found: Any = from_pictures.solve_from_set(sights, camera, evidence, (), "", AdjustmentProgress(silent))
+    monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, _: (part, walk))
+    monkeypatch.setattr(from_pictures, "_finished", lambda walk, part, _: Result(part, covariances, placed))
+    found: Any = from_pictures.solve_from_set(Pictured(sights, CAMERA, evidence), AdjustmentProgress(silent))
     assert isinstance(found, Result)
     return found
 
@@ -147,4 +145,4 @@ def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:
     part: Any = type("Part", (), {"members": np.arange(2), "adjusted": type("Adjusted", (), {"state": state})()})()
     sights: Any = type("Sights", (), {"rows": np.arange(5), "features": [_Pixels(pixels)] * 5})()
     evidence: Any = type("Evidence", (), {"sequential": linked, "weak": [doors, beside]})()
-    assert from_pictures._fitting(part, sights, CAMERA, evidence) == [beside]
+    assert from_pictures._fitting(part, Pictured(sights, CAMERA, evidence)) == [beside]

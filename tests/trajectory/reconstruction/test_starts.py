@@ -22,6 +22,7 @@ from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import InertialState, Problem, State
 from rholoc.trajectory.reconstruction import dispatch, from_imu
+from rholoc.trajectory.reconstruction.from_pictures import Pictured
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
@@ -144,22 +145,20 @@ class _Route:
         self.felt.append(felt)
         return "evidence"
 
-    def _solve(
-        self, sights: Sights, camera: object, evidence: object, waypoints: object, reason: str, steps: object
-    ) -> Any:
-        self.reasons.append(reason)
-        self.halves.append(sights.rows)
-        count = len(sights.rows)
-        T = arc(24, 0.6)[sights.rows]
+    def _solve(self, walk: Pictured, steps: object) -> Any:
+        self.reasons.append(walk.reason)
+        self.halves.append(walk.sights.rows)
+        count = len(walk.sights.rows)
+        T = arc(24, 0.6)[walk.sights.rows]
         return Reconstruction(
             np.ones(count, bool), T, np.zeros((count, 6, 6)), CAMERA, None, _FRAME, None,
-            reason, {}, (), 0.3, 5, 0, 2.0,
+            walk.reason, {}, (), 0.3, 5, 0, 2.0,
         )  # fmt: skip
 
-    def _solve_set(self, sights: Sights, *_: object) -> Any:
-        assert not sights.is_film
+    def _solve_set(self, walk: Pictured, steps: object) -> Any:
+        assert not walk.sights.is_film
         self.reasons.append("set")
-        return replace(self._solve(sights, None, None, None, "set", None), residual_px=0.5)
+        return replace(self._solve(replace(walk, reason="set"), steps), residual_px=0.5)
 
 
 def test_a_useful_imu_is_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,13 +9,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import Camera
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import Imu, Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.inertial.gyroscope import camera_rotations
 from rholoc.trajectory.reconstruction.from_imu import calibrated, solve_with_imu, start_with_imu
-from rholoc.trajectory.reconstruction.from_pictures import solve_from_pictures, solve_from_set
+from rholoc.trajectory.reconstruction.from_pictures import Pictured, solve_from_pictures, solve_from_set
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
@@ -65,20 +64,13 @@ def _reconstruct(
             return solve_with_imu(sights, imu, gyro, evidence, start, waypoints, steps)
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
     if sights.is_film:
-        return _from_film(sights, camera, evidence, waypoints, reason, steps)
+        return _from_film(Pictured(sights, camera, evidence, waypoints, reason), steps)
     if felt is not None:  # pairs that a wrong gyroscope contradicts were left out
         evidence = gather_evidence(sights, camera, None, progress)
-    return solve_from_set(sights, camera, evidence, waypoints, reason, steps)
+    return solve_from_set(Pictured(sights, camera, evidence, waypoints, reason), steps)
 
 
-def _from_film(
-    sights: Sights,
-    camera: Camera,
-    evidence: Evidence,
-    waypoints: Sequence[tuple[Waypoint, ...]],
-    reason: str,
-    steps: AdjustmentProgress,
-) -> Reconstruction:
+def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
     """Reconstruct a film by following it. Where that leaves much out or contradicts itself, its keyframes are a set.
 
     Raises:
@@ -87,18 +79,18 @@ def _from_film(
     found: Reconstruction | None = None
     failure = MappingFailed("No two pictures overlap enough.", ADVICE)
     try:
-        found = solve_from_pictures(sights, camera, evidence, waypoints, reason, steps)
+        found = solve_from_pictures(walk, steps)
         steps.step(0.95, 0.99, "checked by a second reconstruction")
-        found = replace(found, agreement=_agreement(found, sights))
+        found = replace(found, agreement=_agreement(found, walk.sights))
     except MappingFailed as error:
         failure = error
     contradicted = found is not None and found.agreement is not None and found.agreement.contradicts
     if found is not None and not contradicted and found.placed.mean() >= _WELL_PLACED:
         return found
-    as_set = replace(sights, is_film=False)
+    as_set = replace(walk.sights, is_film=False)
     try:
-        evidence = gather_evidence(as_set, camera, None, silent)
-        other = solve_from_set(as_set, camera, evidence, waypoints, reason, steps)
+        evidence = gather_evidence(as_set, walk.camera, None, silent)
+        other = solve_from_set(replace(walk, sights=as_set, evidence=evidence), steps)
     except MappingFailed as error:
         if found is None or contradicted:
             raise (failure if found is None else error) from None
@@ -112,9 +104,8 @@ def _agreement(found: Reconstruction, sights: Sights) -> Agreement:
     some = np.arange(0, len(sights.rows), 2)
     half = sights.take(some)
     try:
-        other = solve_from_pictures(
-            half, found.camera, gather_evidence(half, found.camera, None, silent), (), "", AdjustmentProgress(silent)
-        )
+        evidence = gather_evidence(half, found.camera, None, silent)
+        other = solve_from_pictures(Pictured(half, found.camera, evidence), AdjustmentProgress(silent))
     except MappingFailed:
         return Agreement(np.nan, np.nan, np.nan, 0, len(some))
     return compare(found.T_map_camera, found.placed, some, other.T_map_camera, other.placed, found.median_depth)

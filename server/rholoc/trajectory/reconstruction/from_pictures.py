@@ -41,7 +41,6 @@ from rholoc.trajectory.reconstruction.sights import ADVICE, DENSER, MANY_FEATURE
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
-from rholoc.trajectory.visual.two_view import PairRotation
 
 _ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
@@ -53,69 +52,72 @@ _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of
 _LOOSE = 0.1  # of the extent, by which poses are uncertain that nothing confirms, for them to be worth nothing
 
 
-def solve_from_pictures(
-    sights: Sights,
-    camera: Camera,
-    evidence: Evidence,
-    waypoints: Sequence[tuple[Waypoint, ...]],
-    reason: str,
-    progress: AdjustmentProgress,
-) -> Reconstruction:
-    """Reconstruct the largest connected part of a walk from its pictures.
+@dataclass(frozen=True, eq=False)
+class Pictured:
+    """A walk without an IMU: what its pictures show, and what else was measured.
 
-    Args:
+    Attributes:
+        sights: sightings of K keyframes.
+        camera: of the sights, or a first guess of it.
+        evidence: of the sights.
+        waypoints: with times; if these are unknown, all possible assignments to pauses. Empty without waypoints.
         reason: one line on why the IMU was not used, or empty.
+    """
+
+    sights: Sights
+    camera: Camera
+    evidence: Evidence
+    waypoints: Sequence[tuple[Waypoint, ...]] = ()
+    reason: str = ""
+
+    def observations(self) -> Observations:
+        """Sightings of corners and matched features, with their depths where these were measured."""
+        return with_depths(self.evidence.observations(self.sights), self.sights.depth, self.camera)
+
+
+def solve_from_pictures(walk: Pictured, progress: AdjustmentProgress) -> Reconstruction:
+    """Reconstruct the largest connected part of a walk from its pictures.
 
     Raises:
         MappingFailed: no two pictures overlap, or the waypoints contradict them.
     """
-    whole = with_depths(evidence.observations(sights), sights.depth, camera)
-    part = _adjusted(sights, whole, _own_start(sights, camera, evidence.rotations, whole), progress, (0.45, 0.75))
-    return _finished(sights, evidence, part, waypoints, reason, progress)
+    whole = walk.observations()
+    part = _adjusted(walk.sights, whole, _own_start(walk, whole), progress, (0.45, 0.75))
+    return _finished(walk, part, progress)
 
 
-def solve_from_set(
-    sights: Sights,
-    camera: Camera,
-    evidence: Evidence,
-    waypoints: Sequence[tuple[Waypoint, ...]],
-    reason: str,
-    progress: AdjustmentProgress,
-) -> Reconstruction:
+def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstruction:
     """Reconstruct a set of pictures by several mappers, which check each other.
 
     Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
     they see enough points. The reconstruction of which another one confirms most pictures is taken.
 
-    Args:
-        reason: one line on why the IMU was not used, or empty.
-
     Raises:
         MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
             hardly overlap.
     """
-    whole = with_depths(evidence.observations(sights), sights.depth, camera)
+    whole, count = walk.observations(), len(walk.sights.rows)
     parts: list[_Part] = []
     for number, mapper in enumerate(Mapper):
         span = 0.45 + 0.07 * number, 0.52 + 0.07 * number
-        part = _placed_by(mapper, sights, camera, evidence, whole, progress, span)
+        part = _placed_by(mapper, walk, whole, progress, span)
         if part is None:
             continue
         parts.append(part)
-        if _confirmed(part, parts) >= _ALL * len(sights.rows):
+        if _confirmed(part, parts) >= _ALL * count:
             break
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
-    best = _most_confirmed(parts, len(sights.rows))
+    best = _most_confirmed(parts, count)
     agreement, other = _best_agreement(best, parts)
     if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
-    part, evidence = _refined(best, sights, camera, evidence, progress)
-    found = _finished(sights, evidence, part, waypoints, reason, progress)
+    part, walk = _refined(best, walk, progress)
+    found = _finished(walk, part, progress)
     if (agreement is None or not agreement.same) and _is_loose(found):
         raise MappingFailed("Too little ties these pictures together.", DENSER)
     if agreement is None or other is None:
-        return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, len(sights.rows)))
+        return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, count))
     if agreement.common < _MOST * len(part.members):
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
     in_map_frame = _comparison(found.T_map_camera, found.placed, found.median_depth, other)
@@ -141,27 +143,22 @@ class _Part:
 
 
 def _placed_by(
-    mapper: Mapper,
-    sights: Sights,
-    camera: Camera,
-    evidence: Evidence,
-    whole: Observations,
-    progress: AdjustmentProgress,
-    span: tuple[float, float],
+    mapper: Mapper, walk: Pictured, whole: Observations, progress: AdjustmentProgress, span: tuple[float, float]
 ) -> _Part | None:
     """The part that a mapper places, adjusted; None if it places none."""
+    sights, camera, sequential = walk.sights, walk.camera, walk.evidence.sequential
     try:
         if mapper is Mapper.DEPTH:
             rays = [camera.rays(features.pixels) for features in sights.features]
-            linked = None if sights.depth is None else depth_start(camera, sights.depth, rays, evidence.sequential)
+            linked = None if sights.depth is None else depth_start(camera, sights.depth, rays, sequential)
             if linked is None:
                 return None
             start = State(linked[0], np.zeros((0, 3)), camera), linked[1]
         elif mapper is Mapper.OWN:
-            start = _own_start(sights, camera, evidence.rotations, whole)
+            start = _own_start(walk, whole)
         else:
             pixels = [features.pixels.astype(np.float64) for features in sights.features]
-            piece = largest_piece(mapper, camera, sights.camera is not None, pixels, evidence.sequential)
+            piece = largest_piece(mapper, camera, sights.camera is not None, pixels, sequential)
             if piece is None:
                 return None
             start = State(piece.T_world_camera, np.zeros((0, 3)), piece.camera), piece.members
@@ -175,24 +172,22 @@ def _placed_by(
     return replace(part, in_metres=mapper is Mapper.DEPTH)
 
 
-def _refined(
-    part: _Part, sights: Sights, camera: Camera, evidence: Evidence, progress: AdjustmentProgress
-) -> tuple[_Part, Evidence]:
+def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[_Part, Pictured]:
     """The part adjusted to more sightings and the weak pairs that fit it, with further pictures that these place.
 
-    Returns the part as it is if they bend it.
+    Returns the part as it is if they bend it, and the walk with the pairs that were used.
     """
-    more = _fitting(part, sights, camera, evidence)
-    richer = replace(evidence, sequential=[*evidence.sequential, *more], weak=[])
-    whole = with_depths(richer.observations(sights, MANY_FEATURES), sights.depth, camera)
+    sights, evidence = walk.sights, walk.evidence
+    richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
+    whole = with_depths(richer.observations(sights, MANY_FEATURES), sights.depth, walk.camera)
     start = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
     try:
         found = _adjusted(sights, whole, start, progress, (0.75, 0.85))
     except (MappingFailed, RuntimeError):
-        return part, evidence
+        return part, walk
     if not _agreement(found, part).same:
-        return part, evidence
-    return _unzoomed(found, sights, whole, progress), richer
+        return part, walk
+    return _unzoomed(found, sights, whole, progress), replace(walk, evidence=richer)
 
 
 def _unzoomed(part: _Part, sights: Sights, whole: Observations, progress: AdjustmentProgress) -> _Part:
@@ -215,26 +210,26 @@ def _unzoomed(part: _Part, sights: Sights, whole: Observations, progress: Adjust
     return found if found is part else replace(found, zooms=zooms[found.members])
 
 
-def _fitting(part: _Part, sights: Sights, camera: Camera, evidence: Evidence) -> list[VerifiedPair]:
+def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
     """Weak pairs that may show the same place as the part does.
 
     Of two pictures of the part, those that its poses fit, as near to each other as clear pairs are. Of a picture that
     it has not, those beside a clear pair with the part: what else looks alike has better matches where it belongs.
     """
-    count = len(sights.rows)
+    count = len(walk.sights.rows)
     T = np.full((count, 4, 4), np.nan)
     T[part.members] = part.adjusted.state.T_map_camera
     reach, beside = np.zeros(count), np.zeros(count, dtype=np.bool_)
     placed = np.isfinite(T[:, 0, 0])
-    for pair in evidence.sequential:
+    for pair in walk.evidence.sequential:
         beside[pair.first] |= placed[pair.second]
         beside[pair.second] |= placed[pair.first]
         apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
         for k in (pair.first, pair.second):
             reach[k] = np.fmax(reach[k], apart)
-    rays = [camera.rays(found.pixels) for found in sights.features]
+    rays = [walk.camera.rays(found.pixels) for found in walk.sights.features]
     found = []
-    for pair in evidence.weak:
+    for pair in walk.evidence.weak:
         T_second_map, T_map_first = np.linalg.inv(T[pair.second]), T[pair.first]
         apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
         if np.isnan(apart):
@@ -324,23 +319,17 @@ def _adjusted(
     return _Part(members, problem, adjusted)
 
 
-def _finished(
-    sights: Sights,
-    evidence: Evidence,
-    part: _Part,
-    waypoints: Sequence[tuple[Waypoint, ...]],
-    reason: str,
-    progress: AdjustmentProgress,
-) -> Reconstruction:
+def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reconstruction:
     """The part in the map frame, as a reconstruction of all pictures."""
+    sights = walk.sights
     up = up_by_pictures(part.adjusted.state.R_map_camera)
     members = sights.take(part.members)
     depth = scale_by_depth(part.problem, part.adjusted)
     driven = scale_by_steps(members.steps, part.adjusted)
     scales = scales_by_lengths(members.lengths, part.adjusted)
     scales += [one for one in (depth, driven) if one is not None]
-    solved = in_map_frame(part.problem, part.adjusted, waypoints, up, scales, (), progress)
-    found = finished(solved, len(evidence.loops), sights.camera is not None, None, reason)
+    solved = in_map_frame(part.problem, part.adjusted, walk.waypoints, up, scales, (), progress)
+    found = finished(solved, len(walk.evidence.loops), sights.camera is not None, None, walk.reason)
     if sights.camera is not None:
         doubts = (*found.frame.doubts, *_doubts_about_focal(part, sights.camera))
         found = replace(found, frame=replace(found.frame, doubts=doubts))
@@ -385,12 +374,10 @@ def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstructi
     return replace(part, placed=placed, T_map_camera=T, covariances=covariances, zooms=zooms)
 
 
-def _own_start(
-    sights: Sights, camera: Camera, rotations: Sequence[PairRotation], observations: Observations
-) -> tuple[State, IntArray]:
+def _own_start(walk: Pictured, observations: Observations) -> tuple[State, IntArray]:
     """First poses of the largest connected part by rotation averaging and global positioning, and its keyframes."""
-    count = len(sights.rows)
-    R, component = average_rotations(count, rotations, sights.times, None)
+    camera, count = walk.camera, len(walk.sights.rows)
+    R, component = average_rotations(count, walk.evidence.rotations, walk.sights.times, None)
     piece = pieces_of(count, observations)
     both = component * (count + 1) + piece
     both[piece < 0] = -1

@@ -44,6 +44,8 @@ router = APIRouter(prefix="/v1/maps", tags=["maps"])
 Level = Annotated[
     str | None, Query(description="of an IMDF archive: its level by name, ordinal or id; default: the only one")
 ]
+_FAILURES_OF_CHANGES = (*_FAILURES, InvalidInput, Conflict, Busy, StorageFull)
+_FAILURES_OF_FILES = (*_FAILURES_OF_CHANGES, UnsupportedMediaType, TooLarge)
 _ARCHIVE_BODY = {ARCHIVE: {"schema": BINARY}}
 _CORRECTIONS: dict[str, Example] = {kind: {"value": value} for kind, value in EXAMPLES["CorrectionIn"].items()}
 
@@ -79,7 +81,7 @@ class ForgetIn(RequestModel):
 
 @router.post(
     "/{map_name}/corrections",
-    **declared(NEEDS_MAP, "Correct a map", *_FAILURES, InvalidInput, Conflict, Busy, StorageFull),
+    **declared(NEEDS_MAP, "Correct a map", *_FAILURES_OF_CHANGES),
 )
 async def correct_map(
     map_name: str, wanted: Annotated[CorrectionIn, Body(openapi_examples=_CORRECTIONS)], service: Service
@@ -96,17 +98,7 @@ async def correct_map(
 @router.put(
     "/{map_name}/names",
     openapi_extra=request_body({**NAMES_CONTENT, **_ARCHIVE_BODY}),
-    **declared(
-        NEEDS_MAP,
-        "Set a map's named points and areas by GeoJSON",
-        *_FAILURES,
-        InvalidInput,
-        UnsupportedMediaType,
-        TooLarge,
-        Conflict,
-        Busy,
-        StorageFull,
-    ),
+    **declared(NEEDS_MAP, "Set a map's named points and areas by GeoJSON", *_FAILURES_OF_FILES),
 )
 async def put_names(map_name: str, request: Request, service: Service, level: Level = None) -> MapDetail:
     """The body is a FeatureCollection of points and polygons, or an IMDF archive. `name` and `kind` of their properties
@@ -131,17 +123,7 @@ async def put_names(map_name: str, request: Request, service: Service, level: Le
 @router.put(
     "/{map_name}/plan",
     openapi_extra=request_body({**{kind: {"schema": BINARY} for kind in MEDIA_TYPES}, **_ARCHIVE_BODY}),
-    **declared(
-        NEEDS_MAP,
-        "Keep a floor plan with a map",
-        *_FAILURES,
-        InvalidInput,
-        UnsupportedMediaType,
-        TooLarge,
-        Conflict,
-        Busy,
-        StorageFull,
-    ),
+    **declared(NEEDS_MAP, "Keep a floor plan with a map", *_FAILURES_OF_FILES),
 )
 async def put_plan(
     map_name: str,
