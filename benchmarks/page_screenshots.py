@@ -81,7 +81,7 @@ QUALITY = 70  # of the JPEG files
 TALLEST_PX = 1800
 WHY = (
     "Two reconstructions disagree: 3.1% of the median depth and 1.2° apart, nine in ten keyframes within 5.4%. "
-    "A waypoint is missed by 0.31 m."
+    "The waypoint W2 is missed by 0.31 m."
 )
 
 

@@ -896,7 +896,11 @@ export const GERMAN_OF_SERVER = {
   "Check the connection and try again.": "Bitte die Verbindung prüfen und es noch einmal versuchen.",
   "The server answered with status {0}.": "Der Server hat mit dem Status {0} geantwortet.",
   "The connection broke off.": "Die Verbindung ist abgebrochen.",
+  "waiting for a worker: none is running": "wartet auf einen Worker: Es läuft keiner",
+  "waiting for a worker with {0} of memory for it: none has more than {1}":
+    "wartet auf einen Worker mit {0} Speicher: Keiner hat mehr als {1}",
   "waiting for a worker": "wartet auf einen freien Worker",
+  "the worker died {0} times in a row: {1}": "Der Worker brach {0}-mal nacheinander ab: {1}",
   "{0} of {1} pairs of pictures matched": "{0} von {1} Bildpaaren verglichen",
   "all measurements adjusted together": "alle Messungen werden gemeinsam ausgeglichen",
   "adjusted anew": "neu ausgeglichen",
