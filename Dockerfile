@@ -22,7 +22,7 @@ COPY client/pyproject.toml /src/client/
 RUN python3 -c "import tomllib; \
 server, client = (tomllib.load(open(of + '/pyproject.toml', 'rb'))['project'] for of in ('server', 'client')); \
 extras = server['optional-dependencies']; \
-needed = [*server['dependencies'], *extras['server'], *extras['telemetry'], *client['dependencies']]; \
+needed = [*server['dependencies'], *extras['server'], *extras['telemetry'], *extras['grids'], *client['dependencies']]; \
 print(*(name for name in needed if not name.startswith('rholoc-client')), sep='\n')" \
         > /tmp/requirements.txt \
     && /opt/rholoc/bin/pip install -r /tmp/requirements.txt

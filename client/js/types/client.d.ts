@@ -78,7 +78,7 @@ export class Client {
      * Send a recording, in pieces that go on where they broke off; resolves to the id of the job that makes a map of it.
      * @param {Blob} recording a video, or a zip archive of a recording's files
      * @param {string} [options.name] of the file
-     * @param {string} [options.kind] what to do with the map there is: build, replace, update
+     * @param {string} [options.kind] "build" a map (the default), or "update" the one there is
      * @param {string} [options.camera] one that the service knows, by name
      * @param {string | null} [options.location] where an earlier try stands
      * @param {number} [options.tries] failures in a row after which to give up

@@ -5,6 +5,7 @@ import { fill, h } from "../shared/dom.js";
 import { coordinates, t } from "../shared/text.js";
 import { planUnder } from "./floor_plan.js";
 import { length } from "./format.js";
+import { cross, dot } from "./matrix.js";
 import { drawFloorPlan } from "./plan_view.js";
 
 // The least number of landmarks in view, as a share of what suffices, and its colour: from plenty to none. Blue against
@@ -183,10 +184,6 @@ export function moved({ cells, headings_deg: headings }, { cell, heading }, key)
   const ahead = cells.map((one, i) => [along(one) + 4 * aside(one), i]).filter(([, i]) => along(cells[i]) > 0);
   return ahead.length ? { cell: ahead.reduce((best, one) => (one[0] < best[0] ? one : best))[1], heading } : null;
 }
-
-/** @type {(u: number[], v: number[]) => number[]} */
-const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
-const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
 
 /** The place of a cell and the direction of a heading [degrees]. */
 const spotOf = (coverage, cell, heading) => [position(coverage, cell), coverage.headings_deg[heading]];

@@ -1,6 +1,7 @@
 // Where pictures come from: a file, this device's camera, a video. Each gives `{image, width, height}` to be drawn, and
 // of a film with the time at which it was taken.
 
+import { openCamera } from "../record/camera.js";
 import { h } from "../shared/dom.js";
 import { t } from "../shared/text.js";
 
@@ -34,7 +35,9 @@ export function jpeg({ image, width, height }, canvas = h("canvas", { width, hei
  * shape where it can: that of the recorder, if it is the same phone.
  */
 export async function* cameraFrames({ camera }, signal) {
-  const stream = await openStream(camera);
+  if (!navigator.mediaDevices) throw new Error(t`The camera needs HTTPS: start the server with rholoc serve --tls.`);
+  const [height, width] = [camera.width, camera.height].sort((a, b) => a - b);
+  const stream = await openCamera(width, height);
   const video = h("video", { playsinline: true, muted: true });
   try {
     video.srcObject = stream;
@@ -47,21 +50,6 @@ export async function* cameraFrames({ camera }, signal) {
     }
   } finally {
     for (const track of stream.getTracks()) track.stop();
-  }
-}
-
-async function openStream(camera) {
-  if (!navigator.mediaDevices) throw new Error(t`The camera needs HTTPS: start the server with rholoc serve --tls.`);
-  const [long, short] = [Math.max(camera.width, camera.height), Math.min(camera.width, camera.height)];
-  try {
-    return await navigator.mediaDevices.getUserMedia({
-      video: { width: { ideal: long }, height: { ideal: short }, facingMode: "environment" },
-    });
-  } catch (error) {
-    const refused = error.name === "NotAllowedError";
-    throw new Error(
-      refused ? t`The camera was refused. Allow it in the browser's settings for this page.` : t`No camera was found.`,
-    );
   }
 }
 

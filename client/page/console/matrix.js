@@ -54,6 +54,9 @@ export function project(matrix, [x, y, z]) {
   return [cx / w, cy / w, w];
 }
 
-const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
-const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+
+/** @type {(u: number[], v: number[]) => number[]} */
+export const cross = ([a, b, c], [x, y, z]) => [b * z - c * y, c * x - a * z, a * y - b * x];
+
 const unit = (v) => v.map((value) => value / (Math.hypot(...v) || 1));

@@ -1,5 +1,7 @@
 // Where those are who ask for poses, between their answers: moved smoothly from one to the next.
 
+import { meanRotation } from "../../js/poses.js";
+
 const FASTEST_S = 0.05; // between two answers of one asker
 const SLOWEST_S = 1; // that a way from one answer to the next is drawn in
 const SETTLED_S = 0.05; // after an arrival, so that it is drawn, too
@@ -51,25 +53,6 @@ function between({ answer, from, since, span }, now) {
   const share = Math.min(1, (now - since) / span);
   const to = answer.T_map_camera;
   if (share >= 1 || !from) return to;
-  const mixed = from.map((row, i) => row.map((value, j) => value + share * (to[i][j] - value)));
-  return orthonormal(mixed);
-}
-
-/** A matrix near a pose, made one: its axes unit and square to each other. */
-function orthonormal(T) {
-  const column = (j) => [0, 1, 2].map((i) => T[i][j]);
-  const ahead = unit(column(2), [0, 0, 1]);
-  const down = column(1);
-  const along = down.reduce((sum, value, i) => sum + value * ahead[i], 0);
-  const y = unit(
-    down.map((value, i) => value - along * ahead[i]),
-    [0, 1, 0],
-  );
-  const x = [0, 1, 2].map((i) => y[(i + 1) % 3] * ahead[(i + 2) % 3] - y[(i + 2) % 3] * ahead[(i + 1) % 3]);
-  return [0, 1, 2].map((i) => [x[i], y[i], ahead[i], T[i][3]]).concat([[0, 0, 0, 1]]);
-}
-
-function unit(v, otherwise) {
-  const length = Math.hypot(...v);
-  return length > 1e-6 ? v.map((value) => value / length) : otherwise;
+  const R = meanRotation([from, to], [1 - share, share]);
+  return [...R.map((row, i) => [...row, from[i][3] + share * (to[i][3] - from[i][3])]), [0, 0, 0, 1]];
 }

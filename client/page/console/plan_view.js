@@ -2,6 +2,7 @@
 
 import { resolvedColour } from "../shared/colours.js";
 import { h } from "../shared/dom.js";
+import { dot } from "./matrix.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 
 const MARGIN = 0.08; // of the canvas, on each side
@@ -18,8 +19,6 @@ export const Side = Object.freeze({
   SOUTH: { right: [1, 0, 0], up: [0, 0, 1], names: ["x", "z"] },
   EAST: { right: [0, 1, 0], up: [0, 0, 1], names: ["y", "z"] },
 });
-
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 /** A canvas that shows a scene of `readScene`; `drawn(points, done)` hears of what the pointer draws, `clicked(point)` of clicks. */
 export class PlanView {

@@ -1,5 +1,7 @@
 // Where a landmark may be seen from, as lines: a cone about the mean direction it was seen from, cut off at both ends.
 
+import { cross } from "./matrix.js";
+
 const CORNERS = 32; // of a circle
 const RAYS = 8; // along the cone's edge
 const ARC_STEPS = 16; // across the far end
@@ -36,11 +38,10 @@ export function presenceLines({ position, direction, half_angle_deg: degrees, ne
  * @param {number[]} direction
  */
 function acrossTo(direction) {
-  const [x, y, z] = direction;
+  const [x, y] = direction;
   const level = Math.hypot(x, y);
   const across = level > 1e-6 ? [-y / level, x / level, 0] : [1, 0, 0];
-  const up = [y * across[2] - z * across[1], z * across[0] - x * across[2], x * across[1] - y * across[0]];
-  return [across, up];
+  return [across, cross(direction, across)];
 }
 
 const range = (count) => Array.from({ length: count }, (_, i) => i);

@@ -2,6 +2,7 @@
 
 import { multiply } from "../../js/poses.js";
 import { lookAt, orthographic, project } from "./matrix.js";
+import { inOtherAxes } from "./samples.js";
 
 const LIGHT = [0.35, 0.2, 0.91]; // where it comes from, z up
 const SHADED = [0.6, 0.46]; // least brightness, and what full light adds
@@ -18,7 +19,7 @@ const LEVEL = [
 
 /** What is drawn of a room (of `readRoom`): `{positions, triangles, tints, areas}`, in level axes by the rotation `R`. */
 export function surfaces({ positions, faces, colours }, R = LEVEL) {
-  const level = turned(positions, R);
+  const level = inOtherAxes(positions, 3, R);
   const triangles = new Uint32Array((faces.length / 4) * 6);
   for (let i = 0, to = 0; i < faces.length; i += 4)
     for (const corner of [0, 1, 2, 0, 2, 3]) triangles[to++] = faces[i + corner];
@@ -133,15 +134,6 @@ function paint(canvas, { level, triangles, tints }, [across, up, away], width, h
     context.fill();
     context.stroke();
   }
-}
-
-/** Positions, three numbers each, turned by a rotation. */
-function turned(positions, R) {
-  const level = new Float32Array(positions.length);
-  for (let i = 0; i < positions.length; i += 3)
-    for (let k = 0; k < 3; k++)
-      level[i + k] = R[k][0] * positions[i] + R[k][1] * positions[i + 1] + R[k][2] * positions[i + 2];
-  return level;
 }
 
 /** Cross product of the ways from vertex `a` to `c` and from `b` to `d`. */

@@ -28,3 +28,15 @@ export function inOrder(numbers, stride, order) {
   });
   return ordered;
 }
+
+/** Rows of `stride` numbers, of which the first three are a position, turned by a rotation; `kept` numbers of each. */
+export function inOtherAxes(numbers, stride, R, kept = stride) {
+  const turned = new Float32Array((numbers.length / stride) * kept);
+  for (let from = 0, to = 0; from < numbers.length; from += stride, to += kept) {
+    for (let i = 0; i < kept; i++) {
+      const [a, b, c] = R[i] ?? [];
+      turned[to + i] = i < 3 ? a * numbers[from] + b * numbers[from + 1] + c * numbers[from + 2] : numbers[from + i];
+    }
+  }
+  return turned;
+}

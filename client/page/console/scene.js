@@ -12,7 +12,7 @@ import { planLines } from "./plan_lines.js";
 import { presenceLines } from "./presence_lines.js";
 import { errorAt } from "./rightness.js";
 import { bestTurn, boundsOf, surfaces } from "./room.js";
-import { inOrder, quantiles, SHOWN, shuffledOrder } from "./samples.js";
+import { inOrder, inOtherAxes, quantiles, SHOWN, shuffledOrder } from "./samples.js";
 import { STRIDE_LANDMARK, STRIDE_VIEW } from "./scene_data.js";
 import {
   apart,
@@ -794,18 +794,6 @@ function joined(a, b) {
   both.set(a);
   both.set(b, a.length);
   return both;
-}
-
-/** Rows of `stride` numbers, of which the first three are a position, turned by a rotation; `kept` numbers of each. */
-function inOtherAxes(numbers, stride, R, kept = stride) {
-  const turned = new Float32Array((numbers.length / stride) * kept);
-  for (let from = 0, to = 0; from < numbers.length; from += stride, to += kept) {
-    for (let i = 0; i < kept; i++) {
-      const [a, b, c] = R[i] ?? [];
-      turned[to + i] = i < 3 ? a * numbers[from] + b * numbers[from + 1] + c * numbers[from + 2] : numbers[from + i];
-    }
-  }
-  return turned;
 }
 
 const transposed = (R) => R.map((_, i) => R.map((row) => row[i]));

@@ -4,15 +4,6 @@ import { t } from "../shared/text.js";
 import { brightness, greyLevels, sharpness, texture } from "./coaching.js";
 import { Problem } from "./problem.js";
 
-const WANTED = {
-  audio: false,
-  video: {
-    facingMode: { ideal: "environment" },
-    width: { ideal: 1280 },
-    height: { ideal: 720 },
-    frameRate: { ideal: 30 },
-  },
-};
 const REFUSALS = {
   NotAllowedError: [
     "camera-refused",
@@ -32,10 +23,14 @@ const TYPES = [
 ];
 const METER_LONG_SIDE = 160; // px, of the small picture that is measured
 
-/** The stream of the camera on the back. @throws {Problem} */
-export async function openCamera() {
+/** The stream of the camera on the back, in a size if it has that. @throws {Problem} */
+export async function openCamera(width = 1280, height = 720) {
+  const [size, frameRate] = [{ width: { ideal: width }, height: { ideal: height } }, { ideal: 30 }];
   try {
-    return await navigator.mediaDevices.getUserMedia(WANTED);
+    return await navigator.mediaDevices.getUserMedia({
+      audio: false,
+      video: { facingMode: { ideal: "environment" }, ...size, frameRate },
+    });
   } catch (error) {
     throw new Problem(...(REFUSALS[error.name] ?? ["camera-failed", t`The camera does not start.`, error.message]));
   }

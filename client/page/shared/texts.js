@@ -499,9 +499,6 @@ export const GERMAN = {
   "{0} frames a second": "{0} Bilder in der Sekunde",
   "The camera needs HTTPS: start the server with rholoc serve --tls.":
     "Die Kamera braucht HTTPS: den Server mit rholoc serve --tls starten.",
-  "The camera was refused. Allow it in the browser's settings for this page.":
-    "Der Zugriff auf die Kamera wurde verweigert. Bitte in den Einstellungen des Browsers für diese Seite erlauben.",
-  "No camera was found.": "Es wurde keine Kamera gefunden.",
   Trajectory: "Trajektorie",
   "{0} poses": "{0} Posen",
   Lasts: "Dauer",
