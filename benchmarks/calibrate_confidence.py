@@ -1,7 +1,7 @@
 """Fit and check the confidence of answers (rholoc.localization.belief.confidence), by recordings that are held back.
 
     python benchmarks/calibrate_confidence.py --cache FOLDER [--features gray,lab,lab3,rgb,sift,sift48] [--minutes 10]
-        [--room "kitchen, hard" ...] [--plot reliability.png]
+        [--room "kitchen, hard" ...]
 
 Every kind of features in every room of benchmarks/rooms.py. What is asked of a room's map: frames of the room, whole
 and with an eighth of their features (frames that are easy say nothing about doubt); and pictures of all other rooms,
@@ -28,7 +28,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.optimize import minimize
 from scipy.special import log_expit
 
@@ -225,21 +224,6 @@ def show(judged: list[Judged]) -> None:
     print_table(rows, list(rows[0]))
 
 
-def plot(fitted: dict[str, list[Judged]], path: Path) -> None:
-    """The reliability diagram."""
-    figure = Figure(figsize=(5, 5), layout="constrained")
-    axes = figure.add_subplot()
-    axes.plot([0, 1], [0, 1], color="0.7", label="perfect")
-    for name, judged in fitted.items():
-        bins = reliability(judged, exact=True)
-        sizes = [20 + 10 * one.answers**0.5 for one in bins]
-        axes.scatter([one.says for one in bins], [one.right for one in bins], s=sizes, label=name)
-    axes.set(xlabel="confidence", ylabel="share within 10 cm and 5°", xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
-    axes.set_title("Reliability on recordings not fitted to")
-    axes.legend(loc="upper left")
-    figure.savefig(path, dpi=120)
-
-
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -247,7 +231,6 @@ def main() -> None:
     parser.add_argument("--features", default=",".join(extractor_names()))
     parser.add_argument("--room", action="append", help="only this one; again for another")
     parser.add_argument("--minutes", type=float, default=np.inf, help="of processor time, after which it ends")
-    parser.add_argument("--plot", type=Path)
     args = parser.parse_args()
     cv2.setNumThreads(1)
     rooms = [one for one in ROOMS if not args.room or one.name in args.room]
@@ -268,8 +251,6 @@ def main() -> None:
         every = [one for some in fitted.values() for one in some]
         for exact, said in ((False, "recognized"), (True, "confidence")):
             print_table(reliability_table(every, exact), [said, "says", *fitted])
-    if args.plot and fitted:
-        plot(fitted, args.plot)
     if missing:
         print(f"{missing} rooms are still to be asked: run it again.")
         raise SystemExit(OUT_OF_TIME)

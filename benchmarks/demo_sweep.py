@@ -1,18 +1,15 @@
 """What `rholoc demo` measures, over many seeds: how right maps are, and how right they are about themselves.
 
-    python benchmarks/demo_sweep.py --cache /tmp/walks [--seeds 0-9] [--maps DIR] [--json FILE]
+    python benchmarks/demo_sweep.py --cache /tmp/walks [--seeds 0-9]
 
 Simulates the demo's two walks of each seed (kept in ``--cache``, rendering takes longest), builds the map of the first
 in this process and localizes every third frame of the second, as JPEG, without a prior. Figures of a seed, then the
-worst and the spread over all. ``--json FILE`` has them all. ``--maps DIR`` keeps the maps and takes those there are:
-for another look at answers without mapping again.
+worst and the spread over all.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -26,8 +23,7 @@ from rholoc.evaluation import PoseErrors, evaluate, read_frame_poses, trajectory
 from rholoc.geometry import FloatArray
 from rholoc.localization import Localization, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
-from rholoc.maps import Map, expected_error_m, load_map, save_map, trust_of
-from rholoc.progress import Stage
+from rholoc.maps import Map, expected_error_m, trust_of
 from rholoc.recordings import Recording, read_recording
 from rholoc.simulation import simulate_recording
 
@@ -38,20 +34,6 @@ CONFIDENT = 0.9  # from this confidence on an answer claims to be right
 RIGHT_M, RIGHT_DEG = 0.10, 5.0  # what confidence speaks of
 CHI2_95_OF_3 = 7.815
 WORST_IS_LOW = {"within_5cm_5deg", "sure_right", "covered", "views_covered", "sure", "localized"}
-
-
-class Stopwatch:
-    """A progress listener that notes how many seconds each stage took."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._stage, self._since = "", time.perf_counter()
-
-    def __call__(self, stage: Stage, fraction: float, message: str = "") -> None:
-        now = time.perf_counter()
-        if self._stage:
-            self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + now - self._since
-        self._stage, self._since = stage.value, now
 
 
 @dataclass(frozen=True)
@@ -72,7 +54,6 @@ class Figures:
     sure: float
     sure_right: float | None
     covered: float | None
-    stages_s: dict[str, float]
 
 
 def recording_of(cache: Path, seed: int, walk: int) -> Path:
@@ -85,17 +66,9 @@ def recording_of(cache: Path, seed: int, walk: int) -> Path:
     return folder
 
 
-def run(cache: Path, seed: int, maps: Path | None = None) -> Figures:
+def run(cache: Path, seed: int) -> Figures:
     """Map the first walk, localize the second."""
-    watch = Stopwatch()
-    stored = None if maps is None else maps / f"s{seed}.rho"
-    if stored is not None and stored.exists():
-        map_ = load_map(stored)
-    else:
-        map_ = build_map([read_recording(recording_of(cache, seed, 1))], BuildOptions(), watch)
-        if stored is not None:
-            stored.parent.mkdir(parents=True, exist_ok=True)
-            save_map(map_, stored)
+    map_ = build_map([read_recording(recording_of(cache, seed, 1))], BuildOptions())
     second = recording_of(cache, seed, 2)
     answers = localize(map_, read_recording(second))
     truth = read_frame_poses(second / "truth.csv").T_map_camera[::EVERY][: len(answers)]
@@ -120,7 +93,6 @@ def run(cache: Path, seed: int, maps: Path | None = None) -> Figures:
         sure=float(sure.mean()),
         sure_right=float(errors.within(RIGHT_M, RIGHT_DEG)[sure].mean()) if sure.any() else None,
         covered=covered(answers, estimated, truth, errors),
-        stages_s=watch.seconds,
     )
 
 
@@ -180,8 +152,6 @@ def shown(value: Any) -> str:
             return "yes" if value else "no"
         case float():
             return f"{value:.3f}"
-        case dict():
-            return " ".join(f"{name} {seconds:.0f}" for name, seconds in value.items())
         case _:
             return str(value)
 
@@ -191,19 +161,16 @@ def print_row(row: Figures) -> None:
     print("  ".join(f"{name} {shown(value)}" for name, value in asdict(row).items()), flush=True)
 
 
-def print_summary(rows: Sequence[Figures]) -> dict[str, dict[str, float]]:
+def print_summary(rows: Sequence[Figures]) -> None:
     """For each figure that is a number the worst, the median and the spread over all rows."""
-    summary = {}
     for name, first in asdict(rows[0]).items():
         values = [value for row in rows if isinstance(value := getattr(row, name), float)]
         if not values or isinstance(first, bool):
             continue
         size = np.array(values)
         worst = size.min() if name in WORST_IS_LOW else size.max()
-        summary[name] = {"worst": float(worst), "median": float(np.median(size)), "spread": float(np.ptp(size))}
         print(f"{name:24} worst {worst:8.3f}  median {np.median(size):8.3f}  spread {np.ptp(size):8.3f}")
     print(f"{'trusted':24} {sum(row.trusted for row in rows)} of {len(rows)}")
-    return summary
 
 
 def seeds_of(text: str) -> list[int]:
@@ -216,18 +183,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cache", type=Path, required=True, help="where simulated recordings are kept")
     parser.add_argument("--seeds", type=seeds_of, default=seeds_of("0-9"), metavar="0-9")
-    parser.add_argument("--maps", type=Path, help="where maps are kept, and taken from if they are there")
-    parser.add_argument("--json", type=Path, help="all figures go there")
     asked = parser.parse_args()
     asked.cache.mkdir(parents=True, exist_ok=True)
     rows = []
     for seed in asked.seeds:
-        rows.append(run(asked.cache, seed, asked.maps))
+        rows.append(run(asked.cache, seed))
         print_row(rows[-1])
     print()
-    summary = print_summary(rows)
-    if asked.json:
-        asked.json.write_text(json.dumps({"rows": [asdict(row) for row in rows], "summary": summary}, indent=1))
+    print_summary(rows)
 
 
 if __name__ == "__main__":

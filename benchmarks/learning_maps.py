@@ -1,6 +1,6 @@
-"""A map that learns from its users, after a third of the furniture was moved; where nothing was moved; a real kitchen.
+"""A map that learns from its users, after a third of the furniture was moved; and where nothing was moved.
 
-    python benchmarks/learning_maps.py [--cache DIR] [--features sift48] [--seeds 0,1,2,3,4] [--kitchen DIR]
+    python benchmarks/learning_maps.py [--cache DIR] [--features sift48] [--seeds 0,1,2,3,4]
 
 A simulated room is walked through, poses as they are, and a map made of it. Then a third of its furniture stands
 elsewhere. 200 queries by ten users come from beside the ways of other walks, a minute apart, looking where they like;
@@ -8,9 +8,6 @@ the map keeps those that it is sure of and learns from them, once. It is asked b
 kind: before the move, after it, and after it having learned; and, as a control, having learned from the same 200
 places with nothing moved. Printed are the share of these 60 within 5 cm and 5°, the share that is off by more than 50
 cm, the median error of what is answered, and the map's size. The last lines have the worst and the mean of the seeds.
-
-``--kitchen`` is the folder of 7-Scenes' red kitchen: a map of frames 700–999 learns from the even ones of 100–399 and
-is asked by the odd ones.
 """
 
 from __future__ import annotations
@@ -26,22 +23,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from measuring import jpeg_of
 from rholoc.density import DensityKind
 from rholoc.errors import RholocError
 from rholoc.features import Extractor, get_extractor
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, pose_distances
 from rholoc.localization import Localizer, Query
-from rholoc.mapping import DEFAULT_FEATURES, AnsweredQuery, BuildOptions, build_map, learn_from_queries
+from rholoc.mapping import DEFAULT_FEATURES, AnsweredQuery, learn_from_queries
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.pipeline import reconstruct
 from rholoc.mapping.build.remembered import with_landmarks
 from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Map, MapInfo, Source, map_to_bytes
 from rholoc.progress import silent
-from rholoc.recordings import Recording, read_recording
 from rholoc.simulation import PHONE_CAMERA, make_test_site, make_walk, render_view
 from rholoc.simulation.scene import Scene
-from rholoc.trajectory import PoseMethod
 from rholoc_lab.simulation.rearrangement import rearranged
 
 SECONDS = 30.0
@@ -52,8 +48,6 @@ SURE, USERS_COUNT = 0.8, 10
 LIMIT_M, LIMIT_RAD, WRONG_M = 0.05, np.deg2rad(5.0), 0.5
 BEFORE, AFTER = "before the move", "after it"
 LEARNED, CONTROL = "after it, having learned", "nothing moved, having learned"
-KITCHEN_CAMERA = "525.505,525.505,320,240"
-KITCHEN_FRAMES = {"walk": "700:1000", "users": "100:400:2", "asked": "101:400:2"}
 PARTS = ("walk", "before", "after", "users", "users_before")
 _ASIDE_M, _LOOKING_ASIDE_RAD = 0.25, np.deg2rad(40.0)  # of users, beside the walks
 _CLEAR_M = 0.3
@@ -143,7 +137,7 @@ def taken(scene: Scene, T_map_camera: FloatArray) -> Pictures:
     jpegs = []
     for number, T in enumerate(T_map_camera):
         picture = render_view(scene, PHONE_CAMERA, Pose(T), seed=number)
-        jpegs.append(as_jpeg(picture))
+        jpegs.append(jpeg_of(picture, _JPEG_QUALITY))
     return Pictures(T_map_camera, jpegs)
 
 
@@ -261,47 +255,19 @@ def learned_room(cache: Path, seed: int, extractor: Extractor) -> dict[str, Figu
     return figures
 
 
-def kitchen(folder: Path, features: str) -> None:
-    """The figures of a real kitchen."""
-    truth = {name: read_recording(folder, KITCHEN_CAMERA, frames) for name, frames in KITCHEN_FRAMES.items()}
-    options = BuildOptions(poses=PoseMethod.GIVEN, features=features, report=False)
-    first = build_map([truth["walk"]], options)
-    users, questions = pictures_of(truth["users"]), pictures_of(truth["asked"])
-    print(f"kitchen                        {asked(first, questions)}", flush=True)
-    after, said = learned(first, users)
-    print(f"  {LEARNED:28} {asked(after, questions)}   {said}", flush=True)
-
-
-def pictures_of(recording: Recording) -> Pictures:
-    """All frames of a recording with poses."""
-    assert recording.poses is not None
-    assert recording.camera is not None
-    rows = list(range(len(recording.frames.times)))
-    jpegs = [as_jpeg(image) for image in recording.frames.images(rows)]
-    return Pictures(recording.poses.T_map_camera, jpegs, recording.camera)
-
-
-def as_jpeg(picture: ByteArray) -> bytes:
-    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes())
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description="A map that learns from its users after furniture was moved.")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "moved_rooms")
     parser.add_argument("--features", default=DEFAULT_FEATURES)
     parser.add_argument("--seeds", default="0,1,2,3,4")
-    parser.add_argument("--kitchen", type=Path)
     args = parser.parse_args()
     extractor = get_extractor(args.features)
-    rooms = [learned_room(args.cache, int(seed), extractor) for seed in args.seeds.split(",") if seed]
-    for when in (BEFORE, AFTER, LEARNED, CONTROL) if rooms else ():
+    rooms = [learned_room(args.cache, int(seed), extractor) for seed in args.seeds.split(",")]
+    for when in (BEFORE, AFTER, LEARNED, CONTROL):
         recalls = [figures[when].recall for figures in rooms]
         print(f"{when:30} worst {min(recalls):6.1%}, mean {np.mean(recalls):6.1%}")
-    if rooms:
-        lost = [100 * (figures[BEFORE].recall - figures[LEARNED].recall) for figures in rooms]
-        print(f"points lost, having learned    worst {max(lost):.1f}, mean {np.mean(lost):.1f}")
-    if args.kitchen is not None:
-        kitchen(args.kitchen, args.features)
+    lost = [100 * (figures[BEFORE].recall - figures[LEARNED].recall) for figures in rooms]
+    print(f"points lost, having learned    worst {max(lost):.1f}, mean {np.mean(lost):.1f}")
 
 
 if __name__ == "__main__":

@@ -15,9 +15,9 @@ Plain pycolmap: its own SIFT, its mappers with default options, the intrinsics t
 to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. rholoc: default options.
 
 For each: pictures placed of those given, wall-clock and CPU seconds a picture; where there is truth, centimetres after
-a similarity alignment and the error that rholoc expects, in the same unit; else degrees by which turns are off the
-gyroscope's. The last lines judge rholoc beside the better of pycolmap's mappers. With ``--write`` the judgements go to
-benchmarks/results/placed.json. ``--cache`` keeps simulated walks and pycolmap's answers.
+a similarity alignment and the error that rholoc expects, in the same unit. The last lines judge rholoc beside the
+better of pycolmap's mappers. With ``--write`` the judgements go to benchmarks/results/placed.json. ``--cache`` keeps
+simulated walks and pycolmap's answers.
 """
 
 from __future__ import annotations
@@ -39,18 +39,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pycolmap
-from scipy.spatial.transform import Rotation
 
 from figures import Figure, quote_anew, write_results
-from measuring import (
-    SHARED_DATA,
-    flat,
-    gyroscope_errors,
-    position_errors,
-    print_table,
-    rotation_errors,
-    rounded,
-)
+from measuring import SHARED_DATA, print_table, rounded
 from rholoc.errors import RholocError
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, umeyama
 from rholoc.maps import read_trajectory_csv
@@ -74,12 +65,9 @@ COLUMNS = {
     "models": "models",
     "s_a_picture": "s/picture",
     "cpu_s_a_picture": "CPU s/picture",
-    "position median_cm": "median cm",
-    "position worst_cm": "worst cm",
+    "median_cm": "median cm",
+    "worst_cm": "worst cm",
     "expected_cm": "expected cm",
-    "1s median": "1 s",
-    "10s median": "10 s",
-    "10s worst": "10 s worst",
     "trusted": "trusted",
     "failed": "failed",
 }
@@ -272,28 +260,17 @@ def measure(name: str, kind: str, method: str, options: argparse.Namespace, cach
     row |= {key: found[key] for key in ("failed", "models", "trusted") if key in found}
     if row["placed"] < 3:
         return row
-    rows, T, times = found["rows"], found["T"], walk.recording.frames.times
+    rows, T = found["rows"], found["T"]
     known = np.zeros(len(rows), bool) if walk.truth is None else np.isfinite(walk.truth[rows]).all(axis=(1, 2))
     if known.sum() >= 3:
-        truth = walk.truth[rows[known]]
-        scale = umeyama(T[known, :3, 3], truth[:, :3, 3]).scale
-        row |= {"position": position_errors(T[known], truth), "right": _right(T[known], truth)}
+        positions, true = T[known, :3, 3], walk.truth[rows[known]][:, :3, 3]
+        to_truth = umeyama(positions, true)
+        off_m = np.linalg.norm(to_truth.points(positions) - true, axis=1)
+        row |= {"median_cm": rounded(100 * np.median(off_m)), "worst_cm": rounded(100 * off_m.max())}
+        row["right"] = int((off_m <= _RIGHT * np.linalg.norm(np.ptp(true, axis=0))).sum())
         if "expected" in found:
-            row["expected_cm"] = rounded(100 * scale * found["expected"])
-        if walk.recording.frames.timed:
-            row |= rotation_errors(times[rows[known]], T[known, :3, :3], Rotation.from_matrix(truth[:, :3, :3]))
-    else:
-        imu = walk_of(name, options.data, cache, options.seconds).recording.imu
-        if imu is not None and walk.recording.frames.timed:
-            row |= gyroscope_errors(times[rows], T[:, :3, :3], imu)
+            row["expected_cm"] = rounded(100 * to_truth.scale * found["expected"])
     return row
-
-
-def _right(T: FloatArray, truth: FloatArray) -> int:
-    """Number of poses (N, 4, 4) within a share of the walk's extent of the truth."""
-    positions, true = T[:, :3, 3], truth[:, :3, 3]
-    off = np.linalg.norm(umeyama(positions, true).points(positions) - true, axis=1)
-    return int((off <= _RIGHT * np.linalg.norm(np.ptp(true, axis=0))).sum())
 
 
 def judged(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -306,13 +283,9 @@ def judged(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     by_method = {row["method"]: row for row in rows}
     ours, others = by_method["rholoc"], [by_method[name] for name in METHODS[1:] if name in by_method]
     most = max(placed[row["method"]] for row in others)
-    own_cm = ours.get("position median_cm")
+    own_cm = ours.get("median_cm")
     better_cm = min(
-        (
-            row["position median_cm"]
-            for row in others
-            if "position median_cm" in row and placed[row["method"]] >= 0.95 * most
-        ),
+        (row["median_cm"] for row in others if "median_cm" in row and placed[row["method"]] >= 0.95 * most),
         default=None,
     )
     found = {"recording": ours["recording"], "as": ours["as"], "placed": placed["rholoc"], "by pycolmap": most}
@@ -367,7 +340,7 @@ def main() -> None:
                 continue
             rows = []
             for method in options.methods:
-                rows.append(flat(measure(name, kind, method, options, cache)))
+                rows.append(measure(name, kind, method, options, cache))
                 shown = {key: value for key, value in rows[-1].items() if key in COLUMNS}
                 print(" ".join(f"{key}={value}" for key, value in shown.items()), flush=True)
             table += rows

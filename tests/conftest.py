@@ -37,7 +37,7 @@ from rholoc.geometry import (
     poses_from_rows,
 )
 from rholoc.mapping.build.assembly import assemble
-from rholoc.mapping.build.landmarks import select_stable, triangulate
+from rholoc.mapping.build.landmarks import are_stable, triangulate
 from rholoc.mapping.build.remembered import with_landmarks
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import (
@@ -306,7 +306,8 @@ class PointRoom:
     def _made_map(self, poses: Sequence[Pose], T: FloatArray, name: str) -> Map:
         seen = [self.see(pose, seed) for seed, pose in enumerate(poses)]
         views = Views.from_features([self.camera] * len(T), T, np.arange(len(T)) / 10, seen)
-        landmarks = select_stable(views, triangulate(views, link_observations(views, Metric.HAMMING)), 300)
+        landmarks = triangulate(views, link_observations(views, Metric.HAMMING))
+        landmarks = landmarks.keep(are_stable(views, landmarks, 300))
         source = Source(name, f"{name}-id", self.camera)
         kind = DensityKind.RAY
         info = MapInfo("0" * 32, 1, kind, "gray", True, True, "2026-01-01T00:00:00Z", self.camera, (source,))

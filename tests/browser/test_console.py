@@ -83,10 +83,9 @@ def test_the_page_asks_once_for_a_key_that_is_good(desk_browser, serve, picture_
 def test_a_map_that_was_deleted_while_it_was_open(desk_browser, named, picture_world, opened, settled):
     (named.settings.maps_dir / "gone.rho").write_bytes(picture_world.rho())
     with opened(desk_browser, named.url, "maps/gone", failures=-1) as page:
-        settled(page)
-        assert httpx.delete(f"{named.url}/v1/maps/gone").is_success
-        page.get_by_text("More", exact=True).click()
+        settled(page).get_by_text("More", exact=True).click()
         page.get_by_role("button", name="Rename").click()
+        assert httpx.delete(f"{named.url}/v1/maps/gone").is_success
         page.get_by_role("dialog").get_by_role("button", name="Rename").click()
         expect(page.get_by_role("dialog").get_by_role("alert")).to_contain_text("There is no map")
         page.reload()

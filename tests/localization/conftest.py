@@ -16,7 +16,7 @@ from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import Optimum
 from rholoc.localization.pose.pose_evidence import Support
 from rholoc.localization.pose.rematching import Verified
-from rholoc.mapping.build.landmarks import representative_rows, select_stable, triangulate
+from rholoc.mapping.build.landmarks import are_stable, representative_rows, triangulate
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 
@@ -28,7 +28,8 @@ def room_map(point_room: Any) -> Map:
     T = np.array([pose.T_map_camera for pose in poses])
     features = [point_room.see(pose, seed) for seed, pose in enumerate(poses)]
     views = Views.from_features([point_room.camera] * 60, T, np.arange(60) / 10, features)
-    landmarks = select_stable(views, triangulate(views, link_observations(views, Metric.HAMMING)), 500)
+    landmarks = triangulate(views, link_observations(views, Metric.HAMMING))
+    landmarks = landmarks.keep(are_stable(views, landmarks, 500))
     rows = representative_rows(views, landmarks.labels, len(landmarks), Metric.HAMMING, 1)
     observed = landmarks.observed_rows
     return Map(

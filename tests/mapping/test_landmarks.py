@@ -16,7 +16,6 @@ from rholoc.mapping.build.landmarks import (
     expected_sightings,
     extend_and_merge,
     representative_rows,
-    select_stable,
     triangulate,
     with_ranged,
 )
@@ -82,8 +81,8 @@ def test_wrong_observations_lose_their_label(walked: Views, landmarks: Landmarks
 
 
 def test_selection_keeps_what_is_seen_often(landmarks: Landmarks, walked: Views) -> None:
-    few = select_stable(walked, landmarks, per_view=20)
-    all_ = select_stable(walked, landmarks, per_view=10_000)
+    few = landmarks.keep(are_stable(walked, landmarks, per_view=20))
+    all_ = landmarks.keep(are_stable(walked, landmarks, per_view=10_000))
     assert len(few) < len(all_) <= len(landmarks)
     assert few.view_counts.min() >= 3
     assert few.view_counts.mean() > all_.view_counts.mean()
@@ -111,8 +110,8 @@ def test_of_several_walks_what_persists_is_chosen(landmarks: Landmarks, walked: 
         both[chosen.labels[rows], walks[walked.view_of[rows]]] = True
         return float(both.all(axis=1).mean())
 
-    assert lasting_share(select_stable(walked, seen, 5, walks)) > 0.9
-    assert lasting_share(select_stable(walked, seen, 5)) < 0.8
+    assert lasting_share(seen.keep(are_stable(walked, seen, 5, walks))) > 0.9
+    assert lasting_share(seen.keep(are_stable(walked, seen, 5))) < 0.8
 
 
 def test_a_walk_that_did_not_pass_says_nothing(landmarks: Landmarks, walked: Views) -> None:
@@ -120,7 +119,8 @@ def test_a_walk_that_did_not_pass_says_nothing(landmarks: Landmarks, walked: Vie
     alone = expected_sightings(walked, landmarks, walks)
     assert np.unique(alone).tolist() == [pytest.approx(2 / 3)]
     np.testing.assert_array_equal(
-        select_stable(walked, landmarks, 20, walks).positions, select_stable(walked, landmarks, 20).positions
+        landmarks.keep(are_stable(walked, landmarks, 20, walks)).positions,
+        landmarks.keep(are_stable(walked, landmarks, 20)).positions,
     )
 
 
@@ -177,7 +177,7 @@ def test_neighbours_are_near_in_time_or_alike(walked: Views) -> None:
 
 def test_where_nothing_is_tracked_there_are_no_landmarks(walked: Views) -> None:
     none = triangulate(walked, np.full(len(walked.features), -1))
-    for landmarks in (none, extend_and_merge(walked, none, Metric.HAMMING), select_stable(walked, none, 500)):
+    for landmarks in (none, extend_and_merge(walked, none, Metric.HAMMING), none.keep(are_stable(walked, none, 500))):
         assert len(landmarks) == 0
         assert len(landmarks.labels) == len(walked.features)
 

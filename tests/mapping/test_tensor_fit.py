@@ -10,7 +10,7 @@ from rholoc.errors import InvalidInput
 from rholoc.features import Metric
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.mapping.build.density_fitting import fit_densities
-from rholoc.mapping.build.landmarks import representative_rows, select_stable, triangulate
+from rholoc.mapping.build.landmarks import are_stable, representative_rows, triangulate
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 from rholoc.progress import Stage
@@ -18,7 +18,8 @@ from rholoc.progress import Stage
 
 @pytest.fixture(scope="module")
 def ray_map(walked: Views) -> Map:
-    landmarks = select_stable(walked, triangulate(walked, link_observations(walked, Metric.HAMMING)), 60)
+    landmarks = triangulate(walked, link_observations(walked, Metric.HAMMING))
+    landmarks = landmarks.keep(are_stable(walked, landmarks, 60))
     rows = np.concatenate(representative_rows(walked, landmarks.labels, len(landmarks), Metric.HAMMING, 1))
     observed = landmarks.observed_rows
     return Map(

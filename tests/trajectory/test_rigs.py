@@ -116,13 +116,12 @@ def test_of_many_pictures_whole_moments_are_used() -> None:
     assert _chosen_moments(20, [(0, 10)]).tolist() == list(range(20))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("wrong", [1.0, -1.0])
-def test_a_rig_makes_its_walk_metric(wrong: float, tmp_path: Path) -> None:
-    """A mounting that contradicts the pictures, its cameras in each other's place, is left out."""
+@pytest.fixture(scope="module")
+def rig_walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, dict[str, FloatArray]]:
+    """A rendered walk of two cameras, and T_map_camera (4, 4) of each picture by its path."""
     scene = make_test_site(0)
     renderer = Renderer(scene, [face.paint.albedo for face in scene.faces])
-    camera = PHONE_CAMERA.resized(480, 360)
+    camera, folder = PHONE_CAMERA.resized(480, 360), tmp_path_factory.mktemp("rig")
     walk = [pose.T_map_camera for pose in make_walk(1).poses(np.arange(0, 6, 0.5))]
 
     def T_map(sensor: str, moment: int) -> FloatArray:
@@ -131,15 +130,22 @@ def test_a_rig_makes_its_walk_metric(wrong: float, tmp_path: Path) -> None:
     def shown(sensor: str, moment: int) -> ByteArray:
         return renderer.radiance(camera, [Pose(T_map(sensor, moment))] * 4)
 
-    write_kapture(tmp_path, shown, camera, len(walk))
-    recording = read_recording(tmp_path)
+    write_kapture(folder, shown, camera, len(walk))
+    moments = range(len(walk))
+    return read_recording(folder), {f"{name}/{k:04d}.png": T_map(name, k) for name in SENSORS for k in moments}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [1.0, -1.0])
+def test_a_rig_makes_its_walk_metric(rig_walk: tuple[Recording, dict[str, FloatArray]], wrong: float) -> None:
+    """A mounting that contradicts the pictures, its cameras in each other's place, is left out."""
+    recording, T_of = rig_walk
     if wrong < 0:
         swapped = tuple(replace(one, T_first_second=np.linalg.inv(one.T_first_second)) for one in recording.mounted)
         recording = replace(recording, mounted=swapped)
     found = estimate_trajectory(recording, PoseMethod.AUTO)
-    paths = {f"{name}/{moment:04d}.png": T_map(name, moment) for name in SENSORS for moment in range(len(walk))}
-    T = np.array([paths[name] for name in sorted(paths, key=lambda path: path.split("/")[1])])[found.rows]
-    assert len(found.rows) == 2 * len(walk)
+    T = np.array([T_of[name] for name in sorted(T_of, key=lambda path: path.split("/")[1])])[found.rows]
+    assert len(found.rows) == len(T_of)
     assert found.report.trusted
     if wrong > 0:
         assert found.scale is Scale.METRIC

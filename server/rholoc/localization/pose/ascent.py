@@ -68,18 +68,16 @@ def ascend(
     tolerances_px: tuple[float, ...],
     dof: Dof,
     iterations: int = 3,
-    power: int = 1,
 ) -> Optimum:
-    """Maximize Σ log(ε + ρ^power) by Gauss–Newton from a pose (4, 4), with a decreasing sequence of tolerances.
+    """Maximize Σ log(ε + ρ) by Gauss–Newton from a pose (4, 4), with a decreasing sequence of tolerances.
 
     Densities that are valid only locally are chosen anew for each tolerance.
 
     A camera held upright still rolls by a degree or so, and a map's z axis is plumb only to a tenth of a degree. With
     ``Dof.UPRIGHT`` roll is therefore a nuisance parameter with a zero-mean prior, so that position does not absorb it.
-    The
-    optimum keeps the roll; the answer's pose drops it. See :func:`roll_prior`.
+    The optimum keeps the roll; the answer's pose drops it. See :func:`roll_prior`.
     """
-    T = end_of_climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations, power)
+    T = end_of_climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations)
     return optimum_at(densities, evidence, T, tolerances_px[-1])
 
 
@@ -92,7 +90,7 @@ def end_of_climb(
     iterations: int = 3,
     power: int = 1,
 ) -> FloatArray:
-    """Final pose (4, 4) of :func:`ascend`, without the densities there."""
+    """Final pose (4, 4) of :func:`ascend` for Σ log(ε + ρ^power), without the densities there."""
     T = T_map_camera
     for step in climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations, power):
         T = step.T_map_camera

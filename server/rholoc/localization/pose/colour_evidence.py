@@ -9,7 +9,6 @@ lightness from the map's colours.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import rankdata
 
 from rholoc.geometry import ByteArray, FloatArray
 from rholoc.maps.map_tables import UNKNOWN_GREY
@@ -65,6 +64,15 @@ def _opponent(colours: ByteArray) -> FloatArray:
 
 
 def _ranks(values: FloatArray) -> FloatArray:
-    """Ranks of values (M, ...) along the first axis, centred, divided by M."""
-    ranks = rankdata(values, axis=0)
+    """Ranks of values (M, ...) along the first axis, equal values having their mean rank, centred, divided by M.
+
+    ``scipy.stats`` has them, but importing it takes a tenth of every process's start-up time.
+    """
+    columns = values.reshape(len(values), -1).T
+    ranks = np.reshape(np.transpose([_mean_ranks(column) for column in columns]), values.shape)
     return np.asarray((ranks - ranks.mean(axis=0)) / len(ranks))
+
+
+def _mean_ranks(values: FloatArray) -> FloatArray:
+    ordered = np.sort(values)
+    return (np.searchsorted(ordered, values, "left") + np.searchsorted(ordered, values, "right")) / 2

@@ -171,11 +171,6 @@ def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Land
     return triangulate(views, _merged(labels, np.concatenate(same), len(landmarks), views.view_of))
 
 
-def select_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> Landmarks:
-    """Keep the landmarks that :func:`are_stable`."""
-    return landmarks.keep(are_stable(views, landmarks, per_view, walks))
-
-
 def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> BoolArray:
     """Mask (F,) of well-determined landmarks that are among the best of some view.
 

@@ -1,7 +1,8 @@
 """One reader per format, chosen by the folder's files, their headers and numbers of columns.
 
 A new format is one new file with ``recognises`` and ``read``, and one line here; a new scanning app is a row of
-:mod:`rholoc.recordings.readers.scanning_apps`.
+:mod:`rholoc.recordings.readers.apps.scanning_apps`. Apps of phones, datasets and the models of other programs have a
+folder each; rholoc's own layout and ROS bags are here.
 """
 
 from __future__ import annotations
@@ -12,27 +13,20 @@ from pathlib import Path
 
 from rholoc.errors import InvalidRecording
 from rholoc.recordings.frames.steady_frames import with_logged_intrinsics
-from rholoc.recordings.readers import (
-    advio,
+from rholoc.recordings.readers import bag, own
+from rholoc.recordings.readers._unused import with_unused_files
+from rholoc.recordings.readers.apps import (
     android_csv,
-    bag,
-    colmap,
-    euroc,
     ios_logger,
-    kapture,
     mars_logger,
-    metashape,
-    nerfstudio,
     opencamera_sensors,
-    own,
     sensor_logger,
-    seven_scenes,
     spectacular,
     stray_scanner,
-    tum_rgbd,
 )
-from rholoc.recordings.readers._unused import with_unused_files
-from rholoc.recordings.readers.scanning_apps import APPS
+from rholoc.recordings.readers.apps.scanning_apps import APPS
+from rholoc.recordings.readers.datasets import advio, euroc, seven_scenes, tum_rgbd
+from rholoc.recordings.readers.models import colmap, kapture, metashape, nerfstudio
 from rholoc.recordings.recording import Recording, RecordingFormat
 from rholoc.recordings.tables.lengths import read_lengths_csv
 from rholoc.recordings.tables.waypoints import read_waypoints_csv

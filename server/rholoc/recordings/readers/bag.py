@@ -28,7 +28,7 @@ from rholoc.geometry import R_FORWARD_OPTICAL, Camera, pose_matrix
 from rholoc.recordings.frames.bag import BAG_SUFFIXES, COMPRESSED_IMAGE, IMAGE, BagFrames, opened_bag, picture_size
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, advancing_rows, normalise_imu
 from rholoc.recordings.readers._ros import Mounting, camera_of_info, pose_of, stamp_ns, vector
-from rholoc.recordings.readers.kapture import read_cameras
+from rholoc.recordings.readers.models.kapture import read_cameras
 from rholoc.recordings.recording import GivenPoses, Imu, PoseKind, Recording, RecordingFormat
 from rholoc.recordings.tables.pose_table import PoseTable, match_poses
 from rholoc.reports import RecordingWarning, WarningKind

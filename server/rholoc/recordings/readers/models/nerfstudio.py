@@ -24,7 +24,7 @@ from rholoc.recordings.frames.image_decoding import image_size
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._camera_models import lens_of_model, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
-from rholoc.recordings.readers.colmap import SCALE_WARNING
+from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_json
 from rholoc.reports import RecordingWarning

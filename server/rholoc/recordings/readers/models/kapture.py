@@ -29,7 +29,7 @@ from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_ti
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import TimedFrames, listed_file, timed_images, untimed_images
 from rholoc.recordings.readers._rigs import mounted_frames
-from rholoc.recordings.readers.colmap import SCALE_WARNING
+from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.recordings.tables.pose_table import poses_from_rows

@@ -26,7 +26,7 @@ from rholoc.geometry import Camera, FloatArray, Lens, is_rotation, pose_matrix
 from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
 from rholoc.recordings.readers._camera_models import CENTRE_SHIFT, unsupported
 from rholoc.recordings.readers._frames import untimed_images
-from rholoc.recordings.readers.colmap import SCALE_WARNING
+from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.reports import RecordingWarning

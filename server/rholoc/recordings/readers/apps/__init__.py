@@ -1,0 +1,1 @@
+"""Recorder and scanner apps of phones, by their exports."""

@@ -1,0 +1,1 @@
+"""Datasets for research, in the layouts that their authors publish."""

@@ -1,0 +1,1 @@
+"""Models by other photogrammetry programs: pictures with the poses that these found."""
