@@ -11,7 +11,7 @@ from rholoc.geometry import Pose
 from rholoc.localization import Dof, Query
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.pose.ascent import ascend
-from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, verify
+from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, polished, verify
 from rholoc.maps import DensityKind, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews
 
 _VIEWS = 12
@@ -61,3 +61,20 @@ def test_the_last_steps_go_by_what_was_seen_from_hereabouts(point_room: Any) -> 
         for name, optimum in (("verified", found.optimum), ("climbed", climbed)):
             off_m[name].append(float(np.linalg.norm(optimum.T_map_camera[:3, 3] - truth.position)))
     assert np.median(off_m["verified"]) < 0.5 * np.median(off_m["climbed"])
+
+
+def test_a_pose_is_polished_by_matches_that_the_narrow_radius_leaves_out(point_room: Any) -> None:
+    off_m: dict[str, list[float]] = {"verified": [], "polished": []}
+    blurred = replace(point_room, noise_px=4.0)
+    for seed, truth in enumerate(point_room.walk(8)):
+        map_, _ = _map_of_here_and_elsewhere(point_room, truth, raised_m=0.0)
+        query = Query(blurred.see(truth, 300 + seed), point_room.camera, Dof.FREE)
+        index, rays = MapIndex(map_), query.camera.rays(query.features.pixels)
+        found = verify(index, query, rays, truth.T_map_camera)
+        assert found is not None
+        better = polished(index, query, found)
+        assert better.support == found.support
+        assert better.matches is found.matches
+        for name, one in (("verified", found), ("polished", better)):
+            off_m[name].append(float(np.linalg.norm(one.optimum.T_map_camera[:3, 3] - truth.position)))
+    assert np.mean(off_m["polished"]) < 0.9 * np.mean(off_m["verified"])

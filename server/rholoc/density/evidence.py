@@ -51,6 +51,11 @@ class Evidence:
     def __len__(self) -> int:
         return len(self.rays)
 
+    @property
+    def chances(self) -> FloatArray:
+        """(M,) probability that each match is true, by descriptors alone."""
+        return _FALSE_DENSITY / (_FALSE_DENSITY + self.epsilon)
+
     @lazy
     def variances(self) -> FloatArray:
         """(M,) m², of each landmark along an axis, the mean over all axes."""

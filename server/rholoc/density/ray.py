@@ -151,6 +151,23 @@ class RayOffsets:
         jacobian[:, :, 3:] = cross(across, to_landmark[:, None])
         return cls(np.einsum("mri,mi->mr", across, to_landmark), jacobian)
 
+    def whitened(self, covariances: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """L⁻¹ e (M, 2) and L⁻¹ ∂e (M, 2, 6).
+
+        L Lᵀ = S (M, 2, 2), the landmarks' ``covariances`` (M, 3, 3) across their rays + ``variance`` (M,) I, m².
+        """
+        e, J = self.offset, self.jacobian
+        moving = J[:, :, :3]  # a landmark that moves does what a camera does that moves the other way
+        spread = moving @ covariances @ moving.transpose(0, 2, 1)
+        first = np.sqrt(spread[:, 0, 0] + variance)
+        mixed = spread[:, 1, 0] / first
+        second = np.sqrt(spread[:, 1, 1] + variance - mixed**2)
+        white, roots = np.empty_like(e), np.empty_like(J)
+        white[:, 0], roots[:, 0] = e[:, 0] / first, J[:, 0] / first[:, None]
+        white[:, 1] = (e[:, 1] - mixed * white[:, 0]) / second
+        roots[:, 1] = (J[:, 1] - mixed[:, None] * roots[:, 0]) / second[:, None]
+        return white, roots
+
 
 @dataclass(frozen=True, eq=False)
 class RayDensities:
@@ -254,9 +271,7 @@ class LocalRayDensities:
         squared_px = (tolerance_px / evidence.focal_px * along) ** 2
         near = np.flatnonzero((along > 0) & (aside < squared_px + 3 * evidence.variances))  # whatever the axes are
         offsets = RayOffsets.between(evidence.landmarks[near], evidence.across[near], T_map_camera)
-        moving = offsets.jacobian[:, :, :3]  # a landmark that moves does what a camera does that moves the other way
-        spread = moving @ evidence.covariances[near] @ moving.transpose(0, 2, 1)
-        whitened, roots = _whitened(spread, squared_px[near], offsets)
+        whitened, roots = offsets.whitened(evidence.covariances[near], squared_px[near])
         values = 1 - (whitened**2).sum(axis=1)
         is_inside = values > 0
         density, inside = np.zeros(len(evidence)), near[is_inside]
@@ -264,22 +279,6 @@ class LocalRayDensities:
         roots = roots[is_inside]
         gradient = 2 * (whitened[is_inside][:, None] @ roots)[:, 0]
         return Slopes(density, inside, gradient, roots)
-
-
-def _whitened(spread: FloatArray, variance: FloatArray, offsets: RayOffsets) -> tuple[FloatArray, FloatArray]:
-    """L⁻¹ e (M, 2) and L⁻¹ J (M, 2, 6) of offsets e and their Jacobians J, L Lᵀ = S.
-
-    S = ``spread`` (M, 2, 2) + ``variance`` (M,) I, m².
-    """
-    e, J = offsets.offset, offsets.jacobian
-    first = np.sqrt(spread[:, 0, 0] + variance)
-    mixed = spread[:, 1, 0] / first
-    second = np.sqrt(spread[:, 1, 1] + variance - mixed**2)
-    white, roots = np.empty_like(e), np.empty_like(J)
-    white[:, 0], roots[:, 0] = e[:, 0] / first, J[:, 0] / first[:, None]
-    white[:, 1] = (e[:, 1] - mixed * white[:, 0]) / second
-    roots[:, 1] = (J[:, 1] - mixed[:, None] * roots[:, 0]) / second[:, None]
-    return white, roots
 
 
 def ray_coefficients(landmarks: FloatArray, tolerances: FloatArray) -> FloatArray:

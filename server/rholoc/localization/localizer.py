@@ -31,7 +31,7 @@ from rholoc.localization.pose.ascent import Optimum, ascend, upright
 from rholoc.localization.pose.focal import FocalEstimate, check_focal, focal_seed, verify_with_focal
 from rholoc.localization.pose.modes import is_seen_from_afar, poses_on_arcs
 from rholoc.localization.pose.ransac import credible_pose
-from rholoc.localization.pose.rematching import SEARCH_RADII_PX, Verified, evidence_of, verify
+from rholoc.localization.pose.rematching import SEARCH_RADII_PX, Verified, evidence_of, polished, verify
 from rholoc.localization.pose.rivals import rival_seeds
 from rholoc.localization.pose.seeds import Place, minimal_samples, place_of_prior, places_by_votes, view_votes
 from rholoc.localization.search import Found, Search, SearchOptions, Stopwatch
@@ -117,8 +117,7 @@ class Localizer:
 
     def candidate(self, query: Query) -> tuple[Verified, Belief] | None:
         """Best pose found, however doubtful, and the belief in it. None if there is none."""
-        search = self._thorough_search(query, Stopwatch(query.deadline_s))
-        found = search.outcome(self.options.conclusive)
+        found = self._outcome(self._thorough_search(query, Stopwatch(query.deadline_s)))
         return None if found is None else (found.verified, found.belief)
 
     def check(self, query: Query) -> None:
@@ -385,8 +384,19 @@ class Localizer:
         near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)
         return Found(verified, query.camera, cache(check), belief, near_prior)
 
+    def _outcome(self, search: Search) -> Found | None:
+        """Candidate to answer with, polished if its position is not known exactly."""
+        found, query = search.outcome(self.options.conclusive), search.query
+        if found is None or query.intrinsics is Intrinsics.UNKNOWN or query.more_features is not None:
+            return found
+        if search.is_settled(self.options.settled_sigma_m):
+            return found
+        found = replace(found, verified=polished(self.index, query, found.verified))
+        search.watch.lap("verify")
+        return found
+
     def _answer(self, search: Search) -> Localization:
-        found = search.outcome(self.options.conclusive)
+        found = self._outcome(search)
         if found is None:
             return Localization.refused(search.reason, search.matches, search.watch.timings_ms)
         query, verified = search.query, found.verified

@@ -6,7 +6,8 @@ while ρ > 0.
 
 That draws hardest at the density's edge, which is right on the way: a match there may yet come in. At the end it costs
 accuracy: real errors have long tails, and the tail would decide. Where peaks are exact, the last steps therefore climb
-Σ log(ε_f + ρ_f⁴): ρ⁴ is a polynomial too, its peak is where ρ's is, and its edge is soft.
+1 / (1 + d_f) instead of 1 − d_f, with the tolerance of a detection: a density without an edge (:func:`refined`). How
+exactly a landmark is known then counts as much as how exactly it is seen.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 
 from rholoc.density import Densities, Evidence, LocalDensities, RayDensities
 from rholoc.density.ray import RayOffsets, ray_densities, squared_tolerances
-from rholoc.geometry import FloatArray, IntArray, Pose, pose_matrix, rotation_from_heading
+from rholoc.geometry import FloatArray, Pose, pose_matrix, rotation_from_heading
 from rholoc.localization.types import Dof
 
 _RAYLEIGH_MEDIAN = 1.177  # of the length of a two-dimensional offset, in standard deviations of one component
@@ -28,7 +29,8 @@ SYSTEMATIC = 3.0  # measured on real recordings: errors against those that indep
 _ROLL_SIGMA_RAD = np.deg2rad(1.5)  # of a camera that is held upright
 _NEARLY_SETTLED, _SETTLED = 1e-3, 1e-5  # metres or radians: steps that end a tolerance, and the last one
 _ROUGHLY_SETTLED = 1e-2  # the same where the focal length is free, which makes steps long, but for the last tolerance
-_SHARP = 4  # the power of ρ in the last steps
+_DETECTED_PX = 1.0  # how exactly features are detected, for the last steps
+_TAIL = 1.5  # the power of 1 / (1 + d²) that is a distribution over two dimensions, Cauchy's
 _FOCAL_RANGE = (0.25, 4.0)  # of the focal length that an ascent starts with
 
 
@@ -88,11 +90,10 @@ def end_of_climb(
     tolerances_px: tuple[float, ...],
     dof: Dof,
     iterations: int = 3,
-    power: int = 1,
 ) -> FloatArray:
     """Final pose (4, 4) of :func:`ascend` for Σ log(ε + ρ^power), without the densities there."""
     T = T_map_camera
-    for step in climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations, power):
+    for step in climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations):
         T = step.T_map_camera
     return T
 
@@ -104,7 +105,6 @@ def climb(
     tolerances_px: tuple[float, ...],
     dof: Dof,
     iterations: int = 3,
-    power: int = 1,
 ) -> Iterator[Step]:
     """Iterate over the poses of :func:`ascend`, beginning with the start."""
     T = upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera
@@ -112,7 +112,7 @@ def climb(
     for tolerance_px in tolerances_px:
         local = densities.near(evidence, T, tolerance_px)
         for _ in range(iterations):
-            step = _bounded(*normal_equations(local, evidence.epsilon, T, tolerance_px, dof, power))
+            step = _bounded(*normal_equations(local, evidence.epsilon, T, tolerance_px, dof))
             if step is None:
                 break
             T = moved(T, step)
@@ -165,7 +165,7 @@ def _focal_equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof
     along = (evidence.landmarks - T[:3, 3]) @ T[:3, :3]  # of the camera frame
     density = np.maximum(1 - (offsets.offset**2).sum(axis=1) / allowed, 0) * (_dot(along, evidence.rays) > 0)
     J = np.concatenate([offsets.jacobian, _by_focal(evidence, T)[:, :, None]], axis=2).reshape(-1, 7)
-    weight = np.where(density > 0, 2 * _weights(evidence.epsilon, density, 1) / allowed, 0.0)
+    weight = np.where(density > 0, 2 / (evidence.epsilon + density) / allowed, 0.0)
     weighted = J * np.repeat(weight, 2)[:, None]
     slope, curvature = -offsets.offset.ravel() @ weighted, weighted.T @ J
     pull, stiffness = roll_prior(T, dof)
@@ -186,13 +186,34 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("mi,mi->m", a, b))
 
 
-def sharpen(
-    densities: Densities, evidence: Evidence, optimum: Optimum, among: IntArray, tolerance_px: float, dof: Dof
-) -> Optimum:
-    """Last steps from an optimum with the matches ``among`` (K,) alone; small residuals dominate."""
-    some = evidence.take(among)
-    T = end_of_climb(densities, some, optimum.T_map_camera, (tolerance_px,), dof, iterations=5, power=_SHARP)
-    return optimum_at(densities, evidence, T, tolerance_px)
+def refined(evidence: Evidence, T_map_camera: FloatArray, dof: Dof, iterations: int = 10) -> FloatArray:
+    """Last steps from a pose (4, 4): maximize Σ c log(1 / (1 + eᵀ S⁻¹ e))^1.5 over the matches by Gauss–Newton.
+
+    c is the chance that a match is true, e (2,) the landmark's offset across the ray, and S (2, 2) the variance of a
+    detection and the landmark's covariance across the ray: Cauchy's distribution in two dimensions.
+    """
+    T = T_map_camera
+    for _ in range(iterations):
+        step = _bounded(*refinement_equations(evidence, T, dof))
+        if step is None:
+            break
+        T = moved(T, step)
+        if np.abs(step).max() < _SETTLED:
+            break
+    return T
+
+
+def refinement_equations(evidence: Evidence, T: FloatArray, dof: Dof) -> tuple[FloatArray, FloatArray]:
+    """Gradient (6,) and Gauss–Newton curvature (6, 6) of what :func:`refined` maximizes, at fixed S."""
+    along = _dot((evidence.landmarks - T[:3, 3]) @ T[:3, :3], evidence.rays)
+    some = evidence.take(np.flatnonzero(along > 0))
+    variance = (_DETECTED_PX / evidence.focal_px * along[along > 0]) ** 2
+    white, roots = RayOffsets.of(some, T).whitened(some.covariances, variance)
+    weight = 2 * _TAIL * some.chances / (1 + (white**2).sum(axis=1))
+    roots = roots.reshape(-1, 6)
+    weighted = roots * np.repeat(weight, 2)[:, None]
+    pull, stiffness = roll_prior(T, dof)
+    return pull - white.ravel() @ weighted, weighted.T @ roots + stiffness
 
 
 def optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> Optimum:
@@ -241,17 +262,10 @@ def upright(T_map_camera: FloatArray) -> FloatArray:
     return pose_matrix(rotation_from_heading(T_map_camera[:3, 2]), T_map_camera[:3, 3])
 
 
-def gradient(
-    densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float, power: int = 1
-) -> FloatArray:
-    """∂ Σ log(ε + ρ^power) / ∂(position, rotation) (6,) at fixed tolerances: equation (4) through (2)."""
+def gradient(densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
+    """∂ Σ log(ε + ρ) / ∂(position, rotation) (6,) at fixed tolerances: equation (4) through (2)."""
     local = densities.near(evidence, T_map_camera, tolerance_px)
-    return normal_equations(local, evidence.epsilon, T_map_camera, tolerance_px, Dof.FREE, power)[0]
-
-
-def _weights(epsilon: FloatArray, density: FloatArray, power: int) -> FloatArray:
-    """Weight (M,) of each match: ∂ log(ε + ρ^power) / ∂ρ, for positive densities."""
-    return np.asarray(power * density ** (power - 1) / (epsilon + density**power))
+    return normal_equations(local, evidence.epsilon, T_map_camera, tolerance_px, Dof.FREE)[0]
 
 
 def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:
@@ -267,12 +281,12 @@ def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:
 
 
 def normal_equations(
-    local: LocalDensities, epsilon: FloatArray, T: FloatArray, tolerance_px: float, dof: Dof, power: int
+    local: LocalDensities, epsilon: FloatArray, T: FloatArray, tolerance_px: float, dof: Dof
 ) -> tuple[FloatArray, FloatArray]:
-    """Gradient (6,) and Gauss–Newton curvature (6, 6) of Σ log(ε + ρ^power) plus the log prior on roll."""
+    """Gradient (6,) and Gauss–Newton curvature (6, 6) of Σ log(ε + ρ) plus the log prior on roll."""
     slopes = local.at(T, tolerance_px)
     inside = slopes.inside
-    weight = _weights(epsilon[local.matches[inside]], slopes.density[inside], power)
+    weight = 1 / (epsilon[local.matches[inside]] + slopes.density[inside])
     roots = slopes.roots.reshape(-1, 6)
     curvature = (np.repeat(2 * weight, 2)[:, None] * roots).T @ roots
     pull, stiffness = roll_prior(T, dof)

@@ -48,7 +48,6 @@ def ascend_together(
     tolerances_px: tuple[float, ...],
     dof: Dof,
     iterations: int = 5,
-    power: int = 1,
 ) -> list[Optimum]:
     """Gauss–Newton over the poses (N, 4, 4) of N frames with a decreasing sequence of tolerances. Returns each
     frame's optimum.
@@ -61,7 +60,7 @@ def ascend_together(
             for i, (local, evidence) in enumerate(zip(locals_, evidences, strict=True)):
                 if len(evidence):
                     own = slice(6 * i, 6 * i + 6)
-                    pull, stiffness = normal_equations(local, evidence.epsilon, T[i], tolerance_px, dof, power)
+                    pull, stiffness = normal_equations(local, evidence.epsilon, T[i], tolerance_px, dof)
                     slope[own] += pull
                     curvature[own, own] += stiffness
             step = _bounded(slope, curvature)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,12 +11,13 @@ from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.lazy import lazy
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
-from rholoc.localization.pose.ascent import Optimum, ascend, covariance_at, end_of_climb, sharpen
+from rholoc.localization.pose.ascent import Optimum, ascend, covariance_at, end_of_climb, optimum_at, refined
 from rholoc.localization.pose.pose_evidence import Support, support_of
 from rholoc.localization.types import Dof, Query
 
 SEARCH_RADII_PX = (14.0, 5.0)
 FINAL_TOLERANCE_PX = 4.0
+_POLISHING_RADIUS_PX = 10.0
 _MIN_MATCHES = 6
 ENOUGH_MATCHES = 60  # of some features, within the first radius, for the rest not to be looked at there
 _VIEWS_ALIKE = 10
@@ -74,7 +75,7 @@ def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Cam
 
 
 def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optimum, dof: Dof) -> Optimum:
-    """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, sharpened if the densities have exact peaks.
+    """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, if the densities have exact peaks.
 
     Landmarks that were only seen from elsewhere look different from here and are detected less exactly. They help to
     find and to believe a pose, but the last steps only use landmarks that nearby views saw too.
@@ -86,7 +87,21 @@ def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optim
     alike = index.seen_alike(matches.landmarks[agreeing], _VIEWS_ALIKE)[matches.landmarks]
     if (agreeing & alike).sum() < _MIN_MATCHES:
         return optimum
-    return sharpen(densities, evidence, optimum, np.flatnonzero(alike), FINAL_TOLERANCE_PX, dof)
+    T = refined(evidence.take(np.flatnonzero(alike)), optimum.T_map_camera, dof)
+    return optimum_at(densities, evidence, T, FINAL_TOLERANCE_PX)
+
+
+def polished(index: MapIndex, query: Query, verified: Verified) -> Verified:
+    """A pose refined once more by matches from farther around. The evidence for it stays what it was.
+
+    From afar features are detected less exactly than the narrow radius allows: which of them it lets in would decide.
+    """
+    densities, T = index.map.densities, verified.optimum.T_map_camera
+    matches, _ = index.match_near(query.features, query.camera, T, _POLISHING_RADIUS_PX)
+    evidence = evidence_of(index, matches, query.camera.rays(query.features.pixels), query.camera)
+    start = optimum_at(densities, evidence, T, FINAL_TOLERANCE_PX)
+    end = settle(index, matches, evidence, start, query.dof)
+    return replace(verified, optimum=optimum_at(densities, verified.evidence, end.T_map_camera, FINAL_TOLERANCE_PX))
 
 
 def matches_about(index: MapIndex, query: Query, T_map_camera: FloatArray, radius_px: float) -> Matches:
