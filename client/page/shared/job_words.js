@@ -6,11 +6,11 @@ import { heard, t } from "./text.js";
 export const STAGES = {
   received: t`Received`,
   read: t`Reading the recording`,
-  keyframes: t`Choosing keyframes`,
-  features: t`Finding features`,
-  poses: t`Finding where each frame was taken`,
-  observations: t`Linking observations`,
-  densities: t`Fitting densities`,
+  keyframes: t`Choosing pictures`,
+  features: t`Finding what can be recognised`,
+  poses: t`Finding where each picture was taken`,
+  observations: t`Comparing the pictures`,
+  densities: t`Learning what is seen from where`,
   report: t`Testing the map`,
   published: t`Published`,
 };
