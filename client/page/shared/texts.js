@@ -225,6 +225,9 @@ export const GERMAN = {
   "By robot": "Nach Roboter",
   "By hour": "Nach Stunde",
   "Refused pictures": "Abgelehnte Bilder",
+  "No view of the map resembles it.": "Keine Ansicht der Karte ähnelt ihm.",
+  "This map keeps no pictures to show beside it.":
+    "Diese Karte bewahrt keine Bilder auf, die sich daneben zeigen ließen.",
   "Compare with the map": "Mit der Karte vergleichen",
   "too little texture": "zu wenig Struktur",
   "other light": "anderes Licht",
