@@ -126,7 +126,7 @@ class SendPage {
     if (!this.bar.value && !this.closing.hidden) this.text.textContent = t`Not started yet.`;
     this.notice.hidden = false;
     this.notice.className = "notice warn";
-    const why = h("span", { class: "muted" }, error.summary);
+    const why = error.code !== "unreachable" && h("span", { class: "muted" }, error.summary);
     fill(this.notice, h("strong", {}, t`The server cannot be reached.`), " ", comfort, " ", why);
   }
 
