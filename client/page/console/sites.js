@@ -121,7 +121,7 @@ const roomLink = (map, name) =>
     { class: "row" },
     h("a", { href: `#/maps/${encodeURIComponent(name)}` }, name),
     map && [trustBadge(map), h("span", { class: "muted small" }, t`Expected error`, ": ", expectedError(map))],
-    h("a", { class: "small", href: `#/maps/${encodeURIComponent(name)}/correct` }, t`Name points`),
+    h("a", { class: "small", href: `#/maps/${encodeURIComponent(name)}/names` }, t`Name points`),
   );
 
 /** One floor of a site: its plan, its rooms by name, and who asks for poses on it. */
