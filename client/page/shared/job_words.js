@@ -18,8 +18,10 @@ export const STAGES = {
 const MIN_PROGRESS = 0.05; // before that, the time spent says little about the rest
 
 /** What a job is doing, in one line that is never empty. */
-export const doing = ({ stage, message, error }) =>
-  heard(error?.message ?? (message === stage ? "" : message)) || (STAGES[stage] ?? t`Comparing the maps`);
+export function doing({ state = "", stage, message, error }) {
+  const isOld = message === stage || (state === "running" && message.startsWith("waiting for ")); // its worker has begun
+  return heard(error?.message ?? (isOld ? "" : message)) || (STAGES[stage] ?? t`Comparing the maps`);
+}
 
 /** How long a running job will still take [s], by the time since it started; null while that says too little. */
 export function secondsLeft({ state, started, progress }, now = Date.now() / 1000) {

@@ -1017,6 +1017,8 @@ export const GERMAN_OF_SERVER = {
   "It may have run out of memory: retry, record a shorter walk, or give the worker more memory.":
     "Vielleicht fehlte Speicher: noch einmal versuchen, einen kürzeren Rundgang aufnehmen oder dem Worker mehr geben.",
   "Mapping took longer than the limit of {0} s.": "Das Erstellen der Karte dauerte länger als die erlaubten {0} s.",
+  "On the server, rholoc key create NAME --scope {0} makes one.":
+    "Auf dem Server erstellt rholoc key create NAME --scope {0} einen.",
   "There is already a key called {0}.": "Es gibt schon einen Schlüssel namens {0}.",
   "The recording's own poses {0}; its pictures were used.":
     "Die Posen der Aufnahme wurden nicht verwendet ({0}), sondern ihre Bilder.",
