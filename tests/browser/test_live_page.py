@@ -14,7 +14,7 @@ from rholoc_client import Client, Prior
 
 @pytest.fixture(scope="module")
 def shown(serve, picture_world):
-    running = serve(live=True, keep_failures=True)
+    running = serve(live=True, keep_failures=True, keep_refused=5)
     (running.settings.maps_dir / "room.rho").write_bytes(picture_world.rho(report=map_statistics(picture_world.map_)))
     return running
 
@@ -41,6 +41,15 @@ def test_those_who_ask_are_in_the_room_and_in_the_table(desk_browser, shown, pic
         expect(page.locator(".scene-robot")).to_have_count(0)
         page.reload()
         expect(settled(page).locator("main")).to_contain_text("without a pose: 1")
+
+
+def test_a_refused_picture_that_resembles_nothing_says_so(desk_browser, shown, picture_world, opened, settled):
+    flat = cv2.imencode(".png", np.full_like(picture_world.image, 128))[1].tobytes()
+    Client(shown.url).localize("room", flat)
+    with opened(desk_browser, shown.url, "maps/room/refusals") as page:
+        card = settled(page).get_by_role("list", name="Refused pictures").locator(".card").first
+        card.get_by_role("button", name="Compare with the map").click()
+        expect(card).to_contain_text("No view of the map resembles it.")
 
 
 def test_nothing_of_it_is_there_unless_switched_on(desk_browser, service, picture_world, opened, settled):

@@ -262,7 +262,7 @@ def test_a_server_that_stops_is_said_and_waited_for(desk_browser, running, opene
 
 def test_a_stored_key_is_changed_and_removed(desk_browser, running, opened, settled):
     with opened(desk_browser, running.url, "maps") as page:
-        button = page.get_by_role("button", name="API key")
+        button = page.get_by_role("button", name="My key")
         expect(button).to_have_count(0)
         page.evaluate("localStorage.setItem('rholoc-api-key', 'rho_first-secret')")
         page.reload()

@@ -408,7 +408,7 @@ def test_the_page_can_be_installed(running, phone):
 
 
 @pytest.mark.slow
-def test_a_bare_wall_and_a_blur_are_said_while_recording_and_before_sending(running, fake_camera):
+def test_a_bare_wall_a_blur_and_standing_are_said_while_recording_and_before_sending(running, fake_camera):
     rng = np.random.default_rng(3)
     wall = np.full((480, 640, 3), 190, np.uint8)
     wall = np.clip(wall + rng.normal(0, 4, wall.shape), 0, 255).astype(np.uint8)
@@ -431,6 +431,16 @@ def test_a_bare_wall_and_a_blur_are_said_while_recording_and_before_sending(runn
         expect(section.get_by_role("button").first).to_contain_text(flaw)
         section.get_by_role("button").first.click()
         browser.close()
+    browser = fake_camera([sharp] * 10)
+    page = browser.new_context(viewport=PHONE, has_touch=True, permissions=["camera", *SENSORS]).new_page()
+    page.set_default_timeout(LONG_MS)
+    page.goto(f"{running.url}/record")
+    open_camera(page)
+    page.get_by_role("button", name="Record", exact=True).click()
+    expect(page.locator(".advice")).to_have_text("Nothing new in view. Walk on.", timeout=LONG_MS)
+    page.get_by_role("button", name="Stop").click()
+    expect(page.locator(".doubts")).to_contain_text("it stood still")
+    browser.close()
 
 
 def test_a_double_tap_marks_one_point_and_an_added_one_stands_before_the_end(running, phone):
@@ -499,10 +509,19 @@ def test_a_map_that_is_not_trusted_is_not_said_to_be_ready(running, phone):
     page.reload()
     expect(page.get_by_text("Try it with a few pictures")).to_be_visible()
 
+    # a failure is said once, and marked where it happened
+    error = {"code": "mapping_failed", "message": "The camera stayed in one place.", "hint": "It covers 74% of it."}
+    job.update(state="failed", stage="poses", error=error)
+    page.reload()
+    expect(page.get_by_role("alert")).to_contain_text("one place. It covers 74 % of it.")
+    expect(page.get_by_text("The camera stayed in one place.").filter(visible=True)).to_have_count(1)
+    expect(page.locator(".stages .failed")).to_have_text("Finding where each picture was taken")
+    job["error"] = None
+
     # while it is made, there is a line about what is done, and the time left
     job.update(state="running", stage="poses", progress=0.5, started=time.time() - 230, ended=None, trusted=None)
     page.reload()
-    expect(page.get_by_role("status")).to_have_text("Finding where each frame was taken – about 4 minutes left")
+    expect(page.get_by_role("status")).to_have_text("Finding where each picture was taken – about 4 minutes left")
     expect(page.get_by_role("button", name="Cancel")).to_be_visible()
 
 
@@ -528,6 +547,7 @@ def test_a_key_that_allows_too_little_is_asked_for_again(serve, phone):
     page.get_by_role("button", name="Open the camera").click()
     dialog = page.get_by_role("dialog")
     expect(dialog).to_contain_text("map is needed")
+    expect(dialog).to_contain_text("rholoc key create NAME --scope map")
     dialog.get_by_role("button", name="Cancel").click()
     expect(page.get_by_role("heading", name="Record a walk")).to_be_visible()  # no walk is recorded in vain
     page.get_by_role("button", name="Open the camera").click()
@@ -545,6 +565,7 @@ def test_a_key_is_asked_for_in_plain_words_and_any_title_is_a_name(serve, phone)
     page.get_by_label("Name of the map").fill("Büro, 2nd floor")
     button.click()
     expect(page.get_by_role("dialog")).not_to_contain_text("Bearer")
+    expect(page.get_by_role("dialog")).to_contain_text("rholoc key create NAME --scope map")
     page.get_by_role("textbox", name="Key").fill(KeyStore(running.settings.data_dir).create("one", Scope.MAP))
     page.get_by_role("button", name="Use this key").click()
     expect(page.get_by_role("button", name="Record", exact=True)).to_be_enabled(timeout=LONG_MS)

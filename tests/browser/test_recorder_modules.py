@@ -228,6 +228,8 @@ GOOD = {"turnDegS": 10, "light": 0.5, "rollDeg": 3, "imuHz": 60}
         ({"light": 0.05}, "too-dark"),
         ({"rollDeg": -30}, "not-upright"),
         ({"imuHz": 12}, "slow-sensors"),
+        ({"stoodS": 5}, None),
+        ({"stoodS": 7}, "standing"),
         ({"light": None, "rollDeg": None, "imuHz": None, "turnDegS": 0}, None),
     ],
 )

@@ -88,7 +88,9 @@ def test_only_the_latest_worker_holds_a_job(site: Site) -> None:
     assert leases.take("other") is None
     assert leases.take_back(["one", "other"]) == 0
     assert leases.take_back(["other"]) == 1
+    began = site.queue.get(job.id).started
     first, second = claim.lease, leases.take("other").lease
+    assert site.queue.get(job.id).started > began, "the time left counts from where the second began"
     assert (leases.holds(first), leases.holds(second)) == (False, True)
     assert second.run == first.run, "the second goes on where the first stopped"
     assert not leases.begin_publishing(first)

@@ -319,8 +319,11 @@ test("a map says from how many queries it learns, when it last did, and what cam
 
 test("a running job says what it does and how long that still takes", () => {
   const job = { state: "running", stage: "poses", message: "", started: 1000, progress: 0.4 };
-  assert.equal(doing(job), "Finding where each frame was taken"); // a line is never empty
+  assert.equal(doing(job), "Finding where each picture was taken"); // a line is never empty
   assert.equal(doing({ ...job, message: "31 of 60 keyframes placed" }), "31 of 60 keyframes placed");
+  const takenOver = { ...job, message: "waiting for another worker: its worker died" };
+  assert.equal(doing(takenOver), "Finding where each picture was taken");
+  assert.match(doing({ ...takenOver, state: "queued" }), /^waiting for another worker/);
   assert.equal(doing({ stage: "published", message: "published" }), "Published");
   near(secondsLeft(job, 1080), 120);
   assert.equal(timeLeft(job, 1080), "about 2 minutes left");

@@ -3,7 +3,7 @@ import { readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 
-import { inGerman, key, translated } from "../../client/page/shared/text.js";
+import { heard, inGerman, key, translated } from "../../client/page/shared/text.js";
 import { GERMAN, GERMAN_OF_SERVER } from "../../client/page/shared/texts.js";
 
 const ROOT = new URL("../../client/page", import.meta.url).pathname;
@@ -62,6 +62,10 @@ test("a translation has the values of its text", () => {
   for (const [text, german] of Object.entries(GERMAN)) {
     assert.deepEqual((german.match(VALUES) ?? []).sort(), (text.match(VALUES) ?? []).sort(), text);
   }
+});
+
+test("the server's percentages are written as the page's", () => {
+  assert.equal(heard("They cover 74% of it, ±0.5%."), "They cover 74 % of it, ±0.5 %.");
 });
 
 test("values are put in, in any order, and not looked into", () => {

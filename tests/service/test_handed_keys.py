@@ -42,6 +42,14 @@ def test_a_key_is_handed_on_works_is_listed_and_revoked(locked, store):
     assert ask(locked, admin, "DELETE", f"/v1/keys/{handed['name']}").status_code == 404
 
 
+def test_a_key_has_the_name_that_was_asked_for_once(locked, store):
+    admin = store.create("names", Scope.ADMIN)
+    assert ask(locked, admin, json={"name": "robot-7"}).json()["name"] == "handed-robot-7"
+    again = ask(locked, admin, json={"name": "robot-7"})
+    assert (again.status_code, again.json()["code"]) == (409, "conflict")
+    assert ask(locked, admin, json={"name": "a\nb"}).json()["code"] == "invalid_name"
+
+
 def test_never_more_and_never_longer_than_the_key_that_asks(locked, store):
     mapper = store.create("mapper", Scope.MAP, lifetime_s=600)
     answer = ask(locked, mapper, json={"scope": "admin"})

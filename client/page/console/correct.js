@@ -155,7 +155,7 @@ const KINDS = {
   labels: t`site, floor, tags`,
 };
 
-export async function showCorrections(main, name, signal) {
+export async function showCorrections(main, name, signal, chosen = TOOLS[0].kind) {
   const place = h("div", {}, skeletons(1, "panel"));
   const back = h("a", { class: "button", href: `#/maps/${encodeURIComponent(name)}` }, t`To the map`);
   fill(main, page(t`Make ${name} right`, back, place));
@@ -167,11 +167,15 @@ export async function showCorrections(main, name, signal) {
       await editor.load();
       fill(place, editor.element);
       editor.look(Side.ABOVE);
-      editor.choose(TOOLS[0]);
+      editor.tools.value = chosen;
+      editor.choose(TOOLS[editor.tools.selectedIndex]);
     },
     signal,
   );
 }
+
+/** Corrections of a map, with the correction chosen that names a point. */
+export const showNaming = (main, name, signal) => showCorrections(main, name, signal, "point");
 
 class Editor {
   constructor(name, signal) {

@@ -30,7 +30,7 @@ export async function showKeys(main, _, signal) {
     main,
     page(
       t`Keys`,
-      action(t`Hand on a key`, () => handOn(reload), "primary"),
+      action(t`New key`, () => handOn(reload), "primary"),
       h(
         "p",
         { class: "muted" },
@@ -127,16 +127,17 @@ async function handOn(reload) {
     { name: "scope" },
     SCOPES.slice(1).map(([value, text]) => h("option", { value }, text)),
   );
+  const name = h("input", { name: "name", maxlength: 50, placeholder: "robot-7" });
   const days = h("input", { name: "days", type: "number", min: 1, max: 31, value: 1, required: true });
   /** @type {any} */
   let made = null;
   const done = await ask(
-    t`Hand on a key`,
-    [field(t`It may`, scope), field(t`Days`, days)],
+    t`New key`,
+    [field(t`For whom or what`, name), field(t`It may`, scope), field(t`Days`, days)],
     h("button", { class: "primary" }, t`Make the key`),
     async (form) => {
       made = await rholoc.call("POST", "v1/keys", {
-        body: { scope: form.get("scope"), lifetime_s: Number(form.get("days")) * DAY_S },
+        body: { name: name.value || null, scope: form.get("scope"), lifetime_s: Number(form.get("days")) * DAY_S },
       });
     },
   );
@@ -144,10 +145,6 @@ async function handOn(reload) {
   const text = made.key
     ? h("input", { readonly: true, value: made.key, "aria-label": t`Key` })
     : h("p", {}, t`This server needs no key.`);
-  await ask(
-    t`Hand on a key`,
-    [text, made.key && h("p", { class: "muted" }, t`It is not shown again.`)],
-    h("button", { class: "primary" }, t`Done`),
-  );
+  await ask(t`New key`, [text, made.key && h("p", { class: "muted" }, t`It is not shown again.`)]);
   await reload();
 }

@@ -4,7 +4,7 @@ import { keyButton, takeKeyOfLink } from "../shared/api.js";
 import { fill, h } from "../shared/dom.js";
 import { t, translatePage } from "../shared/text.js";
 import { showCameras } from "./cameras.js";
-import { showCorrections } from "./correct.js";
+import { showCorrections, showNaming } from "./correct.js";
 import { showJob, showJobs } from "./jobs.js";
 import { showKeys } from "./keys.js";
 import { showMap } from "./map.js";
@@ -20,6 +20,7 @@ const ROUTES = [
   [/^\/maps$/, t`Maps`, showMaps],
   [/^\/maps\/([^/]+)$/, t`Map`, showMap],
   [/^\/maps\/([^/]+)\/correct$/, t`Make it right`, showCorrections],
+  [/^\/maps\/([^/]+)\/names$/, t`Name points`, showNaming],
   [/^\/maps\/([^/]+)\/refusals$/, t`Refused`, showRefusals],
   [/^\/try(?:\/([^/]+))?$/, t`Try it`, showTry],
   [/^\/jobs$/, t`Jobs`, showJobs],

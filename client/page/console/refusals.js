@@ -87,14 +87,11 @@ function counts(title, values) {
 function card(name, refusal, signal) {
   const canvas = h("canvas", { class: "likeness", role: "img", "aria-label": heard(refusal.message) });
   const compare = action(t`Compare with the map`, async () => {
-    await draw(
-      canvas,
-      name,
-      refusal,
-      await rholoc.get(path`v1/maps/${name}/refusals/${refusal.number}`, { signal }),
-      signal,
-    );
-    compare.remove();
+    const found = await rholoc.get(path`v1/maps/${name}/refusals/${refusal.number}`, { signal });
+    const both = await draw(canvas, name, refusal, found, signal);
+    const why =
+      found.view === null ? t`No view of the map resembles it.` : t`This map keeps no pictures to show beside it.`;
+    compare.replaceWith(both ? "" : why);
   });
   draw(canvas, name, refusal, { view: null, lines: [] }, signal).catch(() => canvas.remove()); // it is no longer kept
   return h(
@@ -112,7 +109,10 @@ function card(name, refusal, signal) {
   );
 }
 
-/** The refused picture and, where one is known and kept, the view beside it, with lines between what was matched. */
+/**
+ * The refused picture and, where one is known and kept, the view beside it, with lines between what was matched.
+ * Whether there is a view beside it.
+ */
 async function draw(canvas, name, { number }, { view, lines }, signal) {
   const ours = await picture(path`v1/maps/${name}/refusals/${number}/picture.jpg`, signal);
   const theirs =
@@ -121,7 +121,7 @@ async function draw(canvas, name, { number }, { view, lines }, signal) {
   Object.assign(canvas, { width: widths[0] + (theirs ? GAP + widths[1] : 0), height: HEIGHT });
   const context = canvas.getContext("2d");
   context.drawImage(ours, 0, 0, widths[0], HEIGHT);
-  if (!theirs) return;
+  if (!theirs) return false;
   context.drawImage(theirs, widths[0] + GAP, 0, widths[1], HEIGHT);
   context.strokeStyle = resolvedColour(canvas, "--warn");
   context.globalAlpha = 0.7;
@@ -131,6 +131,7 @@ async function draw(canvas, name, { number }, { view, lines }, signal) {
     context.lineTo(widths[0] + GAP + x * widths[1], y * HEIGHT);
     context.stroke();
   }
+  return true;
 }
 
 async function picture(where, signal) {

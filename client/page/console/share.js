@@ -31,7 +31,7 @@ export async function shareLink(title, text, where, key) {
     h("button", { class: "primary" }, t`Make the link`),
     async () => showLink(place, await linkWithKey(where, { ...key, lifetime_s: days.value * DAY_S })),
   );
-  if (done) await ask(title, place, h("button", { class: "primary" }, t`Done`));
+  if (done) await ask(title, place);
 }
 
 async function showLink(place, { link, expires }) {

@@ -8,6 +8,7 @@ import { field, mapNameOf, nameField } from "../shared/name_choice.js";
 import { t } from "../shared/text.js";
 import { Trust, trustOf } from "../shared/trust.js";
 import { drawFloor, endsOf, placedPlan } from "./floor.js";
+import { expectedError } from "./maps.js";
 import { Motions } from "./motions.js";
 import { empty, loading, page, problem, skeletons, trustBadge } from "./parts.js";
 import { readRoom, readScene, STRIDE_VIEW } from "./scene_data.js";
@@ -115,7 +116,13 @@ function tray(name, left, known) {
 }
 
 const roomLink = (map, name) =>
-  h("span", { class: "row" }, h("a", { href: `#/maps/${encodeURIComponent(name)}` }, name), map && trustBadge(map));
+  h(
+    "span",
+    { class: "row" },
+    h("a", { href: `#/maps/${encodeURIComponent(name)}` }, name),
+    map && [trustBadge(map), h("span", { class: "muted small" }, t`Expected error`, ": ", expectedError(map))],
+    h("a", { class: "small", href: `#/maps/${encodeURIComponent(name)}/names` }, t`Name points`),
+  );
 
 /** One floor of a site: its plan, its rooms by name, and who asks for poses on it. */
 class Floor {

@@ -8,6 +8,7 @@ export const DARKEST = 0.16; // mean brightness, 0 to 1; below it the camera blu
 export const BAREST = 0.12; // share of the picture that shows texture; below it nothing can be recognised
 export const LEAST_SHARP = 0.45; // of `sharpness`; a blur of 6 px in 640 is at 0.36, pictures of real walks from 0.62 on
 export const MOST_ROLL_DEG = 15;
+export const LONGEST_STAND_S = 6; // without a new view; at a measured point one stands for two
 const LEAST_UPRIGHT = 0.35; // of gravity within the screen's plane; below it the phone lies flat and has no roll
 const BLOCK = 8; // px, of the squares that texture is looked for in
 const LEAST_CONTRAST = 24; // grey levels within a block, of 255; sensor noise in a bare wall stays below
@@ -117,9 +118,10 @@ export function flaws({ turnDegS = null, light = null, texture = null, sharpness
 }
 
 /** The one most urgent advice, `{code, text}`, or null when all is well. */
-export function advice({ rollDeg = null, imuHz = null, ...moment }) {
+export function advice({ rollDeg = null, imuHz = null, stoodS = 0, ...moment }) {
   const [flaw] = flaws(moment);
   if (flaw) return { code: flaw, text: ADVICE[flaw] };
+  if (stoodS > LONGEST_STAND_S) return { code: "standing", text: t`Nothing new in view. Walk on.` };
   if (rollDeg !== null && Math.abs(rollDeg) > MOST_ROLL_DEG)
     return { code: "not-upright", text: t`Hold the phone upright.` };
   if (imuHz !== null && imuHz < LEAST_RATE_HZ)

@@ -13,6 +13,7 @@ export class LoopWatch {
   #busy = false;
   #asked = -Infinity;
   #known = 0;
+  #newAt = 0; // when a view was new, or an earlier place was seen again, s
   #worker = null;
 
   constructor(video) {
@@ -32,6 +33,11 @@ export class LoopWatch {
     return this.#worker !== null;
   }
 
+  /** How long the camera has seen nothing but one view [s]. */
+  get stoodS() {
+    return Math.max(0, this.#asked - this.#newAt);
+  }
+
   /** Look at the picture, at a time in seconds after the start; at most once a second, and never while it compares. */
   look(time) {
     const { videoWidth, videoHeight } = this.video;
@@ -49,6 +55,7 @@ export class LoopWatch {
 
   #hear({ since, views }) {
     this.#busy = false;
+    if (views !== this.views || since !== null) this.#newAt = this.#asked;
     this.views = views;
     this.#known = since === null ? 0 : this.#known + 1;
     const here = this.#known >= CONFIRMED;

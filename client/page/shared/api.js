@@ -82,7 +82,9 @@ export function askForKey(error) {
         h(
           "p",
           { class: "small muted" },
-          t`It is kept in this browser. Whoever runs the server makes keys with rholoc key create.`,
+          t`It is kept in this browser.`,
+          " ",
+          error.status === 403 ? error.hint : t`Whoever runs the server makes one: rholoc key create NAME --scope map`,
         ),
       ],
       h("button", { class: "primary" }, t`Use this key`),
@@ -115,7 +117,7 @@ export async function changeKey() {
 
 /** A button of the page's head that changes the key; hidden while there is none. */
 export function keyButton() {
-  const button = h("button", { type: "button", class: "key", "aria-label": t`API key`, onclick: changeKey }, t`Key`);
+  const button = h("button", { type: "button", class: "key", onclick: changeKey }, t`My key`);
   const show = () => (button.hidden = !storedKey());
   addEventListener("keychange", show);
   show();

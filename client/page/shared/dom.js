@@ -44,18 +44,22 @@ export async function busy(button, work) {
 }
 
 /**
- * A dialog around `content`, opened; the promise gives what its form was submitted with (the value of the button), or
+ * A dialog around `content`, opened, with a button to close it beside `buttons`; the promise gives what its form was submitted with (the value of the button), or
  * null when it was closed. `check` gets the form's data and that value, and may refuse by throwing; its message is shown
  * in the dialog. Where something would be lost, the button that keeps it has the focus.
  * @param {string} title
  * @param {any} content
- * @param {any} buttons
+ * @param {any} [buttons] null where there is nothing to do but to read
  * @param {(form: FormData, chosen?: string) => Promise<any>} check
  */
-export function ask(title, content, buttons, check = async () => {}) {
+export function ask(title, content, buttons = null, check = async () => {}) {
   const problem = h("p", { class: "notice bad", role: "alert", hidden: true });
-  const losing = [buttons].flat().every((button) => button.classList.contains("danger"));
-  const cancel = h("button", { type: "button", autofocus: losing, onclick: () => dialog.close() }, t`Cancel`);
+  const losing = [buttons].flat().every((button) => button?.classList.contains("danger"));
+  const cancel = h(
+    "button",
+    { type: "button", class: !buttons && "primary", autofocus: losing, onclick: () => dialog.close() },
+    buttons ? t`Cancel` : t`Done`,
+  );
   const form = h(
     "form",
     { class: "stack", method: "dialog" },

@@ -6,11 +6,11 @@ import { heard, t } from "./text.js";
 export const STAGES = {
   received: t`Received`,
   read: t`Reading the recording`,
-  keyframes: t`Choosing keyframes`,
-  features: t`Finding features`,
-  poses: t`Finding where each frame was taken`,
-  observations: t`Linking observations`,
-  densities: t`Fitting densities`,
+  keyframes: t`Choosing pictures`,
+  features: t`Finding what can be recognised`,
+  poses: t`Finding where each picture was taken`,
+  observations: t`Comparing the pictures`,
+  densities: t`Learning what is seen from where`,
   report: t`Testing the map`,
   published: t`Published`,
 };
@@ -18,8 +18,10 @@ export const STAGES = {
 const MIN_PROGRESS = 0.05; // before that, the time spent says little about the rest
 
 /** What a job is doing, in one line that is never empty. */
-export const doing = ({ stage, message, error }) =>
-  heard(error?.message ?? (message === stage ? "" : message)) || (STAGES[stage] ?? t`Comparing the maps`);
+export function doing({ state = "", stage, message, error }) {
+  const isOld = message === stage || (state === "running" && message.startsWith("waiting for ")); // its worker has begun
+  return heard(error?.message ?? (isOld ? "" : message)) || (STAGES[stage] ?? t`Comparing the maps`);
+}
 
 /** How long a running job will still take [s], by the time since it started; null while that says too little. */
 export function secondsLeft({ state, started, progress }, now = Date.now() / 1000) {

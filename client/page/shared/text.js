@@ -36,8 +36,8 @@ export function translated(text, values = []) {
   return (texts[text] ?? text).replace(/\{(\d)\}/g, (_, i) => String(values[i]));
 }
 
-/** What the server said in English, in the page's language as far as its sentences are known. */
-export const heard = (text) => (language === "de" ? inGerman(text) : text);
+/** What the server said in English, in the page's language as far as its sentences are known, percentages as the page's. */
+export const heard = (text) => (language === "de" ? inGerman(text) : text).replace(/(\d)%/g, "$1 %");
 
 /** Sentences of `GERMAN_OF_SERVER` within a text in German, their figures with a comma. */
 export function inGerman(text) {

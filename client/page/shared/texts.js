@@ -19,8 +19,10 @@ export const GERMAN = {
   // The API key, errors, dialogs
   "API key": "API-Schlüssel",
   Key: "Schlüssel",
-  "It is kept in this browser. Whoever runs the server makes keys with rholoc key create.":
-    "Er bleibt in diesem Browser. Wer den Server betreibt, erstellt Schlüssel mit rholoc key create.",
+  "My key": "Mein Schlüssel",
+  "It is kept in this browser.": "Er bleibt in diesem Browser.",
+  "Whoever runs the server makes one: rholoc key create NAME --scope map":
+    "Wer den Server betreibt, erstellt einen: rholoc key create NAME --scope map",
   "Use this key": "Diesen Schlüssel verwenden",
   "This browser uses the key {0}": "Dieser Browser verwendet den Schlüssel {0}",
   "Another key": "Anderer Schlüssel",
@@ -223,6 +225,9 @@ export const GERMAN = {
   "By robot": "Nach Roboter",
   "By hour": "Nach Stunde",
   "Refused pictures": "Abgelehnte Bilder",
+  "No view of the map resembles it.": "Keine Ansicht der Karte ähnelt ihm.",
+  "This map keeps no pictures to show beside it.":
+    "Diese Karte bewahrt keine Bilder auf, die sich daneben zeigen ließen.",
   "Compare with the map": "Mit der Karte vergleichen",
   "too little texture": "zu wenig Struktur",
   "other light": "anderes Licht",
@@ -267,7 +272,9 @@ export const GERMAN = {
   "Requests a second": "Anfragen je Sekunde",
   "Bytes stored": "Gespeicherte Bytes",
   "Jobs at once": "Aufträge zugleich",
-  "Hand on a key": "Schlüssel weitergeben",
+  "New key": "Neuer Schlüssel",
+  "For whom or what": "Für wen oder was",
+  "Name points": "Punkte benennen",
   "Keys without an end are made on the server, with rholoc key create. Those that are made here expire.":
     "Unbefristete Schlüssel erstellt man auf dem Server mit rholoc key create. Die von hier laufen ab.",
   "This server asks nobody for a key, or has given out none.":
@@ -577,6 +584,9 @@ export const GERMAN = {
   Calm: "Ruhe",
   "Too fast. Turn more slowly.": "Zu schnell. Langsamer drehen.",
   "Too dark. Turn on a light.": "Zu dunkel. Licht einschalten.",
+  "Nothing new in view. Walk on.": "Nichts Neues im Bild. Weitergehen.",
+  "The camera saw only one view: it stood still. A map needs a walk through the room.":
+    "Die Kamera hat nur eine Ansicht gesehen: Sie stand still. Eine Karte braucht einen Rundgang durch den Raum.",
   "Blurred. Slow down, or wipe the lens.": "Unscharf. Langsamer gehen oder die Linse abwischen.",
   "Nothing to recognise here. Turn to something with texture, or step back.":
     "Hier ist nichts zu erkennen. Die Kamera auf etwas mit Struktur richten oder zurücktreten.",
@@ -655,14 +665,14 @@ export const GERMAN = {
   "Not started yet.": "Noch nicht begonnen.",
   "The server makes the map": "Der Server erstellt die Karte",
   "Sent. It is no longer needed on this phone.": "Gesendet. Auf diesem Telefon wird sie nicht mehr gebraucht.",
-  "Waiting for a worker": "Wartet auf einen freien Worker",
+  "Waiting for its turn": "Wartet, bis sie an der Reihe ist",
   Received: "Empfangen",
   "Reading the recording": "Aufnahme lesen",
-  "Choosing keyframes": "Schlüsselbilder wählen",
-  "Finding features": "Merkmale suchen",
-  "Finding where each frame was taken": "Aufnahmeort jedes Bildes bestimmen",
-  "Linking observations": "Beobachtungen verknüpfen",
-  "Fitting densities": "Dichten anpassen",
+  "Choosing pictures": "Bilder auswählen",
+  "Finding what can be recognised": "Wiedererkennbares suchen",
+  "Finding where each picture was taken": "Aufnahmeort jedes Bildes bestimmen",
+  "Comparing the pictures": "Bilder vergleichen",
+  "Learning what is seen from where": "Lernen, was von wo zu sehen ist",
   "Testing the map": "Karte prüfen",
   Published: "Fertig",
   "Comparing the maps": "Karten vergleichen",
@@ -826,8 +836,8 @@ export const GERMAN = {
   "Show a QR code": "QR-Code zeigen",
   "Film the walk with the phone's camera app, and upload the video here.":
     "Den Rundgang mit der Kamera-App des Telefons filmen und das Video hier hochladen.",
-  "To record in the phone's browser, with its motion sensors, start the server with rholoc serve --tls, and open the address that it prints.":
-    "Um im Browser des Telefons aufzunehmen, mit dessen Bewegungssensoren, den Server mit rholoc serve --tls starten und die Adresse öffnen, die er ausgibt.",
+  "To record in the phone's browser, with its motion sensors, start the server with rholoc serve --tls, and open the address that it prints here: it shows a QR code for the phone.":
+    "Um im Browser des Telefons aufzunehmen, mit dessen Bewegungssensoren, den Server mit rholoc serve --tls starten und die Adresse, die er ausgibt, hier öffnen: Dann zeigt diese Seite einen QR-Code für das Telefon.",
   "Point the phone's camera at it.": "Die Kamera des Telefons darauf richten.",
   "Point the phone's camera at it. The key in it is valid for two hours.":
     "Die Kamera des Telefons darauf richten. Der Schlüssel darin gilt zwei Stunden.",
@@ -961,8 +971,8 @@ export const GERMAN_OF_SERVER = {
     "Die Bilder haben keine Zeiten, daher ist die IMU nicht zu verwenden: frames.csv mit frame,timestamp hinzufügen.",
   "There are {0} gaps between frames, the longest {1} s; the path may break there.":
     "Zwischen Bildern sind {0} Lücken, die längste {1} s; dort kann der Weg abreißen.",
-  "The IMU covers {0} of the frames; the rest is placed by the images alone.":
-    "Die IMU deckt {0} der Bilder ab; die übrigen ordnen die Bilder allein ein.",
+  "The motion sensors cover {0} of the frames; the rest is placed by the images alone.":
+    "Die Bewegungssensoren decken {0} der Bilder ab; die übrigen ordnen die Bilder allein ein.",
   "Show more of the room, or closer things, or allow a larger {0}.":
     "Mehr vom Raum oder nähere Dinge zeigen, oder ein größeres {0} erlauben.",
   "Walk there again and update the map, or lower RHOLOC_MIN_RECOGNIZED.":
@@ -1007,6 +1017,8 @@ export const GERMAN_OF_SERVER = {
   "It may have run out of memory: retry, record a shorter walk, or give the worker more memory.":
     "Vielleicht fehlte Speicher: noch einmal versuchen, einen kürzeren Rundgang aufnehmen oder dem Worker mehr geben.",
   "Mapping took longer than the limit of {0} s.": "Das Erstellen der Karte dauerte länger als die erlaubten {0} s.",
+  "On the server, rholoc key create NAME --scope {0} makes one.":
+    "Auf dem Server erstellt rholoc key create NAME --scope {0} einen.",
   "There is already a key called {0}.": "Es gibt schon einen Schlüssel namens {0}.",
   "The recording's own poses {0}; its pictures were used.":
     "Die Posen der Aufnahme wurden nicht verwendet ({0}), sondern ihre Bilder.",

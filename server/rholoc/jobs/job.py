@@ -115,7 +115,7 @@ class Job:
         log: the last lines of its log.
         warnings: why its published map should not be trusted, or why maps of its site are not placed.
         error_code, error_message, error_hint: set if it failed.
-        created, started, ended: seconds since the epoch, or None.
+        created, started, ended: seconds since the epoch, or None. ``started`` is when the present worker took the job.
         attempts: number of workers that have taken it.
         priority: of the job.
         memory_bytes: estimated memory; None until its recording was read.

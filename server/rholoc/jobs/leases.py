@@ -112,7 +112,7 @@ class Leases:
             "state": JobState.RUNNING,
             "worker": worker,
             "attempts": lease.attempt,
-            "started": row["started"] or time.time(),
+            "started": time.time(),
         }
         as_seen = [jobs_table.c[name] == row[name] for name in ("id", "state", "run", "attempts")]
         with self._engine.begin() as connection:

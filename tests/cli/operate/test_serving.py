@@ -19,9 +19,10 @@ from typing import Any
 import httpx
 import pytest
 
-from rholoc.cli.operate.serve import listening_socket
+from rholoc.cli.operate.serve import listening_socket, phone_link
 from rholoc.cli.server_process import running_server
 from rholoc.errors import RholocError
+from rholoc.service.access.keys import KeyStore, Scope
 
 
 def has_ended(url: str) -> bool:
@@ -187,3 +188,13 @@ def test_an_answer_is_not_held_back_until_it_is_acknowledged() -> None:
             connection, _ = listener.accept()
         with connection:
             assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_a_phone_gets_a_key_of_its_own_that_expires(tmp_path: Path) -> None:
+    keys = KeyStore(tmp_path)
+    where, secret = phone_link("https://hall:8443", keys).rstrip("/").split("#/key/")
+    key = keys.find(secret)
+    assert key is not None
+    assert (where, key.scope, key.expired) == ("https://hall:8443/record", Scope.MAP, False)
+    assert key.expires == pytest.approx(time.time() + 7200, abs=60)
+    assert phone_link("https://hall:8443", None) == "https://hall:8443/record"

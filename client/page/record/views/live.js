@@ -223,7 +223,7 @@ class Live {
       this.time.textContent = `${duration(elapsed)} · ${size(recording.bytes)}`;
     }
     const rollDeg = rows.length ? rollDegrees(rows.at(-1).slice(1, 4), screen.orientation?.angle) : null;
-    this.advise(this.loopAdvice() ?? advice({ ...measured, rollDeg, imuHz }));
+    this.advise(this.loopAdvice() ?? advice({ ...measured, rollDeg, imuHz, stoodS: this.#watch?.stoodS }));
   }
 
   /** What to do where the walk has been before; said once each time. */

@@ -41,7 +41,7 @@ export function onPhone() {
           h(
             "p",
             { class: "small muted" },
-            t`To record in the phone's browser, with its motion sensors, start the server with rholoc serve --tls, and open the address that it prints.`,
+            t`To record in the phone's browser, with its motion sensors, start the server with rholoc serve --tls, and open the address that it prints here: it shows a QR code for the phone.`,
           ),
         ],
     place,

@@ -157,6 +157,7 @@ function doubtsOf(recording, imuHz) {
     Number.isFinite(recording.darkest) &&
       recording.darkest < DARKEST &&
       t`Parts of it are dark. The map may have gaps there.`,
+    recording.views === 1 && t`The camera saw only one view: it stood still. A map needs a walk through the room.`,
     recording.loops === 0 &&
       recording.duration > LOOP_EXPECTED_S &&
       t`No loop was seen: the walk did not come back to where it had been, or not long enough. The map will not know its own errors.`,

@@ -4,7 +4,7 @@ import { path, rholoc } from "../../shared/api.js";
 import { action, fill, h } from "../../shared/dom.js";
 import { doing, STAGES, timeLeft } from "../../shared/job_words.js";
 import { Existing } from "../../shared/name_choice.js";
-import { percent, t } from "../../shared/text.js";
+import { heard, percent, t } from "../../shared/text.js";
 import { blamesPoints, inPlainWords, mistakesIn, nextForGood, Trust, whatToDo } from "../../shared/trust.js";
 import { mapNames } from "../map_names.js";
 import { archive } from "../recording.js";
@@ -126,7 +126,7 @@ class SendPage {
     if (!this.bar.value && !this.closing.hidden) this.text.textContent = t`Not started yet.`;
     this.notice.hidden = false;
     this.notice.className = "notice warn";
-    const why = h("span", { class: "muted" }, error.summary);
+    const why = error.code !== "unreachable" && h("span", { class: "muted" }, error.summary);
     fill(this.notice, h("strong", {}, t`The server cannot be reached.`), " ", comfort, " ", why);
   }
 
@@ -146,7 +146,7 @@ class SendPage {
       this.actions.append(action(t`Cancel`, () => rholoc.call("DELETE", path`v1/jobs/${id}`), "danger"));
     this.bar.value = progress;
     this.text.textContent =
-      state === "queued" ? t`Waiting for a worker` : [doing(job), timeLeft(job)].filter(Boolean).join(" – ");
+      state === "queued" ? t`Waiting for its turn` : [doing(job), timeLeft(job)].filter(Boolean).join(" – ");
     const items = [...this.stages.children];
     const now = items.findIndex((item) => item.dataset.stage === stage);
     items.forEach((item, i) => {
@@ -167,6 +167,8 @@ class SendPage {
     }
     this.title.textContent = state === "cancelled" ? t`The job was cancelled` : t`Mapping failed`;
     this.bar.hidden = true;
+    this.text.hidden = true;
+    this.stages.querySelector(".now")?.classList.add("failed");
     this.tell(error ?? { message: t`The server keeps the recording.`, hint: "" });
     fill(this.actions, h("a", { class: "button", href: "./#/jobs" }, t`All jobs`), again);
   }
@@ -207,6 +209,6 @@ class SendPage {
   tell({ message, hint }) {
     this.notice.hidden = false;
     this.notice.className = "notice bad";
-    fill(this.notice, h("strong", {}, message), " ", hint);
+    fill(this.notice, h("strong", {}, heard(message)), " ", heard(hint));
   }
 }

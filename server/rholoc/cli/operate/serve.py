@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from rholoc.cli.console import print_notice, print_qr_code
+from rholoc.cli.console import notices, print_notice, print_qr_code
 from rholoc.errors import Conflict, InvalidInput, RholocError, StorageFull, StorageUnavailable
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ _BACKLOG = 2048
 _SHUTDOWN_S = 5  # for requests in progress; clients that watch a job would otherwise stay as long as it takes
 _SWITCH_INTERVAL_S = 0.0005  # with Python's default of 5 ms, a frame's many steps take twice as long beside other work
 _EVERYWHERE = "0.0.0.0"
+_PHONE_KEY_S = 2 * 3600  # lifetime of the key in the QR code
 
 Maps = Annotated[
     Path | None, typer.Option("--maps", metavar="DIR", help="The folder of maps; default: RHOLOC_MAPS_DIR or maps.")
@@ -67,6 +68,9 @@ def serve(
     if settings.shared_storage is None:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)  # reported here, in one line, if they cannot be used
     keys = _keys(settings)
+    if not keys_needed(settings.keys, settings.host):
+        keys = None
+    has_none = keys is not None and not keys.keys()
     with listening_socket(settings.host, settings.port) as listener:
         config = uvicorn.Config(
             create_app(settings),
@@ -80,7 +84,7 @@ def serve(
         port = listener.getsockname()[1]
         where = f"http://{settings.host}:{port}"
         if tls:
-            config.ssl_certfile, where = _https(settings, port)
+            config.ssl_certfile, where = _https(settings, port, keys)
         source = settings.maps_dir if settings.shared_storage is None else "the shared storage"
 
         class Announced(uvicorn.Server):
@@ -102,7 +106,7 @@ def serve(
         # Objects of modules are permanent. Scanning them takes 0.1 s, for which all threads wait.
         gc.collect()
         gc.freeze()
-        if keys is not None and keys_needed(settings.keys, settings.host) and not keys.keys():
+        if has_none:
             print_notice("It asks for API keys, and there is none yet: rholoc key create NAME --scope admin")
         try:
             server.run(sockets=[listener])
@@ -121,8 +125,26 @@ def _end_at_once(status: int) -> NoReturn:
     os._exit(status)
 
 
-def _https(settings: Settings, port: int) -> tuple[Path, str]:
-    """The server's certificate and its address; prints the recorder's address, as a QR code too."""
+def phone_link(where: str, keys: KeyStore | None) -> str:
+    """Link that opens the recorder, with a temporary key of scope ``map`` if the server needs keys.
+
+    Args:
+        where: the server's address.
+        keys: None if the server needs no keys.
+    """
+    from rholoc.service.access.keys import KeyLimits, Scope
+
+    if keys is None:
+        return f"{where}/record"
+    try:
+        _, secret = keys.hand_on(Scope.MAP, _PHONE_KEY_S, KeyLimits(), None)
+    except RholocError:  # a server starts on a full disk, too; the recorder asks for a key
+        return f"{where}/record"
+    return f"{where}/record#/key/{secret}/"
+
+
+def _https(settings: Settings, port: int, keys: KeyStore | None) -> tuple[Path, str]:
+    """The server's certificate and its address; prints the recorder's address, as a QR code with a key too."""
     from rholoc.service.operate.certificates import addresses, server_certificate
 
     everywhere = settings.host in (_EVERYWHERE, "::")
@@ -132,8 +154,12 @@ def _https(settings: Settings, port: int) -> tuple[Path, str]:
     certificate = server_certificate(settings.data_dir, tuple(names))
     where = f"https://{f'[{hosts[0]}]' if ':' in hosts[0] else hosts[0]}:{port}"
     print_notice(f"Record with a phone at {where}/record")
-    print_qr_code(f"{where}/record")
-    print_notice(f"Phones warn of its certificate until they trust {certificate.authority}")
+    if notices.is_terminal:
+        link = phone_link(where, keys)
+        print_qr_code(link)
+        if link != f"{where}/record":
+            print_notice("The QR code has a key in it that is valid for two hours.")
+    print_notice(f"Phones warn of its certificate, and programs refuse it, until they trust {certificate.authority}")
     return certificate.path, where
 
 

@@ -37,7 +37,7 @@ def _uncovered(times: FloatArray, imu: Imu) -> tuple[RecordingWarning, ...]:
     if covered.all():
         return ()
     if covered.any():
-        text = f"The IMU covers {covered.mean():.0%} of the frames; the rest is placed by the images alone."
+        text = f"The motion sensors cover {covered.mean():.0%} of the frames; the rest is placed by the images alone."
     else:
         text = (
             f"IMU and frames have no common time: {imu.times[0]:.3f}–{imu.times[-1]:.3f} s and "

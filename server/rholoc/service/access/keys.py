@@ -173,7 +173,7 @@ class KeyStore:
         return secret
 
     def hand_on(
-        self, scope: Scope, lifetime_s: float, limits: KeyLimits, by: ApiKey | None, site: str = ""
+        self, scope: Scope, lifetime_s: float, limits: KeyLimits, by: ApiKey | None, site: str = "", name: str = ""
     ) -> tuple[str, str]:
         """Make a temporary key. Returns its name, and its secret, which cannot be retrieved again.
 
@@ -183,8 +183,11 @@ class KeyStore:
             limits: of the key.
             by: parent key; None if the server needs no keys.
             site: only site that a key of scope ``visit`` is for; empty for all.
+            name: what the key's name ends in; empty for a random one.
 
         Raises:
+            InvalidName: the name is too long or not printable.
+            Conflict: there is a key of that name.
             QuotaExceeded: the parent has handed on too many.
             Busy: there are too many temporary keys.
             StorageFull: the disk is full.
@@ -203,7 +206,7 @@ class KeyStore:
             )
         if len(valid) >= _MAX_HANDED:
             raise Busy("Too many temporary keys exist at the moment.", "Revoke some, or wait until they expire.")
-        name = HANDED_PREFIX + secrets.token_hex(_NAME_BYTES)
+        name = HANDED_PREFIX + (name or secrets.token_hex(_NAME_BYTES))
         return name, self.create(name, scope, lifetime_s, limits, by, site)
 
     def limit(self, name: str, limits: KeyLimits) -> ApiKey:

@@ -71,7 +71,8 @@ def found_route(request_scope: RequestScope) -> RouteAccess | None:
 def forbidden(held: Scope, needed: Scope) -> Forbidden:
     """The error for a key whose scope is too small."""
     return Forbidden(
-        f"This API key may not do that: its scope is {held}, and {needed} is needed.", "Use a key of that scope."
+        f"This API key may not do that: its scope is {held}, and {needed} is needed.",
+        f"On the server, rholoc key create NAME --scope {needed} makes one.",
     )
 
 

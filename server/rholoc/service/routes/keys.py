@@ -12,7 +12,7 @@ from fastapi import APIRouter, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from rholoc.errors import Busy, InvalidInput, NotFound, StorageFull
+from rholoc.errors import Busy, Conflict, InvalidInput, InvalidName, NotFound, StorageFull
 from rholoc.service.access.keys import ApiKey, KeyLimits, Scope
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, forbidden, granted_key, request_key
 from rholoc.service.errors import QuotaExceeded
@@ -53,6 +53,9 @@ class KeyIn(RequestModel):
     scope: Scope = Field(default=Scope.READ, description="what it allows; no more than the request's own key")
     lifetime_s: Number = Field(
         default=86400, ge=60, le=31 * 86400, description="how long it is valid, s: a minute to 31 days"
+    )
+    name: str | None = Field(
+        default=None, max_length=50, description="what its name ends in, after `handed-`; null: a random one"
     )
     site: str | None = Field(
         default=None, max_length=100, description="the only site that a key of scope `visit` is for; null: any"
@@ -107,7 +110,9 @@ _SVG = "image/svg+xml"
 
 
 @router.post(
-    "/keys", status_code=201, **declared(NEEDS_MAP, "Hand on a key that expires", QuotaExceeded, Busy, StorageFull)
+    "/keys",
+    status_code=201,
+    **declared(NEEDS_MAP, "Hand on a key that expires", InvalidName, Conflict, QuotaExceeded, Busy, StorageFull),
 )
 async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> HandedKeyOut:
     """A new key, which allows no more than the key of the request and expires no later. It is shown only once. Where
@@ -119,7 +124,8 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
         return HandedKeyOut(key=None, name=None, scope=wanted.scope, expires=None)
     lifetime_s = wanted.lifetime_s if expires is None else min(wanted.lifetime_s, expires - time.time())
     by = request_key(request.scope)
-    name, key = await service.keys.hand_on(wanted.scope, lifetime_s, _limits(wanted.limits), by, wanted.site or "")
+    limits, site = _limits(wanted.limits), wanted.site or ""
+    name, key = await service.keys.hand_on(wanted.scope, lifetime_s, limits, by, site, wanted.name or "")
     return HandedKeyOut(key=key, name=name, scope=wanted.scope, expires=time.time() + lifetime_s)
 
 
