@@ -203,7 +203,7 @@ def test_a_running_job_says_what_it_does_and_how_long_that_takes(desk_browser, n
         page.route("**/v1/jobs/*/events", lambda route: route.fulfill(body=f"data: {json.dumps(job)}\n\n"))
         page.route(f"**/v1/jobs/{job['id']}", lambda route: route.fulfill(json=job))
         page.goto(f"{named.url}/#/jobs")
-        expect(page.locator("main li")).to_contain_text("Finding where each frame was taken – about 2 minutes left")
+        expect(page.locator("main li")).to_contain_text("Finding where each picture was taken – about 2 minutes left")
         page.goto(f"{named.url}/#/jobs/{job['id']}")
         expect(page.locator("main")).to_contain_text("about 2 minutes left")
         expect(page.locator("main")).to_contain_text("You may close this page")
