@@ -80,13 +80,13 @@ def test_the_ellipsoid_holds_95_percent(tmp_path):
 
 def test_a_path_grows_by_a_pose_a_second_and_is_bounded(tmp_path):
     with PoseBag(tmp_path / "path.mcap", np.eye(4)) as bag:
-        for number in range(1400):
+        for number in range(7000):
             T = np.eye(4)
             T[0, 3] = number
-            bag.pose(number / 2, T, None)
+            bag.pose(number / 10, T, None)
     paths = [one for topic, _, one in bag_messages(tmp_path / "path.mcap") if topic.endswith("path")]
     assert len(paths[-1].poses) == 600
-    assert [round(one.pose.position.x) for one in paths[3].poses] == [0, 2, 4, 6]
+    assert [round(one.pose.position.x) for one in paths[3].poses] == [0, 10, 20, 30]
     assert sum(len(one.poses) for one in paths) < 60 * 700
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fake_pipeline import BUILD_STAGES
+from fake_pipeline import KILL_POINTS
 from rholoc.jobs import JobState
 from rholoc.library import MapLibrary
 
@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 
 @pytest.mark.slow
-def test_workers_killed_while_they_build_lose_no_job_and_publish_each_once(site: Site) -> None:
-    plans = [BUILD_STAGES[:1], [BUILD_STAGES[3], BUILD_STAGES[-1]]]
+@pytest.mark.timeout(900)  # eleven workers are started again, each in a minute on a busy machine
+def test_workers_killed_in_every_stage_lose_no_job_and_publish_each_once(site: Site) -> None:
+    plans = [KILL_POINTS[:3], KILL_POINTS[3:6], KILL_POINTS[6:8], KILL_POINTS[8:]]
     jobs = site.survive_kills(plans)
     assert [job.state for job in jobs] == [JobState.PUBLISHED] * len(jobs)
     assert {job.map_name: site.control.count(f"put {job.map_name}") for job in jobs} == {

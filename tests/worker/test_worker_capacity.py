@@ -37,7 +37,7 @@ def test_a_job_that_is_killed_for_its_memory_goes_to_a_worker_with_more(campus: 
     assert (failed.state, failed.attempts) == (JobState.FAILED, 1), "nobody has more"
     campus.start_worker(memory_gib=6)
     until(lambda: {worker.memory_bytes for worker in WorkerTable(campus.queue.engine).living()} == {2**31, 6 * 2**30})
-    jobs = [campus.submit(b"killed below 4 GiB", f"room-{number}") for number in range(2)]
+    jobs = [campus.submit(b"killed below 4 GiB", f"room-{number}") for number in range(4)]
     assert all(campus.wait_for(job, *_ENDED).state is JobState.PUBLISHED for job in jobs)
     campus.queue.retry(alone.id)
     done = campus.wait_for(alone, *_ENDED)
