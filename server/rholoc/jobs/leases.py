@@ -127,7 +127,7 @@ class Leases:
         return self._running(jobs_table.c.worker == worker)
 
     def held_at(self, process: str) -> set[Lease]:
-        """The jobs of a process's workers. :func:`rholoc.jobs.workers.process_name` names processes."""
+        """The jobs of a process's workers. :func:`rholoc.jobs.workers_table.process_name` names processes."""
         return self._running(jobs_table.c.worker.startswith(f"{process}-", autoescape=True))
 
     def take_back(self, living: Collection[str]) -> int:
