@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import os
 import socket
 import ssl
@@ -82,6 +83,9 @@ def _quick_ssl_context(verify: ssl.SSLContext | str | bool = True, **options: An
 
 httpx._transports.default.create_ssl_context = _quick_ssl_context
 
+# While five thousand tests are collected nothing is garbage, and afterwards the collector need not look at them again.
+gc.disable()
+
 # As many examples as find what is easily wrong; each run draws others.
 hypothesis_settings.register_profile("rholoc", max_examples=40, deadline=None)
 hypothesis_settings.load_profile("rholoc")
@@ -89,6 +93,12 @@ hypothesis_settings.load_profile("rholoc")
 sys.path.insert(0, str(Path(__file__).parent))  # of what tests of several packages share
 
 _REAL_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+def pytest_collection_finish() -> None:
+    """Hook of pytest."""
+    gc.enable()
+    gc.freeze()
 
 
 @pytest.fixture
