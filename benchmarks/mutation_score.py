@@ -28,7 +28,7 @@ TESTS = {
     "density": ("density", "mapping/test_tensor_fit.py", "localization/test_tensor_ascent.py"),
     "localization": ("localization",),
     "trajectory": ("trajectory",),
-    "service": ("service/test_guard.py", "service/test_streams.py"),
+    "service": tuple(f"service/test_{name}.py" for name in ("guard", "streams", "pacing", "audit", "revocation")),
 }
 NEVER_MUTATED = ("raise ", "einsum", "strict=")
 VERDICT = re.compile(r"^(?P<sign>\S+) (?P<name>rholoc\.\S+__mutmut_\d+)$", re.MULTILINE)
@@ -39,13 +39,15 @@ def prepare(folder: Path, part: str) -> None:
     """Copy what mutmut needs: sources whose package lies at the top, tests, and which of both."""
     shutil.copytree(ROOT / "server" / "rholoc", folder / "rholoc")
     shutil.copytree(ROOT / "tests", folder / "tests")
-    (folder / "client").symlink_to(ROOT / "client")  # the page, which the service shows
+    for shown in ("client", "maps"):  # the page and the maps that ship with the project
+        (folder / shown).symlink_to(ROOT / shown)
     options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["pytest"]["ini_options"]
     lines = ["[pytest]", f"addopts = {options['addopts']}", "markers =", *(f"    {one}" for one in options["markers"])]
     (folder / "pytest.ini").write_text("\n".join(lines) + "\n", encoding="utf-8")
     of_part = f"rholoc/{part}/*" if (folder / "rholoc" / part).is_dir() else f"rholoc/{part}.py"
     lists = {
         "source_paths": ["rholoc"],
+        "also_copy": ["maps"],
         "only_mutate": [of_part],
         "do_not_mutate_patterns": NEVER_MUTATED,
         "pytest_add_cli_args_test_selection": [f"tests/{test}" for test in TESTS[part.split("/")[0]]],

@@ -24,8 +24,8 @@ def test_behind_and_too_far_are_not() -> None:
 
 
 def test_group_sums_add_by_group() -> None:
-    sums = group_sums(np.array([0, 2, 0]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]), 3)
-    np.testing.assert_array_equal(sums, [[6, 8], [0, 0], [3, 4]])
+    sums = group_sums(np.array([0, 2, 0]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]), 4)
+    np.testing.assert_array_equal(sums, [[6, 8], [0, 0], [3, 4], [0, 0]])
 
 
 def test_near_and_far_views_count_alike() -> None:

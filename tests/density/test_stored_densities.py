@@ -40,9 +40,11 @@ def same(a: TensorDensities, b: TensorDensities) -> bool:
     return a.degree == b.degree and all(np.allclose(getattr(a, name), getattr(b, name), atol=1e-6) for name in names)
 
 
+@pytest.mark.parametrize("count", [4, 0])
 @pytest.mark.parametrize("degree", [1, 2, 3])
-def test_a_file_keeps_tensors(degree):
-    densities = replace(fit_tensors(LANDMARKS[FEATURES], PLACES, RADII, degree), features=FEATURES)
+def test_a_file_keeps_tensors(degree, count):
+    fitted = fit_tensors(LANDMARKS[FEATURES[:count]], PLACES[:count], RADII[:count], degree)
+    densities = replace(fitted, features=FEATURES[:count])
     assert densities.problem(len(LANDMARKS)) == ""
     assert same(TensorDensities.from_arrays(densities.arrays(), LANDMARKS), densities)
 
