@@ -13,7 +13,7 @@ from rholoc.jobs import JobKind, JobOptions, JobQueue
 from rholoc.jobs.table import JobTable
 from rholoc.library import QueryStore
 from rholoc.library.stores import ASKERS
-from rholoc.service.frames.learning import Learner
+from rholoc.service.frames.kept.learning import Learner
 from rholoc.service.settings import Settings
 from rholoc.storage import ObjectStorage
 from rholoc.worker import WorkerSetup

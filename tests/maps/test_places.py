@@ -17,8 +17,8 @@ from PIL import Image
 
 from rholoc.errors import InvalidInput
 from rholoc.maps import MapNames, NamedArea, NamedPoint, SiteOnEarth, check_names
-from rholoc.maps.geojson import names_from_geojson, names_to_geojson
-from rholoc.maps.plan_files import PlanPlacement, level_of_archive, packed_yaml, plan_of_archive, read_plan
+from rholoc.maps.formats.geojson import names_from_geojson, names_to_geojson
+from rholoc.maps.formats.plan_files import PlanPlacement, level_of_archive, packed_yaml, plan_of_archive, read_plan
 
 EARTH = SiteOnEarth(52.52, 13.405, 74.0, 33.0)
 NAMES = MapNames(

@@ -9,7 +9,7 @@ import pytest
 
 from rholoc.features import Metric
 from rholoc.service.access.keys import KeyStore, Scope
-from rholoc.service.frames.refusals import lines_between
+from rholoc.service.frames.kept.refusals import lines_between
 from rholoc.service.settings import KeyPolicy
 
 

@@ -28,8 +28,8 @@ from rholoc.maps import (
     trajectory_csv,
     view_trajectory,
 )
+from rholoc.maps.formats.geojson import names_to_geojson
 from rholoc.maps.formats.surfaces import MAX_SURFACES
-from rholoc.maps.geojson import names_to_geojson
 from rholoc.paper.observation_table import observation_table
 
 _SURFACES = 500  # default number

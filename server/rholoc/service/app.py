@@ -41,10 +41,10 @@ from rholoc.service.errors import (
     status_of,
 )
 from rholoc.service.frames.answerer import Answerer
-from rholoc.service.frames.learning import Learner
-from rholoc.service.frames.live import Live
+from rholoc.service.frames.kept.learning import Learner
+from rholoc.service.frames.kept.live import Live
+from rholoc.service.frames.kept.refusals import Refusals
 from rholoc.service.frames.localizers import Localizers
-from rholoc.service.frames.refusals import Refusals
 from rholoc.service.housekeeping import clean_up_regularly, follow_keys
 from rholoc.service.http import web
 from rholoc.service.http.bodies import HeldBodies

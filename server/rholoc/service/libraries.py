@@ -34,7 +34,7 @@ from rholoc.maps import FloorPlan, Map, MapInfo, SiteOnEarth, check_memory
 from rholoc.service.access.audit import AuditLog
 from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.access.quotas import Quotas, Usage
-from rholoc.service.frames.learning import Learner
+from rholoc.service.frames.kept.learning import Learner
 from rholoc.service.http.files import OpenedFile
 from rholoc.service.maps.descriptions import MapDetail, MapList, MapVersions, detail_of, list_of, versions_of
 from rholoc.service.maps.job_events import JobEvents

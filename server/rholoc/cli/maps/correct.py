@@ -175,8 +175,8 @@ def names(
     from rholoc.mapping import set_names
     from rholoc.maps import MapNames, NamedArea, NamedPoint
     from rholoc.maps.floor_plan import ARCHIVE, media_type_of
-    from rholoc.maps.geojson import names_from_geojson
-    from rholoc.maps.plan_files import level_of_archive
+    from rholoc.maps.formats.geojson import names_from_geojson
+    from rholoc.maps.formats.plan_files import level_of_archive
 
     def named(map_: Map) -> Map:
         points = {one.name: one for one in map_.info.names.points}
@@ -234,7 +234,7 @@ def floor_plan(
 ) -> None:
     """Keep a floor plan with the map; the map does not move."""
     from rholoc.mapping import set_floor_plan
-    from rholoc.maps.plan_files import PlanPlacement, packed_yaml, read_plan
+    from rholoc.maps.formats.plan_files import PlanPlacement, packed_yaml, read_plan
 
     is_yaml = plan_file.suffix.lower() in (".yaml", ".yml")
     content = packed_yaml(plan_file) if is_yaml else plan_file.read_bytes()

@@ -15,13 +15,13 @@ from rholoc.localization import AnyLocalizer, MapFinder
 from rholoc.service.caller import ASKER
 from rholoc.service.frames.answers import LocalizationOut, PlacesOut, late_answer
 from rholoc.service.frames.geoposes import GeoPoseKind
+from rholoc.service.frames.kept.learning import Learner
+from rholoc.service.frames.kept.live import Live
+from rholoc.service.frames.kept.refusals import LikenessOut, Refusal, Refusals, likeness
 from rholoc.service.frames.landscape import LandscapeOut, landscape_of
-from rholoc.service.frames.learning import Learner
-from rholoc.service.frames.live import Live
 from rholoc.service.frames.localizers import Localizers, LocalizerSource, MapNotHereError
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame
-from rholoc.service.frames.refusals import LikenessOut, Refusal, Refusals, likeness
 from rholoc.service.frames.several_frames import Frames, localize_frames
 from rholoc.service.frames.single_frame import likeliest_places, localize_frame
 from rholoc.service.frames.site_answers import on_earth

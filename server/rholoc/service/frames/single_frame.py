@@ -17,7 +17,7 @@ from rholoc.localization import (
 from rholoc.service.frames.answers import LocalizationOut, PlaceOut, PlacesOut, answer_of, pose_out, too_late
 from rholoc.service.frames.best_map import best_map, chosen, each_map
 from rholoc.service.frames.frame_features import FrameFeatures
-from rholoc.service.frames.learning import Lesson, Listener
+from rholoc.service.frames.kept.learning import Lesson, Listener
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.map_choice import CONCLUSIVE, Candidates, MapChoice
 from rholoc.service.frames.queries import Frame, camera_for, gravity_of, max_sigmas, prior_of

@@ -15,8 +15,8 @@ from rholoc.errors import Busy, Conflict, InvalidMap, InvalidName, UnknownMap, U
 from rholoc.localization import Cause
 from rholoc.service.access.open_streams import EventStream, StreamKind
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
-from rholoc.service.frames.live import Sighting
-from rholoc.service.frames.refusals import LikenessOut
+from rholoc.service.frames.kept.live import Sighting
+from rholoc.service.frames.kept.refusals import LikenessOut
 from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.openapi import content, declared, event_stream
 from rholoc.service.state import Service, State

@@ -16,7 +16,7 @@ from rholoc.errors import Busy, InvalidInput, UnknownPicture
 from rholoc.mapping import levelled
 from rholoc.maps import Map, MapNames, NamedArea, NamedPoint, cloud_to_bytes, map_to_scene, room_to_bytes
 from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
-from rholoc.maps.geojson import names_to_geojson
+from rholoc.maps.formats.geojson import names_to_geojson
 from rholoc.paper.landscape import presence_of
 from rholoc.pictures.rendering import Rendering
 from rholoc.reports import CoverageReport

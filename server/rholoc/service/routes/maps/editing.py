@@ -23,8 +23,8 @@ from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.mapping import forget_recording, merge_maps, set_names
 from rholoc.maps import MAX_PLAN_BYTES, Map, check_map_name, check_memory
 from rholoc.maps.floor_plan import ARCHIVE, GEOJSON, MEDIA_TYPES
-from rholoc.maps.geojson import MAX_GEOJSON_BYTES, names_from_geojson
-from rholoc.maps.plan_files import PlanPlacement, level_of_archive, read_plan
+from rholoc.maps.formats.geojson import MAX_GEOJSON_BYTES, names_from_geojson
+from rholoc.maps.formats.plan_files import PlanPlacement, level_of_archive, read_plan
 from rholoc.service.access.scopes import NEEDS_MAP, request_key
 from rholoc.service.errors import UnsupportedMediaType
 from rholoc.service.http.bodies import media_type, read_body

@@ -20,7 +20,7 @@ from PIL import Image, ImageOps
 from rholoc.errors import InvalidInput
 from rholoc.geometry.earth import EarthPlace, enu_of
 from rholoc.maps.floor_plan import ARCHIVE, GEOJSON, MAX_PIXELS, FloorPlan, media_type_of
-from rholoc.maps.geojson import features_of, plain_label, positions_of, read_geojson
+from rholoc.maps.formats.geojson import features_of, plain_label, positions_of, read_geojson
 from rholoc.maps.sites import SiteOnEarth
 
 _MAX_EXPANDED_BYTES = 64 * 2**20
