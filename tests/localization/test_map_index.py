@@ -73,6 +73,10 @@ def test_a_landmark_is_as_far_as_its_nearest_descriptor_and_never_across_channel
     features = FeatureSet(np.zeros((4, 2), np.float32), channels, rng.integers(0, 256, (4, 32), np.uint8), zeros, zeros)
     detections, landmarks = (pairs.ravel() for pairs in np.meshgrid(np.arange(4), np.arange(6), indexing="ij"))
     found = small.distances_to(features, detections, landmarks)
+    alone = [
+        small.distances_to(features, *pair)[0] for pair in zip(detections[:, None], landmarks[:, None], strict=True)
+    ]
+    np.testing.assert_array_equal(alone, found)
     for detection, landmark, distance in zip(detections, landmarks, found, strict=True):
         if channels[detection] != small.map.landmarks.channels[landmark]:
             assert distance == np.inf
