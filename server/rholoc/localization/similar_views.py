@@ -27,7 +27,9 @@ class LikelyView:
 
 
 def likeliest_views(localizer: AnyLocalizer, features: FeatureSet, most: int) -> list[LikelyView]:
-    """Rank the views of a map by the votes of a picture's features. Returns at most ``most``, best first."""
+    """Rank the views of a map by the votes of a picture's features. Returns at most ``most``, best first; none without
+    votes.
+    """
     votes = localizer.view_votes(features)
     best = np.argsort(-votes, kind="stable")[:most]
     return [

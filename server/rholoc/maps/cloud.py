@@ -31,7 +31,7 @@ class Cloud:
         return Cloud(self.positions[kept], self.colours[kept], self.sources[kept])
 
     def moved(self, similarity: Similarity) -> Cloud:
-        """The points in another frame."""
+        """The points with their positions in the frame that ``similarity`` leads to."""
         positions = similarity.points(self.positions.astype(np.float64)).astype(np.float32)
         return Cloud(positions, self.colours, self.sources)
 

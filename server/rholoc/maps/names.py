@@ -85,7 +85,7 @@ class MapLabels:
 
 
 def areas_at(names: MapNames, position: FloatArray) -> tuple[str, ...]:
-    """The names of the areas that a position (3,) is in, seen from above, the smallest area first."""
+    """Names of the areas that a position (3,) is in, seen from above, the smallest area first."""
     inside = [
         area for area in names.areas if within_outline(position[None, :2], np.array(area.outline, dtype=np.float64))[0]
     ]
@@ -153,7 +153,9 @@ def check_names(names: MapNames) -> MapNames:
 
 
 def _check_details(one: NamedPoint | NamedArea) -> None:
-    """Raise InvalidInput for a kind or a field that cannot be kept."""
+    """Raise InvalidInput for an invalid kind (over 100 characters), more than 50 fields, or a field that cannot be
+    kept.
+    """
     if len(one.kind) > _MAX_LENGTH or (one.kind and not one.kind.isprintable()):
         raise InvalidInput(f"The kind of {one.name} is not valid.", f"Use at most {_MAX_LENGTH} characters.")
     if len(one.fields) > _MAX_FIELDS:
@@ -179,7 +181,7 @@ def check_outline(outline: FloatArray, what: str) -> FloatArray:
     """Return the corners (N, 2) of an area, checked; error messages call it ``what``.
 
     Raises:
-        InvalidInput: there are too few or too many corners, or they enclose nothing.
+        InvalidInput: there are fewer than 3 or more than 200 corners, or they enclose nothing.
     """
     if not _MIN_CORNERS <= len(outline) <= MAX_CORNERS:
         raise InvalidInput(f"{what} has {len(outline)} corners.", f"Give {_MIN_CORNERS} to {MAX_CORNERS}.")
@@ -189,6 +191,6 @@ def check_outline(outline: FloatArray, what: str) -> FloatArray:
 
 
 def _enclosed(outline: FloatArray) -> float:
-    """The area of a polygon (N, 2)."""
+    """Area enclosed by a polygon (N, 2), in the square of its unit, never negative."""
     x, y = (outline - outline.mean(axis=0)).T
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2

@@ -27,10 +27,11 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
 
     Args:
         shown: (M, 3) uint8, red, green and blue at the M matched features; None if unknown.
-        known: (M, 3) uint8, red, green and blue of their landmarks.
+        known: (M, 3) uint8, red, green and blue of their landmarks; ``UNKNOWN_GREY`` in all three counts as unknown.
 
     Returns:
-        0 by chance, 1 at best, less for few matches. NaN if too few colours are known or the picture has no contrast.
+        0 by chance, 1 at best, times √(M / (M + 6)). NaN if fewer than four colours are known or the picture has no
+            contrast.
     """
     if shown is None or known is None:
         return np.nan
@@ -58,7 +59,7 @@ def _foretold(inputs: FloatArray, output: FloatArray) -> float:
 
 
 def _opponent(colours: ByteArray) -> FloatArray:
-    """Opponent colours (M, 3): lightness, red–green, yellow–blue."""
+    """Opponent colours (M, 3) of red, green and blue (M, 3): R + G + B, R − G, (R + G) / 2 − B."""
     red, green, blue = colours.T.astype(np.float64)
     return np.stack([red + green + blue, red - green, (red + green) / 2 - blue], axis=1)
 
