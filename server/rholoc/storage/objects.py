@@ -52,9 +52,10 @@ class ObjectStorage:
     In a folder, the key is the object's relative path, and :meth:`put` is durable.
 
     Args:
-        place: a folder, or the URL ``file:///folder``, ``s3://bucket/prefix``, ``gs://bucket/prefix`` or ``az://container/prefix``.
-            Credentials, region and endpoint come from the environment, as each provider's own tools take them
-            (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL`` …); ``AWS_ALLOW_HTTP=true`` allows one without HTTPS.
+        place: a folder, or the URL ``file:///folder``, ``s3://bucket/prefix``, ``gs://bucket/prefix`` or
+            ``az://container/prefix``. Credentials, region and endpoint come from the environment, as each provider's
+            own tools take them (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL`` …); ``AWS_ALLOW_HTTP=true`` allows one
+            without HTTPS.
 
     Raises:
         InvalidInput: not such a URL, or the folder cannot be made.

@@ -136,7 +136,9 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
 
 
 def _is_held_back(query: AnsweredQuery) -> bool:
-    """Whether a query is one of the fifth reserved for testing; by a hash of asker and time, so always the same ones."""
+    """Whether a query is one of the fifth reserved for testing; by a hash of asker and time, so always the
+    same ones.
+    """
     digest = hashlib.blake2b(f"{query.asker} {query.time_s:.3f}".encode(), digest_size=8).digest()
     return int.from_bytes(digest) % _HELD_BACK_EVERY == 0
 

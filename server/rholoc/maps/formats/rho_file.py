@@ -62,9 +62,7 @@ class _Stored:
 
 
 def _upper(size: int) -> Callable[[FloatArray], FloatArray]:
-    """Function that takes symmetric matrices (N, size, size) to their upper triangles (N, size · (size + 1) / 2), row
-    by row.
-    """
+    """Function: symmetric matrices (N, size, size) → their upper triangles (N, size · (size + 1) / 2), row by row."""
     rows, columns = np.triu_indices(size)
     return lambda covariances: covariances[:, rows, columns]
 
@@ -287,7 +285,9 @@ def outline_of(header: bytes, called: str) -> MapOutline:
 
 
 def _header(path: Path, called: str) -> bytes:
-    """The header of a map's file, without the length before it. Raises InvalidMap if it is too long or cannot be read."""
+    """The header of a map's file, without the length before it. Raises InvalidMap if it is too long or cannot
+    be read.
+    """
     try:
         with path.open("rb") as file:
             header = file.read(header_bytes(file.read(LENGTH_BYTES), called))
@@ -313,7 +313,9 @@ def _check_format(called: str, metadata: Mapping[str, str]) -> None:
 
 
 def _packed(map_: Map) -> Arrays:
-    """The arrays of a map's file by name, in C order and little-endian, as safetensors expects them; indices narrowed."""
+    """The arrays of a map's file by name, in C order and little-endian, as safetensors expects them; indices
+    narrowed.
+    """
     arrays: dict[str, Any] = {
         **_packed_table(map_.landmarks, _LANDMARKS),
         **_packed_table(map_.descriptors, _DESCRIPTORS),

@@ -19,7 +19,8 @@ _MAX_NAMED = 4  # spans in a message
 
 
 def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[MissingSpan, ...]:
-    """Spans of keyframes ``rows`` (K,) without a pose between ``placed`` (K,) ones, each with its probable cause.
+    """Spans between keyframes ``rows`` (K,) that are ``placed`` (K,), each with its probable cause; none if nothing is
+    placed.
 
     With measured times, spans shorter than ``_SHORTEST_S`` are omitted.
     """
@@ -39,7 +40,7 @@ def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[Missin
 
 
 def _span(flow: Flow, first: int, last: int) -> MissingSpan | None:
-    """Span of rows ``first`` to ``last`` - 1; None if it is too short to matter."""
+    """Span of rows ``first`` to ``last`` - 1; None if times are measured and it is shorter than ``_SHORTEST_S``."""
     numbers = int(flow.numbers[first]), int(flow.numbers[last - 1])
     why = _reason(flow, np.arange(first, last))
     if not flow.timed:
