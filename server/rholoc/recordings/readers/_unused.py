@@ -53,7 +53,9 @@ def with_unused_files(recording: Recording, folder: Path, tables: tuple[str, ...
 
 
 def _described(top: str, paths: list[PurePath]) -> str:
-    """Name of a single file, or name and number of files of a subfolder."""
+    """Name of a file at the top, path of a single file in the subfolder ``top``, or name and number of files of the
+    subfolder.
+    """
     return (
         top if len(paths[0].parts) == 1 else paths[0].as_posix() if len(paths) == 1 else f"{top}/ ({len(paths)} files)"
     )

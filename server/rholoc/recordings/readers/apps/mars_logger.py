@@ -75,7 +75,9 @@ def _with_columns(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 
 def _unit(path: Path) -> str:
-    """The unit that the header's first name states."""
+    """The unit of times, "s" or "ns", that the header's first name states. Raises InvalidRecording if there is no such
+    header.
+    """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for line in file:
             if "timestamp[" in line.lower():
@@ -84,7 +86,7 @@ def _unit(path: Path) -> str:
 
 
 def _intrinsics(metadata: LoggedTable) -> FloatArray:
-    """fx, fy, cx, cy (N, 4); NaN where the app does not log them."""
+    """fx, fy, cx, cy (N, 4) [px] of each row; NaN where the app does not log them."""
     values = np.full((len(metadata), 4), np.nan)
     for place, name in enumerate(("fx", "fy", "cx", "cy")):
         if name in metadata.header:

@@ -60,7 +60,7 @@ def read(folder: Path) -> Recording:
 
 
 def _find(folder: Path, ending: str) -> Path | None:
-    """The first file with such an ending in the folder, or in one of its folders."""
+    """The first file with such an ending, by name, in the folder, else in one of its folders; None if there is none."""
     return next(iter([*sorted(folder.glob(f"*{ending}")), *sorted(folder.glob(f"*/*{ending}"))]), None)
 
 

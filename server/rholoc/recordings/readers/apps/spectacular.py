@@ -132,7 +132,7 @@ def _calibration(path: Path) -> dict[str, Any] | None:
 
 
 def _intrinsics(values: Any) -> list[float]:
-    """fx, fy, cx, cy; NaN where there are none."""
+    """fx, fy, cx, cy of ``cameraParameters``; all NaN where one is missing."""
     try:
         return [float(values[name]) for name in _INTRINSICS]
     except (TypeError, KeyError, ValueError):

@@ -70,7 +70,7 @@ def _depth_file(image: Path) -> Path:
 
 
 def _read_pose(path: Path) -> FloatArray:
-    """T_world_camera (4, 4); NaN if unknown."""
+    """T_world_camera (4, 4); NaN without a file. Raises InvalidTrajectory if it is no matrix, or has no rotation."""
     if not path.is_file():
         return np.full((4, 4), np.nan)
     try:

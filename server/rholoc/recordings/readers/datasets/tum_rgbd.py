@@ -73,7 +73,7 @@ def _list(path: Path) -> tuple[FloatArray, list[str]]:
 
 
 def _depth(folder: Path, times: FloatArray) -> DepthImages | None:
-    """For each frame, of some time (N,) in seconds, the depth image that was taken with it.
+    """For each frame, at times (N,) [s], the depth image nearest in time, if within 20 ms; None without a list of them.
 
     Raises:
         InvalidRecording: the list is broken.
