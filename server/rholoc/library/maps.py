@@ -66,7 +66,7 @@ class MapLibrary:
         return True
 
     def stat(self, name: str) -> MapFile:
-        """Size, time and signature of a map's file."""
+        """Size, time and signature of a map's present file. Raises InvalidName, UnknownMap."""
         check_map_name(name)
         file = self._catalogue.find(name)
         if file is None:
@@ -106,7 +106,9 @@ class MapLibrary:
         return known[1]
 
     def stamp(self) -> int | None:
-        """Changes whenever a map is published, renamed or deleted, by any process; None where that is not known."""
+        """Value that changes whenever a map is published, renamed or deleted, by any process; None if that is not
+        known.
+        """
         return self._catalogue.stamp()
 
     def get(self, name: str) -> Map:
@@ -140,11 +142,11 @@ class MapLibrary:
             raise self._unknown(name) from error
 
     def is_known(self, name: str) -> bool:
-        """Whether memory knows of a map of this name; accesses neither disk nor database."""
+        """Whether a map of this name is in the memory cache; accesses neither disk nor database."""
         return self._cache.has(name)
 
     def is_here(self, name: str) -> bool:
-        """Whether :meth:`get` needs no fetch."""
+        """Whether :meth:`get` needs no fetch; False for an unknown name."""
         file = self._catalogue.find(name)
         if file is None:
             return False
@@ -183,7 +185,7 @@ class MapLibrary:
         return self._put(name, source if isinstance(source, bytes) else _pieces(source), read)
 
     def replace(self, name: str, next_version: Map) -> None:
-        """Publish the next version of a map; idempotent.
+        """Publish the next version of a map, with its number plus one; does nothing if it is published already.
 
         Raises:
             Conflict: the map has changed since; nothing was replaced.
@@ -219,14 +221,18 @@ class MapLibrary:
         instead_of: MapFile | None = None,
         keeps_replaced: bool = True,
     ) -> Map:
-        """Publish a file under a name, after ``read`` has parsed it.
+        """Publish a file under a name, after ``read`` has parsed it; the map's present content again changes nothing.
 
         Args:
             name: the map's.
             data: the file's content.
-            read: returns the map in a file.
+            read: returns the map in a file, or raises.
             instead_of: the file that it must replace; None for any.
             keeps_replaced: whether the replaced file is kept as a version.
+
+        Raises:
+            Conflict: the present file is not ``instead_of``.
+            InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
         """
         called = check_map_name(name) + SUFFIX
         self._catalogue.make_room()
@@ -247,7 +253,10 @@ class MapLibrary:
         return map_
 
     def holds(self, name: str, file: Path) -> bool:
-        """Whether a map has the same content as a file. Raises StorageUnavailable, StorageFull."""
+        """Whether a map has the same content as a file, by their checksums; False if no map has the name.
+
+        Raises StorageUnavailable, StorageFull.
+        """
         try:
             return self.outline(name).checksum == load_outline(file).checksum
         except UnknownMap:
@@ -256,12 +265,12 @@ class MapLibrary:
             return filecmp.cmp(self.path(name), file, shallow=False)
 
     def previous(self, name: str) -> MapInfo | None:
-        """Description of a name's last replaced map; None if there is none to restore."""
+        """Description of a name's last replaced map; None if there is none to restore, or it cannot be read."""
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name)[:1]).get(1)
 
     def versions(self, name: str) -> dict[int, MapInfo]:
-        """Descriptions of a name's replaced maps by number; 1 was replaced last."""
+        """Descriptions of a name's replaced maps by number, 1 the last replaced; unreadable ones are left out."""
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name))
 
@@ -315,7 +324,7 @@ class MapLibrary:
         """Rename a map and its versions.
 
         Raises:
-            Conflict: a map has the new name.
+            Conflict: a map has the new name already.
             StorageUnavailable, StorageFull: nothing was renamed.
         """
         check_map_name(new_name)
@@ -359,7 +368,7 @@ def _changed(name: str) -> Conflict:
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
-    """A file's content in pieces."""
+    """Iterate over a file's content in pieces of 1 MiB. Raises InvalidMap if it cannot be read."""
     try:
         with path.open("rb") as file:
             while piece := file.read(_PIECE_BYTES):

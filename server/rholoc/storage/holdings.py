@@ -48,13 +48,13 @@ class Holdings:
         self._engine = engine
 
     def hold(self, holding: Holding) -> None:
-        """Record a holding, in place of any earlier holder's."""
+        """Record a holding, in place of any earlier holder's of the same thing."""
         with self._engine.begin() as connection:
             connection.execute(table.delete().where(*_is(holding.kind, holding.name)))
             connection.execute(table.insert().values(**asdict(holding)))
 
     def rename(self, kind: Kind, name: str, new_name: str) -> None:
-        """Rename a held thing."""
+        """Rename a held thing; a holding of the new name is replaced."""
         with self._engine.begin() as connection:
             connection.execute(table.delete().where(*_is(kind, new_name)))
             connection.execute(table.update().where(*_is(kind, name)).values(name=new_name))

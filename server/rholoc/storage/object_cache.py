@@ -76,14 +76,16 @@ class Copies:
         return path
 
     def fetch(self, blob: str, size_bytes: int, target: Path) -> None:
-        """Copy an object to ``target``, outside the cache. Raises as :meth:`path`."""
+        """Copy an object to ``target``, outside the cache. Raises as :meth:`path`; then there is no file."""
         size = self._objects.fetch(self._key(blob), target)
         if size != size_bytes:
             target.unlink()
             raise StorageUnavailable(f"The storage gave {size} bytes of a map of {size_bytes}.", "Try again later.")
 
     def read(self, blob: str, start: int, length: int) -> bytes:
-        """``length`` bytes of an object from ``start``, without caching it. Raises as :meth:`ObjectStorage.read`."""
+        """``length`` bytes of an object from ``start``, of its copy or from the storage, without caching. Raises as
+        :meth:`ObjectStorage.read`.
+        """
         with suppress(FileNotFoundError), self._path(blob).open("rb") as file:
             file.seek(start)
             return file.read(length)
@@ -99,7 +101,7 @@ class Copies:
             self.path(after.blob, after.size_bytes)
 
     def has_followed(self, before: MapRow, after: MapRow) -> bool:
-        """Whether :meth:`follow` would fetch nothing."""
+        """Whether :meth:`follow` would fetch nothing: the new file is cached, or the old one is not."""
         return self.has(after.blob) or not self.has(before.blob)
 
     def has(self, blob: str) -> bool:
@@ -141,7 +143,7 @@ class Copies:
         self.make_room(blob)
 
     def sweep(self) -> None:
-        """Remove partial files of interrupted fetches."""
+        """Remove partial files, older than an hour, of interrupted fetches and uploads."""
         old = time.time() - _BROKEN_OFF_AFTER_S
         for path in [*self.folder.glob(".*.part"), *self.folder.glob(".*.arrived"), *self.folder.glob(".*.upload")]:
             with suppress(FileNotFoundError):
@@ -149,7 +151,10 @@ class Copies:
                     path.unlink()
 
     def make_room(self, kept: str = "", size_bytes: int = 0) -> None:
-        """Evict the least recently used copies above the limits.
+        """Evict the least recently used copies above their maximum size, or while a tenth of the disk (1 GiB at most)
+        is not free.
+
+        Nothing is raised if too little could be freed.
 
         Args:
             kept: name of an object not to evict.

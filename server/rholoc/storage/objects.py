@@ -117,7 +117,10 @@ class ObjectStorage:
             shutil.rmtree(folder, ignore_errors=True)
 
     def _take_folder(self, target: Path, folder: Path) -> bool:
-        """Rename a folder into the storage. Returns False if it is in another file system, or there is one already."""
+        """Rename a folder into the storage. Returns False if it is in another file system, or there is one already.
+
+        Raises StorageUnavailable, StorageFull.
+        """
         with _reporting("write to"):
             target.parent.mkdir(parents=True, exist_ok=True)
             for inner in [folder, *(path for path in folder.rglob("*") if path.is_dir())]:
@@ -180,7 +183,7 @@ class ObjectStorage:
                     (self._folder / key).parent.rmdir()
 
     def list(self, prefix: str) -> Iterator[StoredObject]:
-        """The objects below a folder.
+        """Iterate over the objects below the folder ``prefix``.
 
         Raises:
             StorageUnavailable: the storage does not answer.
@@ -214,7 +217,9 @@ def _traced(operation: str, key: str) -> AbstractContextManager[telemetry.Marks]
 
 @contextmanager
 def _reporting(doing: str) -> Iterator[None]:
-    """Convert the library's exceptions to errors for people."""
+    """Convert exceptions of the storage's library, or of the disk, to MissingObject, StorageFull or
+    StorageUnavailable.
+    """
     try:
         yield
     except (NotFoundError, FileNotFoundError) as error:

@@ -64,10 +64,11 @@ def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
     They may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
 
     Raises:
-        NotInstalled: a reference system needs a package that is missing.
-        InvalidInput: the reference system is unknown. fewer than three, more than 1000, an empty, repeated or overlong
-            name, a value that is not finite, a time outside the recording, a frame that is not in it, or times although
-            the pictures have none.
+        NotInstalled: the reference system needs a package that is missing.
+        InvalidInput: the reference system is unknown.
+        InvalidWaypoints: other columns, several reference systems, fewer than three, more than 1000, an empty, repeated
+            or overlong name, a value that is not finite, a sigma not 0.001 to 1 m, places over 10 km apart, a time
+            outside the recording, a frame that is not in it, or times although the pictures have none.
     """
     header, rows = read_rows(path, InvalidWaypoints, MAX_WAYPOINTS)
     moment = next((column for column in ("time", "frame") if column in header), None)
