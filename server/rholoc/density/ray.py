@@ -105,7 +105,7 @@ def _density(along: FloatArray, aside: FloatArray, squared_tolerances: FloatArra
 
 
 def ray_densities(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
-    """ρ (H, M) of all matches at poses (H, 4, 4)."""
+    """ρ (H, M) of all matches at poses (H, 4, 4), for a pixel tolerance plus each landmark's variance."""
     bearings = evidence.rays @ T_map_camera[:, :3, :3].transpose(0, 2, 1)
     along, aside = _along_and_aside(evidence.landmarks, bearings, T_map_camera[:, None, :3, 3])
     return _density(along, aside, _squared_tolerances(evidence, along, tolerance_px))
@@ -137,7 +137,7 @@ class RayOffsets:
 
     @classmethod
     def of(cls, evidence: Evidence, T_map_camera: FloatArray) -> RayOffsets:
-        """Of evidence at a pose (4, 4)."""
+        """Offsets of evidence at a pose (4, 4)."""
         return cls.between(evidence.landmarks, evidence.across, T_map_camera)
 
     @classmethod
@@ -181,7 +181,7 @@ class RayDensities:
 
     @property
     def degree(self) -> int:
-        """2, whatever the landmarks."""
+        """Always 2."""
         return 2
 
     def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalRayDensities:
@@ -189,7 +189,7 @@ class RayDensities:
         return LocalRayDensities(evidence)
 
     def problem(self, features: int) -> str:
-        """None."""
+        """Always empty: any map can have them."""
         return ""
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
@@ -256,7 +256,7 @@ class LocalRayDensities:
 
     @property
     def matches(self) -> IntArray:
-        """(M,) all of them."""
+        """Rows (M,) of all matches."""
         return np.arange(len(self.evidence))
 
     def at(self, T_map_camera: FloatArray, tolerance_px: float) -> Slopes:

@@ -80,7 +80,7 @@ class FeatureSet:
 
     @lazy
     def sample(self) -> IntArray:
-        """Evenly spaced rows, enough to localize most frames; all rows if there are few."""
+        """Evenly spaced rows, 250, enough to localize most frames; all rows if there are fewer than 375."""
         count = len(self)
         if count < _WORTH_SAMPLING * _SAMPLED:
             return np.arange(count)

@@ -42,13 +42,18 @@ def rows_from_poses(T_map_camera: FloatArray) -> FloatArray:
 
 
 def interpolated_poses(times: FloatArray, T: FloatArray, at: FloatArray) -> FloatArray:
-    """Poses (M, 4, 4) at the times ``at`` (M,), between poses ``T`` (N, 4, 4) at increasing ``times`` (N,), N ≥ 2."""
+    """Poses (M, 4, 4) at the times ``at`` (M,), between poses ``T`` (N, 4, 4) at increasing ``times`` (N,), N ≥ 2.
+
+    Raises ValueError for a time outside.
+    """
     R = Slerp(times, Rotation.from_matrix(T[:, :3, :3]))(at).as_matrix()
     return pose_matrix(R, np.column_stack([np.interp(at, times, axis) for axis in T[:, :3, 3].T]))
 
 
 def is_rotation(R: FloatArray, tolerance: float = 1e-3) -> bool:
-    """Whether an array is a rotation matrix (3, 3), no entry of R Rᵀ further than ``tolerance`` from the identity's."""
+    """Whether an array is a rotation matrix (3, 3): R Rᵀ is the identity within ``tolerance``, and the determinant
+    positive.
+    """
     if R.shape != (3, 3) or not np.all(np.abs(R) <= 1 + tolerance):
         return False
     return np.allclose(R @ R.T, np.eye(3), rtol=0, atol=tolerance) and float(np.linalg.det(R)) > 0
@@ -122,7 +127,11 @@ class Pose:
 
     @property
     def roll(self) -> float:
-        """The rotation about the heading against the upright camera, radians in (-π, π]."""
+        """Rotation about the heading from the upright camera [rad, in (-π, π]], positive if x turns towards the upright
+        y (down).
+
+        For a vertical heading the upright camera's x axis is the map's.
+        """
         upright = rotation_from_heading(self.heading)
         right = self.R_map_camera[:, 0]
         return math.atan2(float(upright[:, 1] @ right), float(upright[:, 0] @ right))
@@ -134,6 +143,6 @@ class Pose:
         return np.asarray(-quaternion if quaternion[3] < 0 else quaternion)
 
     def inverse(self) -> FloatArray:
-        """T_camera_map, (4, 4)."""
+        """T_camera_map (4, 4)."""
         R = self.R_map_camera.T
         return pose_matrix(R, -R @ self.position)

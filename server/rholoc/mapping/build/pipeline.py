@@ -83,11 +83,10 @@ def build_map(
     Several recordings must share a frame: by given poses, or each by its own waypoints.
 
     Raises:
-        InvalidInput: no recording, a density or features that do not exist.
-        InvalidRecording: a recording cannot be read.
+        InvalidInput: no recording, a degree other than 1 to 3, or features or a density that do not exist.
+        InvalidRecording, InvalidCamera: a recording cannot be read or used.
         InvalidWaypoints: its waypoints do not fix a frame.
-        MappingFailed: too few frames could be placed, or too few features are stable; says what to do better.
-        Cancelled: ``progress`` asked to stop.
+        MappingFailed: too few frames are placed, the recordings share no frame, or too few features are stable.
         Cancelled: ``progress`` asked to stop.
     """
     options = options or BuildOptions()
