@@ -193,7 +193,6 @@ def _solve_pinhole(
     sightings: Sequence[Sighting], board: Board, size: tuple[int, int]
 ) -> tuple[Camera, list[FloatArray], FloatArray]:
     """Camera, T_camera_board (4, 4) of each view and standard deviations, as of :func:`solve_fisheye`, for a pinhole.
-
     k3 is kept if it is three standard deviations from zero. Raises InvalidCamera.
     """
     solved = _calibrate_camera(sightings, board, size, 0)

@@ -140,9 +140,8 @@ def camera_of(camera: Camera | None, size: tuple[int, int], info: MapInfo) -> Ca
 def _localize_frames(
     localizer: AnyLocalizer, frames: FrameSource, camera: Camera, asked: Mapping[str, Any]
 ) -> Iterator[tuple[Localization, float]]:
-    """The answers for all frames in order, and the seconds that each took, including its features.
-
-    ``asked``: further attributes of each :class:`Query`.
+    """The answers for all frames in order, and the seconds that each took, including its features. ``asked``: further
+    attributes of each :class:`Query`.
     """
     from rholoc.localization import Query
 

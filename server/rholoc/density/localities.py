@@ -90,9 +90,8 @@ def gather_places(landmark: FloatArray, seen_from: FloatArray) -> list[IntArray]
 
 
 def _place(landmark: FloatArray, positions: FloatArray) -> tuple[FloatArray, float]:
-    """The middle (3,) of a place's views and the radius [m] around it in which its density is to be valid.
-
-    It is 1.2 × the views' reach, 0.6 to 0.95 × the distance of the landmark.
+    """The middle (3,) of a place's views and the radius [m] around it in which its density is to be valid. It is 1.2 ×
+    the views' reach, 0.6 to 0.95 × the distance of the landmark.
     """
     middle = positions.mean(axis=0)
     distance = float(np.linalg.norm(landmark - middle))

@@ -319,7 +319,6 @@ def _fitted(
     progress: Callable[[float, str], None],
 ) -> ObservedDensities:
     """A density for each place; ``fit`` takes bearings (n, 3) in its frame, positions (n, 3) in radii, and the radius.
-
     Fitted to what is stored, so that a map read back is the one that was fitted.
     """
     if sightings.bearings is None:

@@ -83,10 +83,8 @@ def _numbers(descriptors: ByteArray, metric: Metric) -> ByteArray:
 
 def _components(centred: FloatArray) -> FloatArray:
     """Principal components (D, ``DIMENSIONS``) float32 of centred rows (N, D), each divided by the root of its singular
-    value.
-
-    Components below 1/1000 of the largest are dropped; random directions across the others, weighted by the median,
-    take the rest.
+    value. Components below 1/1000 of the largest are dropped; random directions across the others, weighted by the
+    median, take the rest.
     """
     values, vectors = np.linalg.eigh(centred @ centred.T)  # N is far below D
     spread = np.sqrt(np.maximum(values, 0))

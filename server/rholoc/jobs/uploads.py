@@ -302,10 +302,8 @@ class UploadStore:
 
 
 def _plain_file_name(file_name: str, length: int) -> str:
-    """The sanitized name of an uploaded file of ``length`` bytes.
-
-    Raises:
-        InvalidRecording: its suffix is no recording's, or the file is empty.
+    """The sanitized name of an uploaded file of ``length`` bytes. Raises InvalidRecording: its suffix is no
+    recording's, or the file is empty.
     """
     safe = sanitized(file_name).rsplit("/", 1)[-1]
     check_file_name(safe)

@@ -37,9 +37,8 @@ class Documents(ABC):
 
     @abstractmethod
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
-        """Store a file, or remove it if ``content`` is None. Returns False if refused, or already missing.
-
-        ``accepts``, if given, must return True for the present content, which is None if the file is missing.
+        """Store a file, or remove it if ``content`` is None. Returns False if refused, or already missing. ``accepts``,
+        if given, must return True for the present content, which is None if the file is missing.
         """
 
     def write(self, name: str, content: bytes, called: str = "") -> None:

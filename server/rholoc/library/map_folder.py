@@ -136,9 +136,8 @@ class MapFolder(MapCatalogue):
         sync_folder(self.folder)
 
     def _complete(self, is_new: bool = False) -> None:
-        """Apply a committed change, if there is one.
-
-        If the first link of a new change cannot be put in its place, the change is rolled back. Raises OSError.
+        """Apply a committed change, if there is one. If the first link of a new change cannot be put in its place, the
+        change is rolled back. Raises OSError.
         """
         decided = self.folder / _DECIDED
         if not decided.exists():

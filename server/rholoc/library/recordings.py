@@ -401,9 +401,8 @@ class RecordingStore:
             raise
 
     def _register(self, entry: RecordingEntry) -> None:
-        """Add a recording whose files are stored, unless another process has done so. Raises StorageFull.
-
-        The row is written before the entry, so that :meth:`recover` cannot restore an upload reported as failed.
+        """Add a recording whose files are stored, unless another process has done so. Raises StorageFull. The row is
+        written before the entry, so that :meth:`recover` cannot restore an upload reported as failed.
         """
         with reporting_full_database(), suppress(IntegrityError), self.engine.begin() as connection:
             connection.execute(recordings_table.insert().values(**asdict(entry)))

@@ -203,10 +203,9 @@ def _brightness_of(map_: Map) -> float:
 
 
 def _sharpness(grey: NDArray[np.float32]) -> float:
-    """Fine contrast divided by coarse contrast, in the blurrier of the two directions (motion blurs along one).
-
-    A direction with a coarse contrast of at most one grey level, as of a bare wall, is left out. Returns 1.0 if both
-    are left out, or if a side is 8 px or shorter.
+    """Fine contrast divided by coarse contrast, in the blurrier of the two directions (motion blurs along one). A
+    direction with a coarse contrast of at most one grey level, as of a bare wall, is left out. Returns 1.0 if both are
+    left out, or if a side is 8 px or shorter.
     """
     if min(grey.shape) <= _COARSE_PX:
         return 1.0

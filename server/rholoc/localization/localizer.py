@@ -147,9 +147,8 @@ class Localizer:
         return query
 
     def _thorough_search(self, query: Query, watch: Stopwatch) -> Search:
-        """Quick search with the first features, followed by a close one with all if the quick one is inconclusive.
-
-        The quick one is left out if the query has no more features to extract, or an unknown focal length.
+        """Quick search with the first features, followed by a close one with all if the quick one is inconclusive. The
+        quick one is left out if the query has no more features to extract, or an unknown focal length.
         """
         quick: Search | None = None
         if query.more_features is not None and query.intrinsics is Intrinsics.GIVEN:
@@ -193,7 +192,6 @@ class Localizer:
 
     def _look_around(self, search: Search, rays: FloatArray) -> None:
         """Search one place after the other, beginning at the prior, until a candidate is conclusive or hope is lost.
-
         Adds candidates to ``search`` and sets its place, and its reason at the deadline. ``rays`` (N, 3) are those of
         all features.
         """
@@ -233,9 +231,8 @@ class Localizer:
                 return
 
     def _look_along_arcs(self, search: Search, rays: FloatArray) -> None:
-        """Add candidates for other modes of the best candidate's place to ``search``, if it is seen from afar.
-
-        Does nothing for a doubtful candidate, an unknown focal length or features still to be extracted.
+        """Add candidates for other modes of the best candidate's place to ``search``, if it is seen from afar. Does
+        nothing for a doubtful candidate, an unknown focal length or features still to be extracted.
         """
         query, best = search.query, search.likeliest
         if best is None or best.if_focal_right.recognized < MIN_RECOGNIZED or query.more_features is not None:
@@ -248,10 +245,8 @@ class Localizer:
             search.add(self._candidate_at(T_map_camera, query, rays, search.watch))
 
     def _look_for_rivals(self, search: Search, rays: FloatArray) -> None:
-        """Add rivals of the best candidate to ``search``.
-
-        Does nothing if no place was searched by votes (a prior sufficed), after the deadline, or for a candidate that
-        is refused anyway.
+        """Add rivals of the best candidate to ``search``. Does nothing if no place was searched by votes (a prior
+        sufficed), after the deadline, or for a candidate that is refused anyway.
         """
         query, watch, best = search.query, search.watch, search.likeliest
         if search.nearest is None or best is None or watch.late:
@@ -296,9 +291,8 @@ class Localizer:
 
     def _track(self, prior: Prior, search: Search, rays: FloatArray) -> Found | None:
         """Candidate from one LO-RANSAC over matches within 14 px around a prior, which suffices if few features are
-        left.
-
-        An ascent from the prior itself may end on a lower peak beside the right one. None if no credible pose is found.
+        left. An ascent from the prior itself may end on a lower peak beside the right one. None if no credible pose is
+        found.
         """
         query, T_map_camera = search.query, prior.pose.T_map_camera
         some = query.features.sample
@@ -307,10 +301,9 @@ class Localizer:
         return self._glance(near, search, rays)
 
     def _places(self, search: Search) -> Iterator[Place]:
-        """Iterate over places to search: around the prior, then by votes of matches with the whole map.
-
-        First the best place by a sample of the features, then at most ``options.places`` by all of them; only the
-        former if more features can be extracted. Writes the matches and the reason into ``search``.
+        """Iterate over places to search: around the prior, then by votes of matches with the whole map. First the best
+        place by a sample of the features, then at most ``options.places`` by all of them; only the former if more
+        features can be extracted. Writes the matches and the reason into ``search``.
         """
         query, options = search.query, self.options
         if query.prior is not None:
@@ -329,9 +322,7 @@ class Localizer:
 
     def _voted_places(self, search: Search, features: IntArray) -> Iterator[Place]:
         """Iterate over places by votes, after matching the rows ``features`` of the query's features with the whole map
-        too.
-
-        Adds the matches to ``search``. Fewer than eight matches yield no place and the reason NO_MATCHES.
+        too. Adds the matches to ``search``. Fewer than eight matches yield no place and the reason NO_MATCHES.
         """
         query = search.query
         found = self.index.nearest_everywhere(query.features, features)
@@ -347,9 +338,8 @@ class Localizer:
         yield from places_by_votes(self.index, search.everywhere, self.options.views_each, query.prior)
 
     def _look_closely(self, place: Place, search: Search, rays: FloatArray) -> Iterator[Found | None]:
-        """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density.
-
-        A sample's candidate is only yielded if its optimum has a higher likelihood. Yields a single None if LO-RANSAC
+        """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density. A
+        sample's candidate is only yielded if its optimum has a higher likelihood. Yields a single None if LO-RANSAC
         finds no credible pose.
         """
         query, watch = search.query, search.watch
@@ -404,7 +394,6 @@ class Localizer:
 
     def _look_with_any_focal(self, matches: Matches, query: Query, samples: int, watch: Stopwatch) -> Iterator[Found]:
         """Yield the candidate of an unknown focal length, estimated along with the pose; nothing if none is found.
-
         ``samples`` bounds the LO-RANSAC samples per focal length that is tried.
         """
         seed = focal_seed(self.index, matches, query, samples)
@@ -420,9 +409,8 @@ class Localizer:
                 yield self._candidate(verified, refined, lambda: focal, belief_of(verified))
 
     def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> Found | None:
-        """Candidate from a verified pose. None if there is none, or if it contradicts the query's gravity.
-
-        ``matches`` check the focal length (None: those around the pose), unless the pose is less probable than
+        """Candidate from a verified pose. None if there is none, or if it contradicts the query's gravity. ``matches``
+        check the focal length (None: those around the pose), unless the pose is less probable than
         ``options.hopeless``.
         """
         if verified is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):

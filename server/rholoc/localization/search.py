@@ -253,9 +253,7 @@ class Search:
 
 def _likelier(a: Found | None, b: Found) -> Found:
     """The likelier of two candidates: within one place by the likelihood at the optimum, of two places by their net
-    evidence.
-
-    One with at least ``MIN_RECOGNIZED`` comes before one with less.
+    evidence. One with at least ``MIN_RECOGNIZED`` comes before one with less.
     """
     if a is None:
         return b
@@ -271,9 +269,8 @@ def _shares(candidates: list[Found], places: list[float]) -> FloatArray:
 
 
 def _spread(modes: list[Found]) -> FloatArray | None:
-    """Second moment (6, 6) of the modes of one place about the first; None if there is one only.
-
-    They share a focal length, so that nothing is asked of it.
+    """Second moment (6, 6) of the modes of one place about the first; None if there is one only. They share a focal
+    length, so that nothing is asked of it.
     """
     if len(modes) == 1:
         return None

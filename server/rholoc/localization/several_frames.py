@@ -190,10 +190,8 @@ class _Joint:
         return self._answer(best, reason, matched)
 
     def _contested(self, best: _Candidate, found: list[_Candidate]) -> _Candidate:
-        """A candidate whose probability is shared with its best rival, if there is one.
-
-        Rivals are those among ``found``, and, for a candidate with at least ``MIN_RECOGNIZED``, those of a further
-        search.
+        """A candidate whose probability is shared with its best rival, if there is one. Rivals are those among
+        ``found``, and, for a candidate with at least ``MIN_RECOGNIZED``, those of a further search.
         """
         rivals = [*found]
         if best.belief.recognized >= MIN_RECOGNIZED:
@@ -274,9 +272,8 @@ class _Joint:
         return T_map_rig if agreeing >= fewest and np.isfinite(T_map_rig).all() else None
 
     def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
-        """Match again around the poses (N, 4, 4) and ascend, within a wide and then a narrow radius.
-
-        Returns None if either radius has fewer than six matches over all frames.
+        """Match again around the poses (N, 4, 4) and ascend, within a wide and then a narrow radius. Returns None if
+        either radius has fewer than six matches over all frames.
         """
         T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities
         verified: tuple[Verified, ...] = ()

@@ -82,9 +82,8 @@ def check_plan(content: bytes, plan: FloorPlan) -> FloorPlan:
 
 
 def _check_picture(content: bytes) -> None:
-    """Refuse a picture that cannot be read or takes too much memory to show. Decodes only its header.
-
-    Raises InvalidInput for an unreadable file, more than ``MAX_PIXELS``, or more than 1 MiB of text in a PNG file.
+    """Refuse a picture that cannot be read or takes too much memory to show. Decodes only its header. Raises
+    InvalidInput for an unreadable file, more than ``MAX_PIXELS``, or more than 1 MiB of text in a PNG file.
     """
     try:
         with warnings.catch_warnings():

@@ -146,9 +146,8 @@ def _coordinates(position: tuple[float, float, float], earth: SiteOnEarth | None
 
 def _metres(position: object, earth: SiteOnEarth | None, what: str) -> tuple[float, float, float]:
     """A position of GeoJSON in the map frame [m]; without a height at that of the map's origin. ``earth`` None: it is
-    metres.
-
-    Raises InvalidInput, which calls the feature ``what``, for no position, or one off the Earth or over 1000 km away.
+    metres. Raises InvalidInput, which calls the feature ``what``, for no position, or one off the Earth or over 1000 km
+    away.
     """
     if not _is_position(position):
         raise InvalidInput(f"{what} has no valid coordinates.", "Positions are two or three numbers.")

@@ -217,9 +217,7 @@ def _placed_picture(picture: bytes, settings: dict[str, Any]) -> tuple[bytes, Fl
 
 def _level_features(archive: zipfile.ZipFile, level: str | None, kinds: tuple[str, ...] = _DRAWN) -> dict[str, Any]:
     """FeatureCollection of a level's features of the given types of IMDF. Raises InvalidInput if no or several levels
-    match.
-
-    ``level`` is a name, short name, ordinal or id; None is the only level.
+    match. ``level`` is a name, short name, ordinal or id; None is the only level.
     """
     files = {PurePosixPath(name).name: name for name in archive.namelist()}
     if "level.geojson" not in files:

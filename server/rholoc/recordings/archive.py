@@ -79,10 +79,8 @@ def _opened(archive: Path, max_files: int) -> Iterator[zipfile.ZipFile]:
 
 
 def _check_directory(archive: Path, max_files: int) -> None:
-    """Refuse a directory with too many entries before parsing it: parsed, each takes a thousand times its size.
-
-    Raises:
-        TooLarge: there are more than ``max_files``.
+    """Refuse a directory with too many entries before parsing it: parsed, each takes a thousand times its size. Raises
+    TooLarge: there are more than ``max_files``.
     """
     with archive.open("rb") as file:
         size = file.seek(0, os.SEEK_END)

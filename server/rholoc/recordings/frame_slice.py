@@ -104,9 +104,8 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
 
 
 def _waypoints_within(recording: Recording, frames: SelectedFrames) -> tuple[Waypoint, ...]:
-    """The waypoints within the chosen frames' time, or without a time.
-
-    Without frame times, those at chosen pictures; a waypoint's time is then its picture's row in the selection.
+    """The waypoints within the chosen frames' time, or without a time. Without frame times, those at chosen pictures; a
+    waypoint's time is then its picture's row in the selection.
     """
     if recording.frames.timed:
         first, last = frames.times[0], frames.times[-1]

@@ -315,9 +315,8 @@ def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[R
 
 
 def _gravity_turns(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray]:
-    """Gravity's direction (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors (K, 3) between them.
-
-    K = 0 if the sensors overlap too little. Rotation vectors are in the gyroscope's unit.
+    """Gravity's direction (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors (K, 3) between them. K =
+    0 if the sensors overlap too little. Rotation vectors are in the gyroscope's unit.
     """
     first, last = max(felt.times[0], turned.times[0]), min(felt.times[-1], turned.times[-1])
     edges = np.arange(first, last, _TURN_WINDOW_S)
@@ -335,9 +334,8 @@ def _integral(samples: Samples) -> Samples:
 
 
 def _merged(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times (M,), accelerations and rates (M, 3) at the gyroscope's times within the accelerometer's.
-
-    Raises InvalidRecording if these are fewer than two.
+    """Times (M,), accelerations and rates (M, 3) at the gyroscope's times within the accelerometer's. Raises
+    InvalidRecording if these are fewer than two.
     """
     if np.array_equal(felt.times, turned.times):
         return turned.times, felt.values, turned.values

@@ -92,9 +92,8 @@ class AsyncMaps:
         return list_of(self.sync)
 
     def _detail(self, name: str, published: Map | None = None) -> MapDetail:
-        """Description of a map, with what this server shows of it.
-
-        ``published`` is the map that the request just published: the library's may be newer, or not visible here yet.
+        """Description of a map, with what this server shows of it. ``published`` is the map that the request just
+        published: the library's may be newer, or not visible here yet.
         """
         library, settings = self.sync, self._settings
         detail = detail_of(name, published or library.get(name), library.stat(name).size_bytes, library.previous(name))

@@ -264,9 +264,8 @@ def _prepare_sqlite(connection: Any, _: object) -> None:
 
 
 def _use_wal(connection: Any) -> None:
-    """Switch to WAL, with retries for 10 s: SQLite refuses concurrent switches of a new file without waiting.
-
-    Raises sqlite3.OperationalError.
+    """Switch to WAL, with retries for 10 s: SQLite refuses concurrent switches of a new file without waiting. Raises
+    sqlite3.OperationalError.
     """
     given_up_s = time.monotonic() + _BUSY_TIMEOUT_MS / 1000
     while True:

@@ -118,7 +118,6 @@ class ObjectStorage:
 
     def _take_folder(self, target: Path, folder: Path) -> bool:
         """Rename a folder into the storage. Returns False if it is in another file system, or there is one already.
-
         Raises StorageUnavailable, StorageFull.
         """
         with _reporting("write to"):

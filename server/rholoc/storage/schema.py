@@ -54,9 +54,8 @@ def _present_schema(connection: sa.Connection) -> int:
 
 
 def _lock(connection: sa.Connection) -> None:
-    """Keep other processes from changing the tables until the transaction ends.
-
-    Raises StorageUnavailable (PostgreSQL, after a minute) or OperationalError (SQLite, after 10 s).
+    """Keep other processes from changing the tables until the transaction ends. Raises StorageUnavailable (PostgreSQL,
+    after a minute) or OperationalError (SQLite, after 10 s).
     """
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql("BEGIN IMMEDIATE")

@@ -96,9 +96,7 @@ def _rests(imu: Imu, stops: FloatArray) -> FloatArray:
 
 def _leg(times: FloatArray, acceleration: FloatArray, rests: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Times (M,) from the first to the last of ``rests``, and the displacement (M, 3) since the first; zero velocity at
-    each.
-
-    ``acceleration`` (N, 3), without gravity, is at ``times`` (N,).
+    each. ``acceleration`` (N, 3), without gravity, is at ``times`` (N,).
     """
     t, path = np.array([rests[0]]), np.zeros((1, 3))
     for a, b in pairwise(rests):

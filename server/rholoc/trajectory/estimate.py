@@ -123,9 +123,8 @@ def _with_poses_in_metres(recording: Recording) -> Recording:
 
 def _automatic(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
     """Poses by what the recording has: its own (at least three) if its pictures agree, else pictures, IMU and
-    waypoints.
-
-    Waypoints are measured in the frame that the map is to have, which the recording's own poses need not be in.
+    waypoints. Waypoints are measured in the frame that the map is to have, which the recording's own poses need not be
+    in.
     """
     if recording.poses is None or recording.poses.known.sum() < _FEWEST_GIVEN or recording.waypoints:
         return _visual(recording, PoseMethod.VISUAL_INERTIAL, progress, show)
@@ -297,9 +296,8 @@ def _placed(
     choices: Sequence[tuple[Waypoint, ...]],
     progress: ProgressListener,
 ) -> Trajectory:
-    """Trajectory of the keyframes placed by what they see, by the IMU (None: not used), and by waypoints.
-
-    ``choices`` are possible assignments of times to the waypoints. Raises MappingFailed if too few could be placed.
+    """Trajectory of the keyframes placed by what they see, by the IMU (None: not used), and by waypoints. ``choices``
+    are possible assignments of times to the waypoints. Raises MappingFailed if too few could be placed.
     """
     found = run_in_child(
         reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
@@ -380,7 +378,6 @@ def _keyframes(
     recording: Recording, imu: Imu | None, flow: Flow, features: KeyframeFeatures | None = None
 ) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
     """Keyframe rows (K,) by motion and sharpness, with the frames nearest to the waypoints; choices of waypoint times.
-
     If the times are not known, one frame for each pause, and every way to take pauses for the waypoints. Raises
     MappingFailed for too few keyframes, InvalidWaypoints for too few pauses.
     """
@@ -407,9 +404,8 @@ def _require_keyframes(rows: IntArray, frames: int) -> None:
 
 def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None) -> IntArray:
     """Keyframes of a film at steps of image motion; of a set all pictures up to ``MAX_PICTURES``, else the least alike.
-
-    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than ``_MAX_COMPARED`` pictures,
-    they are chosen at even steps.
+    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than ``_MAX_COMPARED`` pictures, they
+    are chosen at even steps.
     """
     if recording.mounted:
         return _chosen_moments(len(flow.times), _rows_of(recording, recording.mounted))
@@ -457,9 +453,8 @@ def _known_camera(recording: Recording) -> Camera:
 
 
 def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
-    """Reasons not to trust a reconstruction, one line each; empty if none.
-
-    ``share`` is the share of placed keyframes, ``missing`` a text on the others.
+    """Reasons not to trust a reconstruction, one line each; empty if none. ``share`` is the share of placed keyframes,
+    ``missing`` a text on the others.
     """
     doubts = list(found.frame.doubts)
     if share < _WELL_PLACED:
@@ -586,9 +581,7 @@ def _comparison(
     recording: Recording, found: Reconstruction, times: FloatArray, kept: IntArray
 ) -> InertialComparison | None:
     """Distance of the poses from the paper's method, the IMU integrated between waypoints; None without IMU or
-    waypoints.
-
-    ``times`` are those of the keyframes ``kept`` (N,). If the integration fails, the result says why.
+    waypoints. ``times`` are those of the keyframes ``kept`` (N,). If the integration fails, the result says why.
     """
     if recording.imu is None or found.imu is None or not found.frame.waypoints:
         return None

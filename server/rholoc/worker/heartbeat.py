@@ -49,9 +49,7 @@ class Heartbeat:
 
     def _left_behind(self) -> set[Lease]:
         """This worker's jobs without a thread, now and at the last heartbeat; the present ones are kept for the next
-        call.
-
-        A full disk or a failing database can prevent a job's end from being recorded.
+        call. A full disk or a failing database can prevent a job's end from being recorded.
         """
         left = self._leases.held_by(self._worker) - self._claims.leases
         found, self._left_before = left & self._left_before, left

@@ -108,9 +108,7 @@ class JobRunner:
 
     def _outcome(self, claim: Claim) -> tuple[str, ...] | Failure | MoreMemoryNeeded:
         """Build and publish. Returns reasons not to trust the map, or why there is none. After five dead workers the
-        job fails.
-
-        Raises Cancelled if this worker has lost the job, SQLAlchemyError if the database does not answer.
+        job fails. Raises Cancelled if this worker has lost the job, SQLAlchemyError if the database does not answer.
         """
         if claim.deaths >= _MAX_DEATHS:
             return Failure(
@@ -151,9 +149,7 @@ class JobRunner:
 
     def _build(self, lease: Lease, work: JobWork) -> Failure | MoreMemoryNeeded | None:
         """Build in a child process unless the file exists; store notes on the recording. Returns why nothing was built,
-        or None.
-
-        A build killed for its memory needs more if some worker has more. Raises Cancelled.
+        or None. A build killed for its memory needs more if some worker has more. Raises Cancelled.
         """
         if self._workplace.built_file(lease, work).exists():
             return None

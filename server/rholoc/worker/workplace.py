@@ -109,9 +109,8 @@ class Workplace:
         return self._stores.data_dir / _WORK / lease.run
 
     def _inputs(self, lease: Lease, work: JobWork) -> Path:
-        """Folder with the maps, the site, the camera and the queries that a job needs; raises as :meth:`task`.
-
-        If the job's file is built already, nothing is fetched.
+        """Folder with the maps, the site, the camera and the queries that a job needs; raises as :meth:`task`. If the
+        job's file is built already, nothing is fetched.
         """
         self._stores.refresh()
         inputs = self._folder(lease) / _INPUTS

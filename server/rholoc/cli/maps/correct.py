@@ -325,11 +325,7 @@ def _correct(map_file: Path, out: Path | None, as_json: bool, corrected: Callabl
 
 
 def _vector(text: str, count: int) -> FloatArray:
-    """``count`` coordinates.
-
-    Raises:
-        InvalidInput: the text is something else.
-    """
+    """``count`` coordinates. Raises InvalidInput: the text is something else."""
     import numpy as np
 
     try:
@@ -344,11 +340,7 @@ def _vector(text: str, count: int) -> FloatArray:
 
 
 def _corners(text: str) -> FloatArray:
-    """Corners (N, 2) of an outline.
-
-    Raises:
-        InvalidInput: the text holds something else.
-    """
+    """Corners (N, 2) of an outline. Raises InvalidInput: the text holds something else."""
     import numpy as np
 
     return np.array([_vector(corner, 2) for corner in text.split(",")])

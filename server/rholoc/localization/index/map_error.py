@@ -115,9 +115,8 @@ def widening_factor(
 
 @cache
 def _directions() -> FloatArray:
-    """(512, 6) evenly spread unit vectors, deterministic: the additive recurrence of Roberts (2018).
-
-    ``scipy.stats`` has such sequences, but importing it takes a tenth of a server's start-up time.
+    """(512, 6) evenly spread unit vectors, deterministic: the additive recurrence of Roberts (2018). ``scipy.stats``
+    has such sequences, but importing it takes a tenth of a server's start-up time.
     """
     uniform = (0.5 + np.outer(np.arange(1, _DIRECTIONS + 1), _GOLDEN ** -np.arange(1.0, 7.0))) % 1
     normal = ndtri(uniform)

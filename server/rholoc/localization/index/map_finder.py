@@ -162,9 +162,7 @@ class MapFinder:
 
     def _read(self) -> None:
         """Replace everything held by the file's content: at the first call, and once another process has stored a new
-        model.
-
-        Raises sqlite3.Error or OSError if the file cannot be used.
+        model. Raises sqlite3.Error or OSError if the file cannot be used.
         """
         known = {name: model.id for name, model in self._models.items()}
         if self._is_read and self._store.model_ids() in (known, {}):
@@ -217,7 +215,6 @@ class MapFinder:
 
     def _take(self, name: str, file: str, others: Sequence[str]) -> None:
         """Index the version ``file`` of a map, from the views that another process has stored or from the map itself.
-
         Where its kind of features has no model yet, one is trained on it and on the maps ``others``. An unreadable map
         is noted as known, without views.
         """

@@ -202,10 +202,8 @@ class MapIndex:
     def _nearest(
         self, index: DescriptorIndex, rows: IntArray, features: FeatureSet, some: IntArray | None = None
     ) -> NearestLandmarks:
-        """The four nearest entries of ``index`` for each feature, or for the rows ``some``.
-
-        ``rows`` (E,) are the map's descriptors that the entries stand for; the result names their landmarks, -1 for
-        none.
+        """The four nearest entries of ``index`` for each feature, or for the rows ``some``. ``rows`` (E,) are the map's
+        descriptors that the entries stand for; the result names their landmarks, -1 for none.
         """
         detections = np.arange(len(features)) if some is None else some
         distances, found = index.nearest(features if some is None else features.take(some), _CANDIDATES)

@@ -66,7 +66,6 @@ def _opponent(colours: ByteArray) -> FloatArray:
 
 def _ranks(values: FloatArray) -> FloatArray:
     """Ranks of values (M, ...) along the first axis, equal values having their mean rank, centred, divided by M.
-
     ``scipy.stats`` has them, but importing it takes a tenth of every process's start-up time.
     """
     columns = values.reshape(len(values), -1).T

@@ -111,10 +111,8 @@ def _refocused(
     index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray
 ) -> Iterator[tuple[float, Verified]]:
     """Iterate over (factor on the focal length, verified pose) at most three times, from ``scale`` towards the best
-    fit.
-
-    Ends early once a round would change the factor by less than 0.3 %, nothing is verified, or the field of view is
-    implausible.
+    fit. Ends early once a round would change the factor by less than 0.3 %, nothing is verified, or the field of view
+    is implausible.
     """
     for _ in range(_ROUNDS):
         if not _sensible(query.camera, scale):
@@ -135,10 +133,8 @@ def _refocused(
 
 def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> float:
     """Probability 0 to 1 that a verified pose's focal length is harmless, given others: pairs of a factor on it and a
-    pose.
-
-    A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
-    length fits from some distance. The focal length is therefore considered known no better than by either pose's
+    pose. A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any
+    focal length fits from some distance. The focal length is therefore considered known no better than by either pose's
     matches, unless the other one explains much more (by 5 % of the nats). Part of any gain comes from errors that the
     map's landmarks share. 1 if no other pose explains more.
     """
@@ -182,10 +178,8 @@ def _spread(sigma: float) -> float:
 def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> bool:
     """Whether matches around the pose and matches with its place both agree with the given focal length: freeing it
     would move the pose by less than 15 mm and gain less than 0.5 nats. False with fewer than ``ENOUGH_MATCHES`` of
-    either.
-
-    True for most frames. Matches around the pose alone would not suffice: a wrong focal length excludes the matches
-    that contradict it.
+    either. True for most frames. Matches around the pose alone would not suffice: a wrong focal length excludes the
+    matches that contradict it.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     for some in (verified.wide, matches):

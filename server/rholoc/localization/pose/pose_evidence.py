@@ -121,11 +121,9 @@ def _beyond_chance(
     index: MapIndex, pixels: FloatArray, camera: Camera, wide: Matches, T_map_camera: FloatArray
 ) -> float:
     """Nats by which matches concentrate within 4 px of their projected landmarks, beyond what chance predicts from a
-    ring of 4 to 14 px.
-
-    ``pixels`` (N, 2) are those of the query's features. Chernoff bound on the tail of the Poisson distribution,
-    maximized over thresholds on descriptor distance: chance matches are less similar than true ones, but the similarity
-    of true matches depends on light and viewing distance. 0 if there are no more than by chance.
+    ring of 4 to 14 px. ``pixels`` (N, 2) are those of the query's features. Chernoff bound on the tail of the Poisson
+    distribution, maximized over thresholds on descriptor distance: chance matches are less similar than true ones, but
+    the similarity of true matches depends on light and viewing distance. 0 if there are no more than by chance.
     """
     T = T_map_camera
     shown = camera.project((index.landmarks[wide.landmarks] - T[:3, 3]) @ T[:3, :3])
@@ -150,10 +148,8 @@ def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landm
 def _expected(
     index: MapIndex, agreeing: IntArray, camera: Camera, T_map_camera: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Rows (E,) of the landmarks that this frame should show, and their pixels (E, 2).
-
-    They were seen by the ten views that saw most of the landmarks ``agreeing`` (M,), may be visible from the pose, and
-    project into the picture.
+    """Rows (E,) of the landmarks that this frame should show, and their pixels (E, 2). They were seen by the ten views
+    that saw most of the landmarks ``agreeing`` (M,), may be visible from the pose, and project into the picture.
     """
     seen = np.flatnonzero(index.seen_alike(agreeing, _VIEWS_ALIKE))
     rows = seen[index.present(T_map_camera[:3, 3], seen)]

@@ -148,9 +148,7 @@ def _look(
     walks: Sequence[_Walk], options: BuildOptions, progress: ProgressListener
 ) -> tuple[Views, HeldOut, list[list[Look]], tuple[bytes, ...] | None]:
     """Features of all views and of the held-out frames, appearance of the frames of each walk, and the views' pictures
-    (None if not kept).
-
-    Features of views are freed from rolling shutter; those held out are not.
+    (None if not kept). Features of views are freed from rolling shutter; those held out are not.
     """
     cameras: list[Camera] = []
     poses: list[FloatArray] = []

@@ -62,9 +62,8 @@ def with_learned_densities(before: Map, after: Map, forgetting: float) -> Map:
 def _learned(
     known: ObservedDensities, sightings: Sightings, new: IntArray, forgetting: float
 ) -> tuple[BoolArray, ObservedDensities]:
-    """Mask (V,) of the sightings that were used, and the updated densities.
-
-    Of the rows ``new``, a density learns those within its radius whose bearing is within 30° of its direction.
+    """Mask (V,) of the sightings that were used, and the updated densities. Of the rows ``new``, a density learns those
+    within its radius whose bearing is within 30° of its direction.
     """
     assert sightings.bearings is not None
     taken = np.zeros(len(sightings.features), dtype=bool)

@@ -145,9 +145,8 @@ def epipolar_agreement(views: Views, rows: IntArray, i: int, j: int) -> BoolArra
 
 
 def _tracks(links: IntArray, view_of: IntArray) -> IntArray:
-    """Labels (N,) of the union of the links (L, 2) in their order; -1 for a detection without a link.
-
-    Links that would put two detections of a view into a track are skipped.
+    """Labels (N,) of the union of the links (L, 2) in their order; -1 for a detection without a link. Links that would
+    put two detections of a view into a track are skipped.
     """
     parent = np.arange(len(view_of)).tolist()
     seen_in: dict[int, set[int]] = {}

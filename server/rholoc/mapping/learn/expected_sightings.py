@@ -129,7 +129,6 @@ def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: Bool
 
 def _expected(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
     """Landmarks (E,) that a camera should see, their probabilities (E,), and whether it saw them (E,), within 6 px.
-
     Probabilities are the shares among the ten most similar recorded views (for landmarks ``by_recording`` (F,)) or
     others.
     """

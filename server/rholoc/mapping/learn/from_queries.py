@@ -186,9 +186,8 @@ def _sights(localizer: Localizer, placed: Sequence[_Placed]) -> Sights:
 
 
 def _settled(placed: Sequence[_Placed], believed: Sequence[_Placed], again: Sequence[_Placed]) -> list[_Placed]:
-    """Poses of the queries that are believed before or after the map has learned; of both, the one before.
-
-    Queries whose two poses are more than 25 cm or 10° apart are dropped.
+    """Poses of the queries that are believed before or after the map has learned; of both, the one before. Queries
+    whose two poses are more than 25 cm or 10° apart are dropped.
     """
     before, after = ({id(one.query): one for one in some} for some in (believed, again))
     found = []
@@ -281,9 +280,8 @@ class _Lesson:
 
 
 def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressListener) -> _Lesson:
-    """The localizer's map without vanished landmarks, with queries (except held-back ones) as views.
-
-    ``placed`` are the believed queries with their poses.
+    """The localizer's map without vanished landmarks, with queries (except held-back ones) as views. ``placed`` are the
+    believed queries with their poses.
     """
     known = localizer.map
     teaching = [one for one in placed if not _is_held_back(one.query)]
@@ -363,10 +361,8 @@ def _seen_repeatedly(views: Views, landmarks: Landmarks, occasions: IntArray) ->
 
 
 def _needed_most(views: Views, landmarks: Landmarks, known: IntArray, most: int) -> BoolArray:
-    """Mask (F,) of at most ``most`` new landmarks that views need most.
-
-    A view needs the landmarks that most views see, and more of them the fewer of its detections (N,) are ``known`` (not
-    -1).
+    """Mask (F,) of at most ``most`` new landmarks that views need most. A view needs the landmarks that most views see,
+    and more of them the fewer of its detections (N,) are ``known`` (not -1).
     """
     rows = landmarks.observed_rows
     labels, view = landmarks.labels[rows], views.view_of[rows]
@@ -461,11 +457,9 @@ def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, Fe
 
 
 def _check_no_worse(before: _Answers, after: _Answers, of: str) -> None:
-    """Compare answers before and after learning. ``of`` names the test queries in messages.
-
-    Raises:
-        MappingFailed: fewer answers are right, a further wrong one is not outweighed by three right ones, or the median
-            error grew by more than a centimetre.
+    """Compare answers before and after learning. ``of`` names the test queries in messages. Raises MappingFailed: fewer
+    answers are right, a further wrong one is not outweighed by three right ones, or the median error grew by more than
+    a centimetre.
     """
     gained = after.right - before.right
     if gained < 0 or _RIGHT_PER_WRONG * (after.wrong - before.wrong) > gained:

@@ -149,7 +149,6 @@ def update_map(
 
 def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, progress: ProgressListener) -> _Walk:
     """The recording's frames localized one by one, five per second, at most 240; frames without a pose are dropped.
-
     Raises InvalidCamera without intrinsics, MappingFailed if hardly any frame is found.
     """
     camera = _camera_of(recording, localizer.map.info)
@@ -181,9 +180,8 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
 def _aligned_walk(
     localizer: Localizer, recording: Recording, method: PoseMethod, pictures: bool, progress: ProgressListener
 ) -> _Walk:
-    """The recording's own trajectory, aligned with those of at most 24 of its frames that can be localized.
-
-    Raises MappingFailed if too few frames have a pose or are found, or if trajectory and map disagree.
+    """The recording's own trajectory, aligned with those of at most 24 of its frames that can be localized. Raises
+    MappingFailed if too few frames have a pose or are found, or if trajectory and map disagree.
     """
     frame_features = _frame_features(localizer, recording, pictures)
     trajectory = estimate_trajectory(recording, method, progress, frame_features.show)

@@ -131,9 +131,7 @@ def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
 
 def _same_features(localizer: Localizer, moved: Map, progress: ProgressListener) -> IntArray:
     """Row (F_b,) of the same feature in the localizer's map for each feature of ``moved``, or -1; by votes of the
-    views.
-
-    At least two views, and half of those that found a match, must agree; no feature is taken twice.
+    views. At least two views, and half of those that found a match, must agree; no feature is taken twice.
     """
     index, metric = localizer.index, localizer.extractor.metric
     frames, poses = remembered_frames(moved), moved.views.T_map_camera

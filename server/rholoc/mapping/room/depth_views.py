@@ -116,10 +116,8 @@ def depth_views(map_: Map, recording: Recording, source: int, most: int) -> list
 
 
 def _frames_of_views(map_: Map, recording: Recording, source: int) -> dict[int, int]:
-    """Views of a map → rows of the recording's frames at their times, within half a frame interval.
-
-    {} with fewer than two frames. Only views of ``source`` are looked at, or all if the map does not know their
-    sources.
+    """Views of a map → rows of the recording's frames at their times, within half a frame interval. {} with fewer than
+    two frames. Only views of ``source`` are looked at, or all if the map does not know their sources.
     """
     times, sources = recording.frames.times, map_.views.sources
     if len(times) < 2:
@@ -142,9 +140,8 @@ def _images(recording: Recording, rows: Mapping[int, int], views: set[int]) -> d
 
 def _pairs(map_: Map, views: Sequence[int], most: int) -> list[_Pair]:
     """The pairs of views whose depth is worth computing: two at most for each of ``most`` / 2 views evenly over the
-    walk.
-
-    Their parallax is 0.03 to 0.4, best 0.1, they look the same way, not along the baseline, and share 15 landmarks.
+    walk. Their parallax is 0.03 to 0.4, best 0.1, they look the same way, not along the baseline, and share 15
+    landmarks.
     """
     seen = [map_.observations.features[map_.view_offsets[k] : map_.view_offsets[k + 1]] for k in views]
     centres, axes = map_.views.positions[views].astype(np.float64), map_.views.headings[views].astype(np.float64)
@@ -295,9 +292,7 @@ def _recorded(
     map_: Map, recording: Recording, depth: DepthImages, rows: Mapping[int, int], most: int
 ) -> list[DepthView]:
     """Recorded depths of at most ``most`` evenly chosen views, in the map's unit by their median ratio to the
-    landmarks'.
-
-    Empty with fewer than 20 ratios, or if these deviate by more than 10 % in the median.
+    landmarks'. Empty with fewer than 20 ratios, or if these deviate by more than 10 % in the median.
     """
     having = [view for view, row in rows.items() if depth.paths[row] is not None]
     chosen = [having[i] for i in np.unique(np.linspace(0, len(having) - 1, min(most, len(having))).astype(np.int64))]

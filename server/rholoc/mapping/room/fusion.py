@@ -107,9 +107,8 @@ def _add(grid: DistanceGrid, view: DepthView) -> None:
 
 
 def _box(grid: DistanceGrid, view: DepthView, centre: FloatArray, R: FloatArray) -> tuple[slice, slice, slice] | None:
-    """The part of the grid that a view can see up to its farthest depth; None if that is empty.
-
-    ``centre`` (3,) and R (3, 3) are the view's position and rotation in the grid's axes.
+    """The part of the grid that a view can see up to its farthest depth; None if that is empty. ``centre`` (3,) and R
+    (3, 3) are the view's position and rotation in the grid's axes.
     """
     if not np.isfinite(view.depth).any():
         return None

@@ -97,9 +97,8 @@ def _main_direction(normals: FloatArray) -> float:
 
 
 def _outermost(mesh: Quads, vertices: FloatArray, normals: FloatArray, angle: float, size: float) -> Wall | None:
-    """The outermost vertical plane with a normal at ``angle`` [rad]; None if none is large and tall enough.
-
-    A quarter of the mesh's vertices at most may lie behind it. ``vertices`` and ``normals`` (N, 3) are the steep ones.
+    """The outermost vertical plane with a normal at ``angle`` [rad]; None if none is large and tall enough. A quarter
+    of the mesh's vertices at most may lie behind it. ``vertices`` and ``normals`` (N, 3) are the steep ones.
     """
     normal = np.array([np.cos(angle), np.sin(angle)])
     points = vertices[normals[:, :2] @ normal > _SAME_DIRECTION]

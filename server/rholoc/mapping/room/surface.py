@@ -60,7 +60,6 @@ def _vertices(grid: DistanceGrid, cells: IntArray) -> FloatArray:
 
 def _faces(d: FloatArray, number: IntArray) -> IntArray:
     """The quadrilateral (Q, 4) around each edge of the grid on which the distance ``d`` (X, Y, Z) changes its sign.
-
     ``number`` holds each cell's vertex, -1 for none; quadrilaterals that lack one are left out.
     """
     found = []

@@ -163,9 +163,7 @@ def _adjusted(
     site: Site, frames: Mapping[str, FramePose], placed: Mapping[str, _Placed]
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Least squares over all links: T_site_map (4, 4) and its covariance (6, 6), position first, in the site's axes, by
-    map.
-
-    ``frames`` are the poses held fixed, ``placed`` the starting values.
+    map. ``frames`` are the poses held fixed, ``placed`` the starting values.
     """
     if not placed:
         return {}, {}
@@ -218,10 +216,7 @@ def find_link(first: str, a: Map, second: str, b: Map, progress: ProgressListene
 
 def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
     """By waypoints and named points of the same names; None for fewer than three, or if they are on a line (within 0.3
-    m).
-
-    Raises:
-        MappingFailed: one is off by more than 0.3 m.
+    m). Raises MappingFailed: one is off by more than 0.3 m.
     """
     of_a, of_b = _points(a), _points(b)
     shared = sorted(of_a.keys() & of_b.keys())

@@ -139,9 +139,8 @@ def _with_columns(forms: list[type[Densities]], columns: list[str]) -> type[Dens
 
 
 def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:
-    """Iterate over the number, from 1, and the values of each row that is not blank.
-
-    Raises InvalidMap for a row of another length or number, or fewer rows than stated.
+    """Iterate over the number, from 1, and the values of each row that is not blank. Raises InvalidMap for a row of
+    another length or number, or fewer rows than stated.
     """
     total, count = "", 0
     for line in lines:
@@ -284,7 +283,6 @@ def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
 
 def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
     """Times (K,) and poses (K, 7) of the views; view (V,) and feature (V,) of each observation, sorted by view.
-
     ``seen_from`` has the text of each feature's views. Raises InvalidMap for an invalid view, or one with two poses.
     """
     known: dict[str, int] = {}

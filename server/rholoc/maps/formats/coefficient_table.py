@@ -95,7 +95,6 @@ def _sightings(map_: Map) -> Sightings:
 
 def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:
     """Feature, descriptor and density of every row; each descriptor and density of a feature occurs at least once.
-
     Raises InvalidMap for a feature without one.
     """
     features = np.arange(len(map_) + 1)

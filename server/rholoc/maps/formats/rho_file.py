@@ -374,9 +374,7 @@ def _prefix(kind: DensityKind) -> str:
 
 def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
     """The map of a file's arrays; unknown arrays are ignored, and an incomplete memory of the recordings dropped.
-
-    Raises:
-        InvalidMap: one is missing, of another type or shape, or contradicts another in length.
+    Raises InvalidMap: one is missing, of another type or shape, or contradicts another in length.
     """
     if not all(name in arrays for name in _MEMORY):
         arrays = {name: array for name, array in arrays.items() if name not in _MEMORY}
@@ -403,10 +401,8 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
 
 
 def _unpacked_table(table: type[Table], arrays: Arrays, columns: Mapping[str, _Stored]) -> Table:
-    """A map's table from the arrays of its file.
-
-    Raises:
-        InvalidMap: one that is required is missing, or one is of another type or shape.
+    """A map's table from the arrays of its file. Raises InvalidMap: one that is required is missing, or one is of
+    another type or shape.
     """
     optional = {column for column, described in table.columns().items() if described.optional}
     kept = {column: stored for column, stored in columns.items() if stored.name in arrays or column not in optional}
@@ -430,10 +426,8 @@ def _unpacked_room(arrays: Arrays) -> Room:
 
 
 def _unpacked_pictures(arrays: Arrays, views: int) -> tuple[bytes, ...] | None:
-    """The picture of each view (K,), empty for none; None if the file has no pictures.
-
-    Raises:
-        InvalidMap: there are not as many as views, or their offsets are broken.
+    """The picture of each view (K,), empty for none; None if the file has no pictures. Raises InvalidMap: there are not
+    as many as views, or their offsets are broken.
     """
     if _PICTURES.keys().isdisjoint(arrays):
         return None
@@ -471,10 +465,8 @@ def _packed_pixels(map_: Map, pixels: FloatArray) -> IntArray:
 
 
 def _unpacked_ranges(arrays: Arrays) -> FloatArray | None:
-    """The ranges (V,) of observations; None if the file has none.
-
-    Raises:
-        InvalidMap: they are not as many as the observations, or not positive.
+    """The ranges (V,) of observations; None if the file has none. Raises InvalidMap: they are not as many as the
+    observations, or not positive.
     """
     if "extras/observation_ranges" not in arrays:
         return None

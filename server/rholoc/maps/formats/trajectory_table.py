@@ -194,9 +194,7 @@ def _whole(values: FloatArray, name: str, path: Path) -> IntArray:
 
 def _rotations(columns: dict[str, FloatArray], path: Path) -> FloatArray:
     """R_map_camera (N, 3, 3), from quaternions where there are any, else from headings and rolls (0 without that
-    column).
-
-    Raises InvalidTrajectory if one is not of unit length (within 1 %), or a roll is not finite.
+    column). Raises InvalidTrajectory if one is not of unit length (within 1 %), or a roll is not finite.
     """
     headings = np.column_stack([columns[name] for name in ("hx", "hy", "hz")])
     _require_unit(headings, "heading", path)

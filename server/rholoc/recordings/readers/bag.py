@@ -230,9 +230,7 @@ def _imu(
     reader: AnyReader, found: _Topics, mounted: Mounting, camera_frame: str
 ) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
     """Gyroscope and accelerometer, each from a requested topic that measures it, else from the one with most rows; and
-    warnings.
-
-    One topic with both is preferred. None if one is missing. Raises InvalidRecording.
+    warnings. One topic with both is preferred. None if one is missing. Raises InvalidRecording.
     """
     felt, turned = [], []
     for connection in found.of_types(_IMU):
@@ -275,7 +273,6 @@ def _poses(
     reader: AnyReader, found: _Topics, mounted: Mounting, camera_frame: str, frames: BagFrames
 ) -> tuple[GivenPoses | None, tuple[RecordingWarning, ...]]:
     """The camera's poses from the requested topic, else from poses (taken as exact), else from odometry; and warnings.
-
     None without such a topic, or (with a warning) if no pose belongs to a frame.
     """
     asked = [one for one in found.of_types(*_POSES, _ODOMETRY) if one.topic in found.asked]

@@ -144,7 +144,6 @@ def _require_enough(waypoints: Sequence[Waypoint]) -> None:
 
 def _on_earth(waypoints: Sequence[Waypoint], columns: Sequence[str], crs: str | None = None) -> tuple[Waypoint, ...]:
     """Waypoints whose positions are places on Earth under these columns, in metres east, north and up of the first one.
-
     ``crs`` names another reference system than WGS 84. Raises InvalidWaypoints if one is off the Earth or over 10 km
     away.
     """

@@ -80,11 +80,7 @@ class RateLimited:
         self._rates = Rates()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Raises:
-            TooManyRequests: its key asks too often.
-        """
+        """Answer one request. Raises TooManyRequests: its key asks too often."""
         key = request_key(scope) if scope["type"] in ("http", "websocket") else None
         if key is not None:
             self._rates.take(self._keys.chain(key))

@@ -151,10 +151,8 @@ _UNIT_TOLERANCE = 1e-2
 
 
 def _relative_pose(number: int, one: FrameIn) -> np.ndarray:
-    """A frame's pose (4, 4) among the others.
-
-    Raises:
-        InvalidInput: a number is not finite, or the quaternion is not of unit length: no rotation.
+    """A frame's pose (4, 4) among the others. Raises InvalidInput: a number is not finite, or the quaternion is not of
+    unit length: no rotation.
     """
     position = finite(f"frames[{number}].position", one.position)
     quaternion = finite(f"frames[{number}].quaternion_xyzw", one.quaternion_xyzw)

@@ -104,9 +104,7 @@ def _looking_twice(
     clock: Stopwatch,
 ) -> _Answered:
     """The surest answer of the maps found with quick features; if not conclusive, of those found with all features too.
-
-    Raises:
-        RholocError: no map could be used.
+    Raises RholocError: no map could be used.
     """
     answers, refused = [], None
     try:

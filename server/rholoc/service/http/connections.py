@@ -154,11 +154,7 @@ class ConcurrencyLimited:
         self._under_way: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Raises:
-            TooManyRequests: the client is at its limit.
-        """
+        """Answer one request. Raises TooManyRequests: the client is at its limit."""
         client = client_of(scope) if scope["type"] == "http" else ""
         if not client:
             await self._app(scope, receive, send)
@@ -186,11 +182,7 @@ class ProbesOnly:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Raises:
-            Busy: the route is not open to everyone.
-        """
+        """Answer one request. Raises Busy: the route is not open to everyone."""
         if scope.get("state", {}).get(BEYOND_LIMIT) and client_of(scope):
             raise _full()
         await self._app(scope, receive, send)
@@ -209,11 +201,7 @@ class SlowBodies:
         self._silence_s = silence_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Raises:
-            RequestTimeout: its body takes too long.
-        """
+        """Answer one request. Raises RequestTimeout: its body takes too long."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

@@ -32,10 +32,8 @@ class Tus:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request; requests that do not speak tus pass unchanged.
-
-        Raises:
-            UnsupportedVersion: the client speaks another version.
+        """Answer one request; requests that do not speak tus pass unchanged. Raises UnsupportedVersion: the client
+        speaks another version.
         """
         headers = Headers(scope=scope) if scope["type"] == "http" else {}
         if RESUMABLE not in headers:

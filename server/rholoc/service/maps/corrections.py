@@ -230,11 +230,7 @@ def _names(wanted: NamesIn) -> MapNames:
 
 
 def _vector(numbers: list[float] | list[list[float]]) -> FloatArray:
-    """Coordinates as an array.
-
-    Raises:
-        InvalidInput: one is out of range.
-    """
+    """Coordinates as an array. Raises InvalidInput: one is out of range."""
     array = np.array(numbers, dtype=np.float64)
     if not np.all(np.abs(array) <= _FARTHEST_M):
         raise InvalidInput(

@@ -61,10 +61,8 @@ def _check_features(map_: Map) -> None:
 
 
 def _rehearse(map_: Map, name: str, size_bytes: int, min_recognized: float) -> None:
-    """Try the operations of later requests on a map, to refuse a map that would fail.
-
-    Raises:
-        InvalidMap: an operation failed.
+    """Try the operations of later requests on a map, to refuse a map that would fail. Raises InvalidMap: an operation
+    failed.
     """
     check_usable(map_)
     try:

@@ -239,11 +239,7 @@ def _add_manifest(tar: tarfile.TarFile, manifest: Manifest) -> None:
 
 
 def _unpacked(file: Path, staged: dict[str, Path]) -> Manifest:
-    """Unpack a backup into staging folders, and verify it.
-
-    Raises:
-        InvalidInput: they are not.
-    """
+    """Unpack a backup into staging folders, and verify it. Raises InvalidInput: they are not."""
     found: dict[str, BackedUp] = {}
     manifest: Manifest | None = None
     try:
@@ -282,11 +278,7 @@ def _manifest(file: Path, text: bytes) -> Manifest:
 
 
 def _checked(file: Path, name: str) -> str:
-    """The path of an entry, checked to stay within a backup's folders.
-
-    Raises:
-        InvalidInput: it may not.
-    """
+    """The path of an entry, checked to stay within a backup's folders. Raises InvalidInput: it may not."""
     path = PurePosixPath(name)
     within = path.parts[0] in (_MAPS, _DATA) if path.parts else False
     if not within or len(path.parts) < 2 or ".." in path.parts or path.as_posix() != name or "\\" in name:
@@ -312,11 +304,7 @@ def _unpack(content: IO[bytes], target: Path) -> BackedUp:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Give a file its place, unless there is one already.
-
-    Raises:
-        FileExistsError: there is one.
-    """
+    """Give a file its place, unless there is one already. Raises FileExistsError: there is one."""
     try:
         os.link(source, target)
     except (FileExistsError, FileNotFoundError):

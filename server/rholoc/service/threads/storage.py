@@ -38,10 +38,8 @@ class StorageThreads:
         self._overdue = 0
 
     async def __call__(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """The result of ``call(*args, **kwargs)``.
-
-        Raises:
-            StorageUnavailable: it took too long; what it does may still be done.
+        """The result of ``call(*args, **kwargs)``. Raises StorageUnavailable: it took too long; what it does may still
+        be done.
         """
         if self._overdue >= self._threads:
             raise _unavailable()

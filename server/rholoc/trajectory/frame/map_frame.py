@@ -192,9 +192,7 @@ def _best_choice(
     times: FloatArray, positions: FloatArray, choices: Iterable[Sequence[Waypoint]]
 ) -> tuple[tuple[Waypoint, ...], WaypointAlignment, float]:
     """Choice with the least maximum residual, its alignment, and the maximum residual [m] of the next best (inf if
-    none).
-
-    Raises MappingFailed if no choice fits.
+    none). Raises MappingFailed if no choice fits.
     """
     found: list[tuple[float, tuple[Waypoint, ...], WaypointAlignment]] = []
     failure: MappingFailed | None = None
@@ -228,9 +226,8 @@ def _scale_contradictions(ratio: float, others: Sequence[ScaleMeasurement], sigm
 
 
 def _at_camera(T_world_camera: FloatArray, up: FloatArray | None, unit: float) -> Similarity:
-    """Similarity by the factor ``unit`` to the frame with a camera (4, 4) at its origin, looking along x.
-
-    z is ``up`` (3,), or the camera's own up if that is None.
+    """Similarity by the factor ``unit`` to the frame with a camera (4, 4) at its origin, looking along x. z is ``up``
+    (3,), or the camera's own up if that is None.
     """
     up = -T_world_camera[:3, 1] if up is None else up
     R = rotation_to_upright(up)

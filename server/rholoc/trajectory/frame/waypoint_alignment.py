@@ -152,9 +152,8 @@ def _fit(own: FloatArray, measured: FloatArray, up: UpMeasurement | None) -> Sim
 
 
 def _mistake(waypoints: Sequence[Waypoint], own: FloatArray) -> int | None:
-    """Number of the only waypoint that is off by 15 cm or more while all others agree within 6 cm.
-
-    None otherwise, or below five waypoints. ``own`` (W, 3) are the camera's positions at the waypoints.
+    """Number of the only waypoint that is off by 15 cm or more while all others agree within 6 cm. None otherwise, or
+    below five waypoints. ``own`` (W, 3) are the camera's positions at the waypoints.
     """
     if len(waypoints) < _ROBUST_FROM:
         return None

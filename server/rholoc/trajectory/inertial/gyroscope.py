@@ -175,9 +175,7 @@ def spaced_rows(times: FloatArray, interval_s: float) -> np.ndarray[tuple[int], 
 
 def _time_sigma_s(imu: Imu, t: FloatArray, sigma: float) -> float:
     """Standard deviation of the time offset [s], given the sigma [rad] of an interval's rotation between times ``t``
-    (N,).
-
-    A shift changes an interval's rotation by its ends' rate difference.
+    (N,). A shift changes an interval's rotation by its ends' rate difference.
     """
     rate = np.column_stack([np.interp(t, imu.times, axis) for axis in imu.angular_velocity.T])
     return sigma / max(float(np.linalg.norm(np.diff(rate, axis=0))), 1e-9)

@@ -118,9 +118,8 @@ def _weights_of_motion(felt: FloatArray) -> FloatArray:
 
 
 def _weights_of_directions(between: FloatArray, unit: FloatArray, sigma_rad: FloatArray) -> FloatArray:
-    """Geman–McClure weights (N,) of directions ``unit`` (N, 3), from the estimated displacements ``between`` (N, 3).
-
-    A displacement against its direction counts as ``_BACKWARD`` sigmas further off.
+    """Geman–McClure weights (N,) of directions ``unit`` (N, 3), from the estimated displacements ``between`` (N, 3). A
+    displacement against its direction counts as ``_BACKWARD`` sigmas further off.
     """
     way_m = np.linalg.norm(between, axis=1)
     along = np.sum(between * unit, axis=1)
@@ -148,9 +147,7 @@ def _turned_to(between: FloatArray, unit: FloatArray) -> tuple[FloatArray, Float
 
 def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:
     """Solve the normal equations for all U unknowns (U,): a band matrix, apart from the first ``_UNKNOWNS_APART``
-    unknowns.
-
-    Factorizing the band takes time linear in the length of the walk.
+    unknowns. Factorizing the band takes time linear in the length of the walk.
     """
     n = _UNKNOWNS_APART
     band, border = information[n:, n:].tocsc(), information[n:, :n].toarray()
@@ -181,9 +178,8 @@ def _covered(t: FloatArray, imu: Imu) -> BoolArray:
 
 
 def _equations_of_motion(t: FloatArray, R: FloatArray, imu: Imu, gyro: GyroCalibration, covered: BoolArray) -> _Motion:
-    """v_j - v_i - g dt - J_v b = Δv and p_j - p_i - v_i dt - g dt²/2 - J_p b = Δp for every interval, i to j.
-
-    ``t`` (K,) are the keyframes' times on the IMU's clock. Intervals not ``covered`` (K - 1,) get 1000 times the sigma.
+    """v_j - v_i - g dt - J_v b = Δv and p_j - p_i - v_i dt - g dt²/2 - J_p b = Δp for every interval, i to j. ``t``
+    (K,) are the keyframes' times on the IMU's clock. Intervals not ``covered`` (K - 1,) get 1000 times the sigma.
     """
     n, count = len(t) - 1, len(t)
     dt = np.diff(t)
@@ -241,7 +237,6 @@ def _integrated(
     imu: Imu, gyro: GyroCalibration, t: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Velocity changes and displacements (K - 1, 3) by the specific force between keyframes, in the rotations' frame.
-
     Then their derivatives (K - 1, 3, 3) by the accelerometer bias, in the same order.
     """
     R_start_imu = orientations(imu, gyro.bias).as_matrix()

@@ -57,9 +57,8 @@ def _gyro_sigma_rad(seconds: float) -> float:
 
 
 def _spread(count: int, pairs: Sequence[PairRotation]) -> tuple[FloatArray, IntArray]:
-    """Rotations (K, 3, 3) along the maximum spanning tree by support, and the component (K,) of every keyframe.
-
-    A component is named by its first keyframe, whose rotation is the identity. Pairs of neighbours (at most twelve
+    """Rotations (K, 3, 3) along the maximum spanning tree by support, and the component (K,) of every keyframe. A
+    component is named by its first keyframe, whose rotation is the identity. Pairs of neighbours (at most twelve
     keyframes apart) precede loop closures, because different places may look alike.
     """
     R = np.tile(np.eye(3), (count, 1, 1))

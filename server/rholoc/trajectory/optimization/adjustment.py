@@ -332,9 +332,8 @@ def _image_planes(observations: Observations, state: State) -> tuple[FloatArray,
 
 
 def _usable_points(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, BoolArray]:
-    """Points (M, 3), refined, and a mask (N,) of the usable sightings.
-
-    Those are near (20 px, or 4 medians) and of points with three near sightings and more than 1.5° of parallax.
+    """Points (M, 3), refined, and a mask (N,) of the usable sightings. Those are near (20 px, or 4 medians) and of
+    points with three near sightings and more than 1.5° of parallax.
     """
     points, parallax_deg = triangulate(observations, state)
     off = residuals_px(observations, state, points)
@@ -346,9 +345,8 @@ def _usable_points(observations: Observations, state: State, sigma_px: float) ->
 
 
 def _settled(points: FloatArray, observations: Observations, state: State, sigma_px: float) -> FloatArray:
-    """Points (M, 3) of least reprojection error with all else held (Gauss–Newton, Cauchy's weights).
-
-    Triangulated points are not optimal; refining them here saves the joint problem iterations.
+    """Points (M, 3) of least reprojection error with all else held (Gauss–Newton, Cauchy's weights). Triangulated
+    points are not optimal; refining them here saves the joint problem iterations.
     """
     tracks, positions = observations.tracks, state.positions[observations.keyframes]
     R, measured = _image_planes(observations, state)
@@ -507,9 +505,8 @@ def preintegrated(
 
 
 def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
-    """Factor of mounting and clock offset: T_map_camera = T_map_imu Exp((ω, v) clock) T_imu_camera.
-
-    ``rate`` is the IMU's ω (3,) [rad/s] at keyframe ``k``, v its velocity.
+    """Factor of mounting and clock offset: T_map_camera = T_map_imu Exp((ω, v) clock) T_imu_camera. ``rate`` is the
+    IMU's ω (3,) [rad/s] at keyframe ``k``, v its velocity.
     """
 
     def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Any:
@@ -589,9 +586,8 @@ def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: Stat
 
 
 def _fix_gauge(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: State, metric: bool) -> None:
-    """Add priors to ``graph`` on what no measurement fixes: the first camera's position and heading.
-
-    Unless ``metric``, also its tilt, and the scale by its distance to the farthest camera.
+    """Add priors to ``graph`` on what no measurement fixes: the first camera's position and heading. Unless ``metric``,
+    also its tilt, and the scale by its distance to the farthest camera.
     """
     first = values.atPose3(C(0))
     if metric:
@@ -642,9 +638,8 @@ class _Descent:
         return values, cost
 
     def _stepped(self, values: gtsam.Values, cost: float) -> tuple[gtsam.Values, float]:
-        """Gauss–Newton step; if none lowers the cost, a Levenberg–Marquardt step, which takes three times as long.
-
-        A long step mostly fails because the points lag behind: it is retried, whole and in part, with every point
+        """Gauss–Newton step; if none lowers the cost, a Levenberg–Marquardt step, which takes three times as long. A
+        long step mostly fails because the points lag behind: it is retried, whole and in part, with every point
         re-optimized. Returns values and cost. Raises MappingFailed if the system is singular.
         """
         for system in _with_points_held(self.graph.linearize(values), self.held):
@@ -710,7 +705,6 @@ def _held_points(
     observations: Observations, state: State, used: BoolArray, firmness: float
 ) -> gtsam.GaussianFactorGraph:
     """Prior that keeps each point near its position relative to its distance: weak points would jump behind cameras.
-
     ``firmness`` should be small, because the prior also holds the walk's scale.
     """
     tracks, count = observations.tracks[used], observations.points
@@ -726,9 +720,8 @@ def _held_points(
 
 
 def _ordering(values: gtsam.Values, observations: Observations, used: BoolArray) -> gtsam.Ordering:
-    """Elimination order: points, keyframes by nested dissection, shared unknowns.
-
-    Ordering the whole graph would take longer than the step, because nearly every factor contains the intrinsics.
+    """Elimination order: points, keyframes by nested dissection, shared unknowns. Ordering the whole graph would take
+    longer than the step, because nearly every factor contains the intrinsics.
     """
     by_track = np.lexsort((observations.keyframes[used], observations.tracks[used]))
     tracks, keyframes = observations.tracks[used][by_track], observations.keyframes[used][by_track]

@@ -96,9 +96,8 @@ def _metric(
 
 
 def _chained(root: int, between: dict[tuple[int, int], FloatArray], graph: csr_matrix) -> dict[int, FloatArray]:
-    """T_root_camera (4, 4) of each picture linked with a root, along the strongest pairs.
-
-    ``between`` holds T_first_second of each pair; ``graph`` its cost.
+    """T_root_camera (4, 4) of each picture linked with a root, along the strongest pairs. ``between`` holds
+    T_first_second of each pair; ``graph`` its cost.
     """
     order, before = breadth_first_order(minimum_spanning_tree(graph), root, directed=False)
     T: dict[int, FloatArray] = {root: np.eye(4)}

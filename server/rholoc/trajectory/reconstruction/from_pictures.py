@@ -147,9 +147,8 @@ class _Part:
 def _placed_by(
     mapper: Mapper, walk: Pictured, whole: Observations, progress: AdjustmentProgress, span: tuple[float, float]
 ) -> _Part | None:
-    """The part that a mapper places, adjusted; None if it places none or fails.
-
-    ``whole`` are the sightings of all pictures, ``span`` the fractions of progress.
+    """The part that a mapper places, adjusted; None if it places none or fails. ``whole`` are the sightings of all
+    pictures, ``span`` the fractions of progress.
     """
     sights, camera, sequential = walk.sights, walk.camera, walk.evidence.sequential
     try:
@@ -179,7 +178,6 @@ def _placed_by(
 
 def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[_Part, Pictured]:
     """The part adjusted to more sightings and the weak pairs that fit it, with further pictures that these place.
-
     Returns the part as it is if that fails or bends it; and the walk, with the pairs that were used if they were.
     """
     sights, evidence = walk.sights, walk.evidence
@@ -218,10 +216,9 @@ def _unzoomed(part: _Part, sights: Sights, whole: Observations, progress: Adjust
 
 
 def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
-    """Weak pairs of the walk that may show the same place as the part does.
-
-    Of two pictures of the part, those that its poses fit, as near to each other as clear pairs are. Of a picture that
-    it has not, those beside a clear pair with the part: what else looks alike has better matches where it belongs.
+    """Weak pairs of the walk that may show the same place as the part does. Of two pictures of the part, those that its
+    poses fit, as near to each other as clear pairs are. Of a picture that it has not, those beside a clear pair with
+    the part: what else looks alike has better matches where it belongs.
     """
     count = len(walk.sights.rows)
     T = np.full((count, 4, 4), np.nan)
@@ -273,9 +270,8 @@ def _is_loose(found: Reconstruction) -> bool:
 
 
 def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
-    """The part of which another one confirms most; of equal ones the metric, then the smallest, which adds least.
-
-    Where less than half of all ``count`` pictures are confirmed, the largest of equal ones.
+    """The part of which another one confirms most; of equal ones the metric, then the smallest, which adds least. Where
+    less than half of all ``count`` pictures are confirmed, the largest of equal ones.
     """
     confirmed = [_confirmed(part, parts) for part in parts]
     sign = -1 if 2 * max(confirmed) >= count else 1
@@ -307,9 +303,7 @@ def _adjusted(
     span: tuple[float, float],
 ) -> _Part:
     """Adjust some pictures from their first poses ``start`` (state, members) to those of the ``whole`` sightings they
-    see.
-
-    Also to depths or odometry steps, in metres, if these fix the scale. Raises MappingFailed.
+    see. Also to depths or odometry steps, in metres, if these fix the scale. Raises MappingFailed.
     """
     state, members = start
     number = np.full(len(sights.rows), -1)
@@ -391,7 +385,6 @@ def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstructi
 
 def _own_start(walk: Pictured, observations: Observations) -> tuple[State, IntArray]:
     """First poses of the largest connected part by rotation averaging and global positioning, and its keyframes (N,).
-
     Raises MappingFailed if no two pictures overlap enough.
     """
     camera, count = walk.camera, len(walk.sights.rows)
@@ -408,9 +401,8 @@ def _own_start(walk: Pictured, observations: Observations) -> tuple[State, IntAr
 
 
 def _positions_of(members: IntArray, R: FloatArray, observations: Observations, rays: FloatArray) -> FloatArray:
-    """Positions (N, 3) of the ``members`` (N,) by global positioning of the points that at least two of them see.
-
-    R (K, 3, 3) are rotations of all keyframes, ``rays`` those of the observations. Raises MappingFailed.
+    """Positions (N, 3) of the ``members`` (N,) by global positioning of the points that at least two of them see. R (K,
+    3, 3) are rotations of all keyframes, ``rays`` those of the observations. Raises MappingFailed.
     """
     number = np.full(len(R), -1)
     number[members] = np.arange(len(members))

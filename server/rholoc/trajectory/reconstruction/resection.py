@@ -54,9 +54,7 @@ def _known_points(
     observations: Observations, placed: np.ndarray, T: FloatArray, state: State
 ) -> tuple[FloatArray, np.ndarray]:
     """Points (M, 3), NaN if untriangulated, from pictures with a pose T (K, 4, 4), and a mask (M,) of the reliable
-    ones.
-
-    These have 1.5° of parallax and all errors below 4 px.
+    ones. These have 1.5° of parallax and all errors below 4 px.
     """
     number = np.cumsum(placed) - 1
     seen = observations.at(placed[observations.keyframes])

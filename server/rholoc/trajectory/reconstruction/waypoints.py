@@ -100,9 +100,7 @@ def _held_by_waypoints(
 
 def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adjusted) -> dict[str, LeftOut]:
     """Compare each waypoint, by name, with the walk estimated without it. The walk is already free of ``mistaken``
-    ones.
-
-    Sigmas are NaN where the walk's covariance is unknown.
+    ones. Sigmas are NaN where the walk's covariance is unknown.
     """
     covariances = adjusted.covariances([fix.keyframe for fix in fixes.values()])[:, :3, :3]
     found = {}
@@ -134,9 +132,8 @@ def _with_waypoints_met(state: State, fixes: tuple[Fix, ...], loops: Sequence[Ve
 
 
 def _noise_factor(sigmas: Sequence[float]) -> float:
-    """Ratio of actual to assumed waypoint noise, 0.4 to 2, from each waypoint's error in sigmas (NaN is ignored).
-
-    RMS over three coordinates each, with a prior at 1 because waypoints are few.
+    """Ratio of actual to assumed waypoint noise, 0.4 to 2, from each waypoint's error in sigmas (NaN is ignored). RMS
+    over three coordinates each, with a prior at 1 because waypoints are few.
     """
     sigmas = [value for value in sigmas if np.isfinite(value)]
     squares = _NOISE_PRIOR + sum(value**2 for value in sigmas)

@@ -151,9 +151,8 @@ _Seen = tuple[ByteArray, ByteArray, FloatArray, float]
 
 
 def _looked_at(frames: FrameSource, breadth: float = 1.0) -> Iterator[_Seen]:
-    """Iterate over every frame: whole, reduced in grey, factors (2,) to full-image pixels, and sharpness.
-
-    A thread prepares the next frames while this one's corners are tracked.
+    """Iterate over every frame: whole, reduced in grey, factors (2,) to full-image pixels, and sharpness. A thread
+    prepares the next frames while this one's corners are tracked.
     """
     with ThreadPoolExecutor(1) as pool:
         waiting: list[Future[_Seen]] = []
@@ -183,9 +182,8 @@ def _reduced(gray: ByteArray, longer_side_px: int) -> ByteArray:
 
 
 def _followed(before: ByteArray, image: ByteArray, corners: FloatArray) -> tuple[FloatArray, BoolArray, float]:
-    """Track corners (K, 2) into the next image: those found, a mask (K,) of them, and the median motion.
-
-    The motion is a share of the longer side; 0.05 if fewer than eight are found.
+    """Track corners (K, 2) into the next image: those found, a mask (K,) of them, and the median motion. The motion is
+    a share of the longer side; 0.05 if fewer than eight are found.
     """
     if len(corners) == 0:
         return corners, np.zeros(0, dtype=np.bool_), _LOST_MOTION

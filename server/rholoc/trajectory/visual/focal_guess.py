@@ -90,9 +90,7 @@ def _focal_by_gyroscope(flow: Flow, imu: Imu) -> float | None:
 
 def _focal_by_pictures(flow: Flow) -> float | None:
     """Median over pairs of pictures of the focal length with most inliers (six-point solver), as a share of the longer
-    side.
-
-    None if fewer than ten pairs give a plausible one (0.5 to 2).
+    side. None if fewer than ten pairs give a plausible one (0.5 to 2).
     """
     path = np.cumsum(flow.motion)
     starts = np.linspace(0, max(path[-1] - _PICTURE_MOTION, 0.0), _PICTURE_PAIRS)

@@ -194,9 +194,7 @@ def _verify(
     fewest: int,
 ) -> VerifiedPair | None:
     """Inlier matches of one relative pose; None with fewer than ``fewest``, or if the gyroscope contradicts its
-    rotation.
-
-    If the gyroscope explains 80 % of the inliers, its rotation replaces the picture's.
+    rotation. If the gyroscope explains 80 % of the inliers, its rotation replaces the picture's.
     """
     i, j = pair
     matches = ratio_matches(descriptors(i), descriptors(j))

@@ -143,7 +143,6 @@ def _neighbours(
     flow: Flow, rows: IntArray, a: int, b: int, camera: Camera, tolerance: float, felt: Rotation | None
 ) -> tuple[IntArray, BoolArray, PairRotation | None]:
     """Corners (C,) shared by keyframes ``a`` and ``b``, a mask (C,) of the relative pose's inliers, and its rotation.
-
     The rotation is None with fewer than 30 inliers, or if the gyroscope contradicts it.
     """
     shared, in_a, in_b = flow.shared(int(rows[a]), int(rows[b]))

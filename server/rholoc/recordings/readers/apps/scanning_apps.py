@@ -258,9 +258,8 @@ def _members_if_any(path: Path) -> dict[str, Any]:
 def _numbers(
     values: dict[str, Any], names: Sequence[str], count: int, source: str, error: type[InvalidInput] = InvalidRecording
 ) -> FloatArray:
-    """The members' finite numbers (count,), flattened one after the other.
-
-    Raises ``error``, naming ``source``, if a member is missing or the numbers are not ``count``.
+    """The members' finite numbers (count,), flattened one after the other. Raises ``error``, naming ``source``, if a
+    member is missing or the numbers are not ``count``.
     """
     try:
         found = np.concatenate([np.ravel(np.array(values[name], dtype=np.float64)) for name in names])

@@ -61,11 +61,7 @@ def read(folder: Path) -> Recording:
 
 
 def _list(path: Path) -> tuple[FloatArray, list[str]]:
-    """The times (M,) in seconds and the names of listed images.
-
-    Raises:
-        InvalidRecording: the list is broken.
-    """
+    """The times (M,) in seconds and the names of listed images. Raises InvalidRecording: the list is broken."""
     table = read_logged_table(path)
     if table.columns != 2:
         raise InvalidRecording(f"{path.name} has {table.columns} columns.", "Each row is a time and an image's name.")
@@ -74,9 +70,7 @@ def _list(path: Path) -> tuple[FloatArray, list[str]]:
 
 def _depth(folder: Path, times: FloatArray) -> DepthImages | None:
     """For each frame, at times (N,) [s], the depth image nearest in time, if within 20 ms; None without a list of them.
-
-    Raises:
-        InvalidRecording: the list is broken.
+    Raises InvalidRecording: the list is broken.
     """
     if not (folder / "depth.txt").is_file():
         return None

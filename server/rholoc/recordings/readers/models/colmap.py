@@ -138,10 +138,8 @@ def _read_text(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
 
 
 def _read_binary(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
-    """The images, and the fields of each camera as a text file has them, by identifier.
-
-    Raises:
-        InvalidRecording: a file is cut off, is something else or lists no images.
+    """The images, and the fields of each camera as a text file has them, by identifier. Raises InvalidRecording: a file
+    is cut off, is something else or lists no images.
     """
     try:
         return _binary_images((model / "images.bin").read_bytes()), _binary_cameras(
@@ -205,10 +203,8 @@ def _read_cameras(path: Path) -> dict[str, list[str]]:
 
 
 def _camera(fields: list[str]) -> Camera | None:
-    """The camera of a line's fields; None where the model is not supported.
-
-    Raises:
-        InvalidCamera: the fields are broken.
+    """The camera of a line's fields; None where the model is not supported. Raises InvalidCamera: the fields are
+    broken.
     """
     try:
         values = [float(field) for field in fields[3:]]
@@ -223,7 +219,6 @@ def _cameras(
     fields: dict[str, list[str]], used: Sequence[str]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
     """Camera of each image by the numbers ``used``; None, with a warning, if one is of a model that is not supported.
-
     Raises InvalidCamera if a camera is missing or broken.
     """
     found: dict[str, Camera] = {}

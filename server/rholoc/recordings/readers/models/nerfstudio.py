@@ -129,10 +129,8 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def _number(values: dict[str, Any], name: str) -> float:
-    """The member ``name`` as a float; NaN if missing.
-
-    Raises:
-        InvalidCamera: it is no number, or its size is 1e9 or more.
+    """The member ``name`` as a float; NaN if missing. Raises InvalidCamera: it is no number, or its size is 1e9 or
+    more.
     """
     if name not in values:
         return math.nan

@@ -175,11 +175,7 @@ async def find_geopose(request: Request, service: Service, requested: Requested)
 
 
 def _accepted(request: Request) -> str:
-    """The protocol's version that the client accepts.
-
-    Raises:
-        InvalidRequest: another than 1 and 2.
-    """
+    """The protocol's version that the client accepts. Raises InvalidRequest: another than 1 and 2."""
     asked = _VERSION.search(request.headers.get("accept", ""))
     version = "2.0" if asked is None else asked[1]
     if version not in ("1.0", "2.0", "1", "2"):

@@ -207,9 +207,7 @@ def _unsupported(kind: str) -> UnsupportedMediaType:
 
 def _image_listener(on_piece: PieceListener) -> PieceListener:
     """A listener that refuses, by its first bytes, a body that is not an image, and passes the pieces to ``on_piece``.
-
-    Raises:
-        InvalidImage: from the listener.
+    Raises InvalidImage: from the listener.
     """
     start = b""
 

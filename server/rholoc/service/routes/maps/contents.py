@@ -294,9 +294,8 @@ async def get_preview(map_name: str, request: Request, service: Service) -> Resp
 async def _made(
     request: Request, service: State, name: str, make: Callable[[Map], tuple[bytes, str]], *parts: object
 ) -> Response:
-    """Response with the content and media type that ``make`` returns for a map; 304 if the browser has it.
-
-    ``parts`` tell it from what else is made of the map.
+    """Response with the content and media type that ``make`` returns for a map; 304 if the browser has it. ``parts``
+    tell it from what else is made of the map.
     """
     etag = etag_of(await service.maps.stat(name), *parts)
     if is_kept(request, etag):

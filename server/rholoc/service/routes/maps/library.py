@@ -65,10 +65,8 @@ async def _answered(service: State, name: str, response: Response) -> MapDetail:
 
 
 async def _check_unchanged(request: Request, service: State, name: str) -> None:
-    """Check `If-Match` and `If-None-Match: *` of a request that replaces a map.
-
-    Raises:
-        PreconditionFailed: the map is not the one that the request means, or is there although it must not be.
+    """Check `If-Match` and `If-None-Match: *` of a request that replaces a map. Raises PreconditionFailed: the map is
+    not the one that the request means, or is there although it must not be.
     """
     wanted, unwanted = request.headers.get("if-match"), request.headers.get("if-none-match")
     if wanted is None and unwanted is None:
