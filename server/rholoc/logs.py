@@ -26,7 +26,9 @@ def configure_logs() -> None:
 
 
 def configure_process_logs() -> None:
-    """The same for all other loggers too, those of libraries included: for a process that is all ours."""
+    """As :func:`configure_logs`, for all other loggers too (level INFO), those of libraries included: a process that is
+    all ours.
+    """
     configure_logs()
     handler = logging.StreamHandler()
     handler.name = _HANDLER

@@ -22,7 +22,7 @@ class LocalizerSource(Protocol):
     """Source of localizers for one request."""
 
     def get(self, name: str) -> AnyLocalizer:
-        """The localizer of the current map."""
+        """The localizer of the current map of that name; raises as :meth:`Localizers.get`."""
         ...
 
 
@@ -63,7 +63,7 @@ class Localizers:
             self._ready.pop(name, None)
 
     def _forget_unloaded(self) -> None:
-        """Drop the localizers of maps that left memory."""
+        """Drop the localizers of maps that the library no longer keeps in memory."""
         for name, ready in list(self._ready.items()):
             if not self._library.keeps(name, ready.map):
                 self._ready.pop(name, None)

@@ -53,7 +53,7 @@ class Tus:
 
 
 def abilities(max_bytes: int) -> dict[str, str]:
-    """Headers with the server's capabilities."""
+    """Headers with the server's capabilities; ``max_bytes`` is the largest upload."""
     return {
         RESUMABLE: TUS_VERSION,
         "Tus-Version": TUS_VERSION,
@@ -64,7 +64,7 @@ def abilities(max_bytes: int) -> dict[str, str]:
 
 
 def standing(upload: Upload) -> dict[str, str]:
-    """Headers with an upload's offset, and its job once there is one."""
+    """Headers with an upload's offset, length and expiry, and its job's id once there is one."""
     headers = {"Upload-Offset": str(upload.offset), "Upload-Length": str(upload.length), "Cache-Control": "no-store"}
     if upload.expires is not None:
         headers["Upload-Expires"] = formatdate(upload.expires, usegmt=True)
@@ -74,14 +74,14 @@ def standing(upload: Upload) -> dict[str, str]:
 
 
 def number(name: str, text: str | None) -> int:
-    """A header that is a number of bytes. Raises InvalidRequest."""
+    """The value of the header ``name``, a number of bytes. Raises InvalidRequest if it is missing or no such number."""
     if text is None or not text.isascii() or not text.isdigit() or len(text) > 18:
         raise InvalidRequest(f"{name} is missing or not a number of bytes.", "Send it as tus 1.0 requires.")
     return int(text)
 
 
 def read_metadata(text: str) -> dict[str, str]:
-    """``Upload-Metadata``: keys, each with a value in base64, or none.
+    """``Upload-Metadata``: keys, each with its value, decoded from base64; empty without one.
 
     Raises:
         InvalidRequest: it is malformed.

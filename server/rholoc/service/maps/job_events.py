@@ -71,7 +71,7 @@ class JobEvent:
 
     @classmethod
     def of(cls, job: Job) -> JobEvent:
-        """The event that reports a job."""
+        """The event that reports a job's state; ``last`` if the job has ended."""
         data = job_out(job).model_dump_json()
         return cls(hashlib.blake2s(data.encode(), digest_size=8).hexdigest(), data, job.state.ended)
 

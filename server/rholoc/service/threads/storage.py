@@ -69,7 +69,7 @@ class StorageThreads:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _give_up(self, future: Future[T], waiting: asyncio.Future[T]) -> None:
-        """Remove a call from the queue, or count its thread as blocked."""
+        """Remove a call from the queue; if it is running, count its thread as blocked until it returns."""
         loop = asyncio.get_running_loop()
         waiting.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
         if future.cancel():
@@ -98,7 +98,7 @@ class StorageLanes:
     transfers: StorageThreads = field(default_factory=lambda: StorageThreads(8, 300.0))
 
     def close(self) -> None:
-        """Accept no more calls."""
+        """Accept no more calls, without waiting for running ones."""
         for lane in (self.database, self.files, self.fetches, self.transfers):
             lane.close()
 

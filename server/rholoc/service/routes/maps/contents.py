@@ -295,7 +295,7 @@ async def _made(
     request: Request, service: State, name: str, make: Callable[[Map], tuple[bytes, str]], *parts: object
 ) -> Response:
     """Response with the content and media type that ``make`` returns for a map; 304 if the browser has it. ``parts``
-    tell it from what else is made of the map.
+    distinguish its ETag from those of other responses of the map. Raises as :meth:`AsyncMaps.get`.
     """
     etag = etag_of(await service.maps.stat(name), *parts)
     if is_kept(request, etag):
@@ -305,7 +305,7 @@ async def _made(
 
 
 async def _rendered(request: Request, service: State, name: str, kind: Rendering, media_type: str) -> Response:
-    """A rendering, or 304 where the browser has it."""
+    """Response with a rendering of a map; 304 if the browser has it. Raises as :meth:`Renderings.get`."""
     etag = etag_of(await service.maps.stat(name), kind)
     if is_kept(request, etag):
         return unchanged(etag)
