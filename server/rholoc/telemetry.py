@@ -163,9 +163,7 @@ def span(name: str, attributes: Mapping[str, Value] | None = None, *, of_others:
 
 
 def note(name: str, took_s: float, attributes: Mapping[str, Value] | None = None, *, of_others: bool = False) -> None:
-    """Add a span of what was done in the last ``took_s`` seconds to what is traced at present; nothing if
-    nothing is.
-    """
+    """Add a span of what was done in the last ``took_s`` seconds to what is traced at present; if nothing is, none."""
     if _tracing is None or traceparent() is None:
         return
     from opentelemetry.trace import SpanKind

@@ -113,9 +113,7 @@ class BoardFinder:
         self.board = board
 
     def find(self, row: int, image: ByteArray) -> Sighting | None:
-        """The board in an image (H, W, 3) BGR or (H, W); None if it is not found (ChArUco: fewer than 12 corners or a
-        quarter).
-        """
+        """The board in an image (H, W, 3) BGR or (H, W); None if not found (ChArUco: below 12 corners or a quarter)."""
         gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
         shrink = min(1.0, _LONGER_SIDE_PX / max(gray.shape))
         small = gray if shrink == 1 else cv2.resize(gray, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
@@ -176,9 +174,7 @@ def _refined(gray: ByteArray, pixels: FloatArray, window_px: float) -> FloatArra
 
 
 def _blur_px(gray: ByteArray, pixels: FloatArray, spacing_px: float) -> float:
-    """Width [px] of edges between black and white: contrast over the steepest gradient, the median of all corners (C,
-    2).
-    """
+    """Width [px] of edges between black and white: contrast over steepest gradient, median of all corners (C, 2)."""
     half = max(2, int(0.3 * spacing_px))
     steepness = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(gray, cv2.CV_32F, 0, 1, scale=0.125))
     widths = []

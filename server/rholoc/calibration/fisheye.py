@@ -62,9 +62,7 @@ def solve_fisheye(
 
 
 def _starts(sightings: Sequence[Sighting], board: Board, size: tuple[int, int]) -> list[_Solution]:
-    """A camera and poses for each guessed focal length (fields of view 80° to 200°) with which every view has
-    a pose.
-    """
+    """A camera and poses for each guessed focal length (field of view 80° to 200°) with which every view has a pose."""
     starts = []
     for field_rad in _FIELDS_RAD:
         focal = size[0] / float(field_rad)

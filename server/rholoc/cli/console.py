@@ -80,9 +80,7 @@ def stage_progress() -> Iterator[ProgressListener]:
 
 @contextmanager
 def job_progress() -> Iterator[Callable[[Job], None]]:
-    """Show a bar with a mapping job's progress; yields a function that takes the job, and prints each new stage on a
-    line.
-    """
+    """Show a bar with a mapping job's progress; yields a function that takes the job and prints new stages."""
     with _progress("mapping, {task.fields[stage]:<12}") as progress:
         task = progress.add_task("", total=1.0, stage="", message="")
         start_s = time.monotonic()
@@ -99,9 +97,7 @@ def job_progress() -> Iterator[Callable[[Job], None]]:
 
 @contextmanager
 def fraction_progress(what: str) -> Iterator[Callable[[float], None]]:
-    """Show a bar for ``what``; yields a function that takes the fraction done, 0..1. Only if standard error is a
-    terminal.
-    """
+    """Show a bar for ``what``; yields a function that takes the fraction done, 0..1. Only on a terminal."""
     with _progress("{task.description}") as progress:
         task = progress.add_task(what, total=1.0, message="")
         yield lambda fraction: progress.update(task, completed=fraction)

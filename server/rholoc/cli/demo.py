@@ -226,9 +226,7 @@ class DemoFigures:
 
 
 def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation:
-    """Compare the trajectory ``table`` of every ``every``-th frame with the truth; writes it and the top view
-    to files.
-    """
+    """Compare the trajectory ``table`` of each ``every``-th frame with the truth; writes it and a top view to files."""
     from rholoc.evaluation import evaluate, pair_poses, read_frame_poses, trajectory_errors
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.pictures.trajectories import plot_top_view, save_figure

@@ -206,9 +206,7 @@ class ObservedDensities(TensorDensities):
         return replace(moved, coefficients=coefficients, moments=np.swapaxes(back, 0, 1) @ self.moments @ back)
 
     def _samples(self, density: int, R_map_other: FloatArray, of_position: FloatArray) -> FloatArray:
-        """Values (A, B, C) of a density at another frame's layout; ``of_position`` (B, X) are the positions'
-        monomials.
-        """
+        """Values (A, B, C) of a density at another frame's layout; ``of_position`` (B, X): the positions' monomials."""
         layout = _layout(self.degree)
         plane_powers, _, heading_powers = kept_powers(self.degree)
         axes = layout.axes @ R_map_other.T @ self.R_local_map[density].T  # rows: the cameras' axes in this frame

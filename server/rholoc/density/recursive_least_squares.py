@@ -33,9 +33,7 @@ class RecursiveFit:
 
     @classmethod
     def empty(cls, monomials: int, values: int, ridge: float) -> RecursiveFit:
-        """State before the first observation, of ``monomials`` X and ``values`` K: coefficients 0, covariance I /
-        ``ridge``.
-        """
+        """Initial state for ``monomials`` X and ``values`` K: coefficients 0, covariance I / ``ridge``."""
         return cls(np.zeros((monomials, values)), np.eye(monomials) / ridge)
 
     def observe(self, phi: FloatArray, value: FloatArray, forgetting: float = 1.0) -> RecursiveFit:

@@ -270,9 +270,7 @@ class TensorDensities:
         return cls(degree, np.concatenate(parts), places.features, landmarks, places.positions, places.radii)
 
     def target_radii(self, distances: FloatArray) -> FloatArray:
-        """Radii (T,) [m] where the fit's target is 0; ``distances`` (T,) are not used, as they are those from the
-        places.
-        """
+        """Radii (T,) [m] where the fit's target is 0; ``distances`` (T,) are not used: they are from the places."""
         return np.asarray(TARGET_RADIUS * self.distances)
 
     def valid_at(self, position: FloatArray, heading: FloatArray, rows: IntArray) -> BoolArray:

@@ -94,9 +94,7 @@ def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = 
 
 
 def in_range(numbers: IntArray, frames: slice) -> BoolArray:
-    """Mask (N,) of the increasing frame numbers (N,) in the slice ``frames``; a step counts from its start, else the
-    first.
-    """
+    """Mask (N,) of the increasing frame numbers (N,) in the slice ``frames``; steps from its start, else the first."""
     start = (numbers[0] if len(numbers) else 0) if frames.start is None else frames.start
     stop = np.inf if frames.stop is None else frames.stop
     return np.asarray((numbers >= start) & (numbers < stop) & ((numbers - start) % (frames.step or 1) == 0))

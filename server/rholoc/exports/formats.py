@@ -173,9 +173,7 @@ def _most_seen(map_: Map) -> list[int]:
 
 
 def _pieces(lines: Iterator[str]) -> Iterator[bytes]:
-    """Join lines to pieces of at least 256 KiB. Makes the first line immediately, to raise errors before anything is
-    written.
-    """
+    """Join lines to pieces of 256 KiB. Makes the first line immediately, to raise errors before any is written."""
     return _joined(chain([next(lines)], lines))
 
 

@@ -124,9 +124,7 @@ def _flat_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | faiss.I
 
 
 def _inverted_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | faiss.IndexBinary:
-    """Inverted file of descriptors (D, B), byte by byte in about 2 √D lists; an exhaustive index if these are
-    too few.
-    """
+    """Inverted file of descriptors (D, B), byte by byte in about 2 √D lists; an exhaustive index if too few."""
     count, size = descriptors.shape
     lists = 2 ** max(0, round(math.log2(2 * math.sqrt(count))))
     if count < _MIN_PER_LIST * lists:

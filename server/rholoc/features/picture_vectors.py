@@ -38,9 +38,7 @@ class PictureVectors:
 
     @classmethod
     def learned(cls, pictures: Sequence[ByteArray], metric: Metric) -> PictureVectors:
-        """Learn an encoder from the descriptors (N, B) of each of some pictures, a thousand or so; one of them must
-        have some.
-        """
+        """Learn an encoder from the descriptors (N, B) of each of a thousand pictures or so; one must have some."""
         training = [_numbers(picture, metric) for picture in pictures]
         vlad = Vlad(training)
         whole = vlad.vectors(training)

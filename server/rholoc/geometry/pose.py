@@ -51,9 +51,7 @@ def interpolated_poses(times: FloatArray, T: FloatArray, at: FloatArray) -> Floa
 
 
 def is_rotation(R: FloatArray, tolerance: float = 1e-3) -> bool:
-    """Whether an array is a rotation matrix (3, 3): R Rᵀ is the identity within ``tolerance``, and the determinant
-    positive.
-    """
+    """Whether an array is a rotation matrix (3, 3): R Rᵀ = I within ``tolerance``, and a positive determinant."""
     if R.shape != (3, 3) or not np.all(np.abs(R) <= 1 + tolerance):
         return False
     return np.allclose(R @ R.T, np.eye(3), rtol=0, atol=tolerance) and float(np.linalg.det(R)) > 0

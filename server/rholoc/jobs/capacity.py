@@ -65,7 +65,5 @@ def memory_for(recording: Recording) -> int:
 
 
 def memory_for_walk(length_s: float, frame_pixels: int) -> int:
-    """Estimated memory for mapping a walk [bytes]: 1 GB, 5 MB per second of ``length_s``, 60 bytes per pixel of a
-    frame.
-    """
+    """Estimated memory for mapping a walk [bytes]: 1 GB, 5 MB per second of ``length_s``, 60 bytes per pixel."""
     return int(_BASE_BYTES + _BYTES_PER_SECOND * length_s + _BYTES_PER_PIXEL * frame_pixels)

@@ -127,9 +127,7 @@ class Leases:
         return self._running(jobs_table.c.worker == worker)
 
     def held_at(self, process: str) -> set[Lease]:
-        """Leases of the running jobs of a process's workers. :func:`rholoc.jobs.workers.process_name` names
-        processes.
-        """
+        """Leases of the running jobs of a process's workers. Named by :func:`rholoc.jobs.workers.process_name`."""
         return self._running(jobs_table.c.worker.startswith(f"{process}-", autoescape=True))
 
     def take_back(self, living: Collection[str]) -> int:
@@ -138,9 +136,7 @@ class Leases:
         return sum(self.lose(lease, "its worker died") for lease in self._running(dead))
 
     def lose(self, lease: Lease, why: str) -> bool:
-        """Requeue a job after its worker's death, which is counted and logged. Returns False if the lease was lost
-        before.
-        """
+        """Requeue a job after its worker's death, counted and logged. False if the lease was lost before."""
         message = shortened(f"waiting for another worker: {why}")
         with self._engine.begin() as connection:
             row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
@@ -197,9 +193,7 @@ class Leases:
         return self._update(lease, **_GIVEN_BACK, memory_bytes=memory_bytes)
 
     def begin_publishing(self, lease: Lease) -> bool:
-        """Set the job's stage to published, in which it cannot be cancelled. Returns False if the lease was lost
-        before.
-        """
+        """Set the job's stage to published, in which it cannot be cancelled. False if the lease was lost before."""
         return self._update(lease, stage=Stage.PUBLISHED, message="publishing")
 
     def publish(self, lease: Lease, warnings: Sequence[str], connection: sa.Connection | None = None) -> bool:

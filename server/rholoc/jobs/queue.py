@@ -258,9 +258,7 @@ class JobQueue:
 
 
 def _explained(job: Job, workers: Sequence[WorkerOffer], trouble: str | None) -> Job:
-    """A queued job with its obstacle: ``trouble`` if given, no workers, or none with enough memory; unchanged without
-    one.
-    """
+    """A queued job with its obstacle: ``trouble`` if given, no workers, or too little memory; unchanged without one."""
     if trouble is not None:
         return replace(job, obstacle=Obstacle.WORKER_FAILS, message=f"waiting for a worker: {trouble}")
     if not workers:

@@ -113,9 +113,7 @@ class JobTable:
         return None if row is None else _job(row)
 
     def last_learning(self, map_name: str) -> Job | None:
-        """The last ended of the published or failed jobs by which a map learns from its queries; None if there
-        is none.
-        """
+        """The last ended of the published or failed jobs by which a map learns from its queries; None without any."""
         found = (
             sa.select(jobs_table)
             .where(
@@ -164,9 +162,7 @@ class JobTable:
             connection.execute(jobs_table.insert().values(**values, **_QUEUED))
 
     def requeue(self, job_id: str, length_s: float, asked_in: str | None = None) -> None:
-        """Queue a failed or cancelled job again, as if it were submitted now. Raises UnknownJob; Conflict for another
-        state.
-        """
+        """Queue a failed or cancelled job again, as if submitted now. Raises UnknownJob; Conflict for another state."""
         turn = turn_of(time.time(), self.get(job_id).priority, length_s)
         values = {"run": _new_run(job_id), "turn": turn, "asked_in": asked_in, **_QUEUED}
         with self._engine.begin() as connection:

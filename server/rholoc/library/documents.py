@@ -31,9 +31,7 @@ class Documents(ABC):
 
     @abstractmethod
     def stamp(self) -> object:
-        """Value that changes when any file changes; None if it is too early to tell, or the files cannot be
-        looked at.
-        """
+        """Value that changes when any file changes; None if it is too early to tell, or files cannot be seen."""
 
     @abstractmethod
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:

@@ -35,9 +35,7 @@ class MapCache:
         self._lock = threading.Lock()
 
     def get(self, name: str, signature: Signature) -> Map | None:
-        """The map of that name, which becomes the last used; None unless it is cached and its file has that
-        signature.
-        """
+        """The map of that name, which becomes the last used; None unless it is cached with that signature."""
         with self._lock:
             entry = self._entries.get(name)
             if entry is None or entry.signature != signature:

@@ -106,9 +106,7 @@ class MapLibrary:
         return known[1]
 
     def stamp(self) -> int | None:
-        """Value that changes whenever a map is published, renamed or deleted, by any process; None if that is not
-        known.
-        """
+        """Value that changes whenever a map is published, renamed or deleted, by any process; None if unknown."""
         return self._catalogue.stamp()
 
     def get(self, name: str) -> Map:

@@ -23,9 +23,7 @@ _CATALOGUE = "catalogue.json"  # as it was last seen
 
 
 def documents_folder(kind: str, maps_dir: Path, data_dir: Path) -> Path:
-    """Folder of a single server's small files of one kind (:data:`CAMERAS`, :data:`SITES`, :data:`KEYS`,
-    :data:`ASKERS`).
-    """
+    """Folder of one server's small files of one kind (:data:`CAMERAS`, :data:`SITES`, :data:`KEYS`, :data:`ASKERS`)."""
     folders = {
         CAMERAS: maps_dir / CAMERAS,
         SITES: maps_dir / SITES,

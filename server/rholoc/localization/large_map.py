@@ -290,9 +290,7 @@ AnyLocalizer = Localizer | LargeMapLocalizer
 
 
 def localizer_of(map_: Map, min_recognized: float = MIN_RECOGNIZED) -> AnyLocalizer:
-    """Localizer suited to a map's size: for large maps if it has more than ``LARGE_MAP`` landmarks and ``ray``
-    densities.
-    """
+    """Localizer for a map of its size: for large maps above ``LARGE_MAP`` landmarks and ``ray`` densities."""
     if len(map_) > LARGE_MAP and map_.info.density is DensityKind.RAY:
         return LargeMapLocalizer(map_, min_recognized)
     return Localizer(map_, min_recognized)

@@ -522,9 +522,7 @@ def check_kind(features: FeatureSet, wanted: Extractor) -> None:
 
 
 def _contradicted(found: Found, query: Query) -> Diagnosis:
-    """Diagnosis of the constraint that a sure pose breaks: WRONG_GRAVITY if it contradicts the gravity sent, else
-    ROLLED.
-    """
+    """Diagnosis of the constraint that a sure pose breaks: WRONG_GRAVITY if that is the gravity sent, else ROLLED."""
     T = found.verified.optimum.T_map_camera
     if not _true_to_gravity(T, query.gravity):
         return Diagnosis(
@@ -547,9 +545,7 @@ def _pose(verified: Verified, dof: Dof) -> Pose:
 
 
 def _plausible(T_map_camera: FloatArray, query: Query) -> bool:
-    """Whether a pose (4, 4) meets the query's constraints: at most 15° of roll if UPRIGHT, and at most 10° off its
-    gravity.
-    """
+    """Whether a pose (4, 4) meets the query's constraints: at most 15° of roll if UPRIGHT, 10° off its gravity."""
     if query.dof is Dof.UPRIGHT:
         _, rolled = pose_distances(T_map_camera, upright(T_map_camera))
         if rolled > _MAX_UPRIGHT_ROLL_RAD:

@@ -114,9 +114,7 @@ class Found:
 
     @property
     def belief(self) -> Belief:
-        """Belief in the pose: ``if_focal_right`` times the belief in the focal length and the share that
-        rivals leave.
-        """
+        """Belief in the pose: ``if_focal_right`` times the belief in the focal length and what rivals leave."""
         recognized = self.if_focal_right.recognized * self.focal.belief * self.share
         return Belief(recognized, self.if_focal_right.exact * self.focal.exact)
 

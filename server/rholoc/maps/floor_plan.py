@@ -54,9 +54,7 @@ class FloorPlan:
 
 
 def media_type_of(content: bytes) -> str:
-    """Media type of a plan's file by its first bytes: a picture's, ``ARCHIVE`` for a ZIP file, or GeoJSON for anything
-    else.
-    """
+    """Media type of a plan's file by its first bytes: a picture's, ``ARCHIVE`` for a ZIP file, else GeoJSON."""
     starts = {**_STARTS, ARCHIVE: b"PK"}
     return next((kind for kind, start in starts.items() if content.startswith(start)), GEOJSON)
 

@@ -169,9 +169,7 @@ def _in_frame(values: list[float], earth: SiteOnEarth) -> FloatArray:
 
 
 def _ring(geometry: Mapping[str, Any], what: str) -> list[Any]:
-    """The corners of a polygon's only ring, each once. Raises InvalidInput, which calls it ``what``, for several
-    rings.
-    """
+    """The corners of a polygon's only ring, each once. Raises InvalidInput, naming ``what``, for several rings."""
     rings = geometry.get("coordinates")
     if geometry.get("type") == "MultiPolygon" and isinstance(rings, list) and len(rings) == 1:
         rings = rings[0]
@@ -182,9 +180,7 @@ def _ring(geometry: Mapping[str, Any], what: str) -> list[Any]:
 
 
 def _properties(feature: Mapping[str, Any]) -> tuple[str, str, dict[str, FieldValue]]:
-    """Name, kind (empty if there is none) and fields of a feature; properties that are lists or objects are
-    left out.
-    """
+    """Name, kind (empty if there is none) and fields of a feature; properties that are lists or objects are not."""
     properties = feature.get("properties") or {}
     kind = next((str(properties[key]) for key in ("kind", "category") if properties.get(key)), "")
     fields = {

@@ -153,9 +153,7 @@ def check_names(names: MapNames) -> MapNames:
 
 
 def _check_details(one: NamedPoint | NamedArea) -> None:
-    """Raise InvalidInput for an invalid kind (over 100 characters), more than 50 fields, or a field that cannot be
-    kept.
-    """
+    """Raise InvalidInput for an invalid kind (over 100 characters), over 50 fields, or a field that cannot be kept."""
     if len(one.kind) > _MAX_LENGTH or (one.kind and not one.kind.isprintable()):
         raise InvalidInput(f"The kind of {one.name} is not valid.", f"Use at most {_MAX_LENGTH} characters.")
     if len(one.fields) > _MAX_FIELDS:

@@ -199,9 +199,7 @@ def _settings(text: bytes) -> dict[str, Any]:
 
 
 def _placed_picture(picture: bytes, settings: dict[str, Any]) -> tuple[bytes, FloorPlan]:
-    """A picture of ``map_server`` as PNG with dark walls, and where it lies. Raises InvalidInput for an unreadable or
-    huge one.
-    """
+    """A picture of ``map_server`` as PNG with dark walls, and where it lies. Raises InvalidInput if bad or huge."""
     try:
         with Image.open(io.BytesIO(picture)) as image:
             if image.width * image.height > MAX_PIXELS:

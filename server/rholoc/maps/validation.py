@@ -92,9 +92,7 @@ def _check(condition: bool, complaint: str) -> None:
 
 
 def _check_table(table: MapTable) -> None:
-    """Check a table's columns against their declarations; NaN is allowed where it marks an unknown row. Raises
-    InvalidMap.
-    """
+    """Check a table's columns against their declarations; NaN is allowed where it means unknown. Raises InvalidMap."""
     for name, column in table.columns().items():
         values = getattr(table, name)
         if values is None and column.optional:

@@ -44,9 +44,7 @@ class Look:
 
     @classmethod
     def of_view(cls, map_: Map, feature: int, view: int) -> Look:
-        """From a view of the map, at the pixel where the landmark appears by its pose; behind the camera it is
-        meaningless.
-        """
+        """From a view of the map, at the pixel where the landmark appears by its pose; nonsense behind the camera."""
         T = map_.views.T_map_camera[view]
         seen = (map_.landmarks.positions[feature].astype(np.float64) - T[:3, 3]) @ T[:3, :3]
         return cls(feature, map_.info.camera, T, map_.info.camera.project(seen[None])[0])

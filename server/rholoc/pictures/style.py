@@ -22,9 +22,7 @@ _BAR_LENGTHS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 
 
 def figure_of(size_inches: tuple[float, float] | None, dpi: int) -> Figure:
-    """A white figure that is drawn without a display; ``size_inches`` is width and height, None for
-    matplotlib's own.
-    """
+    """A white figure that is drawn without a display; ``size_inches`` is width and height, None: matplotlib's own."""
     figure = Figure(figsize=size_inches, dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     figure.set_layout_engine("constrained")

@@ -56,9 +56,7 @@ def plot_top_view(
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure to ``path``, whose suffix chooses the format (.png, .svg, .pdf); makes its folder. Raises
-    OSError.
-    """
+    """Write a figure to ``path``, whose suffix is its format (.png, .svg, .pdf); makes its folder. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     metadata: dict[str, Any] = {"Software": None} if path.suffix == ".png" else {}
     figure.savefig(path, metadata=metadata)

@@ -198,9 +198,7 @@ def _kill(process: SpawnProcess) -> None:
 
 
 def _main(connection: Connection) -> None:
-    """Body of the child process: receives function, arguments and conditions by the connection, and sends the
-    answer.
-    """
+    """Body of the child process: receives function, arguments and conditions by the connection; sends the answer."""
     conditions, function, args = cast(tuple[_Conditions, Callable[..., Any], tuple[Any, ...]], connection.recv())
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # pycolmap's own handler may deadlock
     if conditions.own_group:

@@ -200,9 +200,7 @@ def gap_rows(times: FloatArray) -> IntArray:
 
 
 def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConvention:
-    """Convention with unit and gravity inferred from accelerations (M, 3), and the rest from ``says``; ``says`` below
-    20 rows.
-    """
+    """Convention with unit and gravity by accelerations (M, 3), the rest from ``says``; ``says`` below 20 rows."""
     if len(values) < _MIN_TO_MEASURE:
         return says
     low, median = np.percentile(np.linalg.norm(values, axis=1), [10, 50])

@@ -106,9 +106,7 @@ Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answ
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
-    """The service as an ASGI application, ``None``: by the environment. Its threads and worker run from start-up to
-    shut-down.
-    """
+    """The service as an ASGI application, ``None``: by the environment. Its threads and worker live while it runs."""
     settings, metrics = settings or Settings(), Metrics()
     stores = settings.stores()
     keys, audit, lanes = KeyStore(stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()

@@ -171,9 +171,7 @@ def error_classes() -> Iterator[type[RholocError]]:
 
 
 def as_rholoc_error(error: Exception) -> RholocError | None:
-    """The error to report to the client: itself, or what a full disk, the database or pydantic means; None for
-    a bug.
-    """
+    """The error to report to the client: itself, or what a full disk, database or pydantic means; None for a bug."""
     if isinstance(error, RholocError):
         return error
     if isinstance(error, OSError) and is_full(error):
@@ -188,9 +186,7 @@ def as_rholoc_error(error: Exception) -> RholocError | None:
 
 
 def invalid_request(found: Any) -> InvalidRequest:
-    """The error for problems that pydantic found: one line with the first one's place and message, and how
-    many more.
-    """
+    """The error for problems that pydantic found: one line with the first's place and message, and how many more."""
     first = found[0]
     place = ".".join(str(part) for part in first["loc"] if part not in ("body", "query", "path")) or "the request"
     more = f" ({len(found) - 1} more)" if len(found) > 1 else ""

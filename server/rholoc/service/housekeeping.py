@@ -24,9 +24,7 @@ _log = structlog.get_logger("rholoc.service")
 
 
 async def clean_up_regularly(state: State) -> None:
-    """Every 10 minutes until cancelled, remove what is expired (:data:`_WORKS`), and at night let maps learn from
-    users.
-    """
+    """Every 10 minutes until cancelled, remove what is expired (:data:`_WORKS`); at night let maps learn."""
     while True:
         for name, work in _WORKS.items():
             try:

@@ -160,9 +160,7 @@ class AsyncSites:
         self.earth_of = lanes.database.offload(self._earth_of)
 
     def _earth_of(self, map_name: str) -> SiteOnEarth | None:
-        """Pose on Earth of a map by the first site that has placed it; None without one, or if the site has no place on
-        Earth.
-        """
+        """Pose on Earth of a map by the first site that has placed it; None without one, or without a site's."""
         name = self._sync.site_of(map_name)
         try:
             return None if name is None else self._sync.get(name).earth_of(map_name)
@@ -231,18 +229,14 @@ class AsyncRecordings:
         return self.sync.get(recording), self.sync.notes(recording)
 
     def _correct(self, recording: str, waypoints: tuple[RecordedWaypoint, ...] | None) -> NotedRecording:
-        """Replace a recording's waypoints; None restores its own. Raises UnknownRecording, InvalidWaypoints,
-        StorageFull.
-        """
+        """Replace a recording's waypoints; None: its own. Raises UnknownRecording, InvalidWaypoints, StorageFull."""
         notes = read_notes(self.sync.notes(recording))
         corrected = None if waypoints is None else waypoints_file(waypoints, notes)
         self.sync.note(recording, {WAYPOINTS_FILE: corrected})
         return self._get(recording)
 
     def _commit(self, pending: PendingRecording, map_name: str, options: JobOptions) -> tuple[RecordingEntry, Job]:
-        """Store an uploaded recording and queue its job: both, or neither. Raises as
-        :meth:`PendingRecording.commit`.
-        """
+        """Store an uploaded recording and queue its job, or neither. Raises as :meth:`PendingRecording.commit`."""
         entry = pending.commit()
         try:
             return entry, self._jobs.submit(entry.id, map_name, options)

@@ -145,9 +145,7 @@ def add_table(
     height: float,
     tone: tuple[int, int, int],
 ) -> None:
-    """Add a board of colour ``tone`` (BGR) on four legs, its top at ``height``; ``corner`` and ``size`` are x and y
-    [m].
-    """
+    """Add a board of colour ``tone`` (BGR) on four legs, its top at ``height``; ``corner`` and ``size``: x, y [m]."""
     build.add(f"{name} top", (*corner, height - 0.04), (*size, 0.04), textures.wood(tone), hidden="")
     for i, (x, y) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
         at = (corner[0] + 0.03 + x * (size[0] - 0.11), corner[1] + 0.03 + y * (size[1] - 0.11), 0.0)

@@ -98,9 +98,7 @@ def white_point(kelvin: float) -> FloatArray:
 
 
 def light_scene(scene: Scene, light: Light) -> Lighting:
-    """Light a scene; deterministic. White shows the luminance of four times the median illuminance; brighter is
-    clipped.
-    """
+    """Light a scene; deterministic. White shows four times the median illuminance; brighter is clipped."""
     illuminance = _illuminance(scene, _CONDITIONS[light])
     typical = float(np.median(np.concatenate([e.mean(axis=2).ravel() for e in illuminance])))
     return _lighting(scene.faces, illuminance, 4.0 * typical, _CONDITIONS[light])
@@ -126,9 +124,7 @@ def light_building(building: Building, light: Light) -> Lighting:
 
 
 def _lighting(faces: list[Face], illuminance: list[FloatArray], brightest: float, conditions: _Conditions) -> Lighting:
-    """Faces under their illuminances (rows, columns, 3) [lux]; what is white and lit brighter than ``brightest`` is
-    clipped.
-    """
+    """Faces under their illuminances (rows, columns, 3) [lux]; white lit brighter than ``brightest`` is clipped."""
     white = max(brightest / math.pi, _DARKEST_WHITE)
     glows = {
         Source.LAMP: conditions.lamp_luminance * white_point(conditions.lamp_kelvin),
@@ -191,9 +187,7 @@ def _linear(image: Any) -> FloatArray:
 
 
 def _rectangles(face: Face) -> list[tuple[float, float, float, float]]:
-    """The glowing rectangles of a face of at least 25 px, as fractions of width and height: left, top, width,
-    height.
-    """
+    """The glowing rectangles of a face of at least 25 px, as shares of width and height: left, top, width, height."""
     if face.paint.glow is None:
         return []
     rows, columns = face.paint.glow.shape
@@ -265,9 +259,7 @@ def _sunlight(
 
 
 def _virtual_lights(points: FloatArray, normals: FloatArray, flux: FloatArray) -> _Emitters:
-    """64 patches drawn in proportion to the light they reflect (N, 3) [lm], which together emit all of it; none if it
-    is 0.
-    """
+    """64 patches drawn in proportion to the light they reflect (N, 3) [lm], together emitting all of it; none if 0."""
     power = flux.sum(axis=1)
     if power.sum() == 0:  # a room without a source stays dark
         return _Emitters(*np.zeros((3, 0, 3)))

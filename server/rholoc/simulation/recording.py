@@ -184,9 +184,7 @@ def _read_out(height: int, readout_s: float) -> list[tuple[tuple[int, int], floa
 
 
 def _metered(renderer: Renderer, walk: Motion, camera: Camera, times: FloatArray) -> FloatArray:
-    """Gains (N, 3) BGR of auto exposure and white balance at the times (N,), which follow the light within half a
-    second.
-    """
+    """Gains (N, 3) BGR of auto exposure and white balance at times (N,), following the light within half a second."""
     steps = np.arange(times[0], times[-1] + _METER_INTERVAL_S, _METER_INTERVAL_S)
     small = camera.resized(*_METER_SIZE)
     wanted = np.log([meter(renderer.radiance(small, [pose])) for pose in walk.poses(steps)])

@@ -192,9 +192,7 @@ class Renderer:
         return Surface(ids.astype(np.int64), depth, points)
 
     def _paint_orders(self, eye: FloatArray) -> _PaintOrder:
-        """Function of a room's index: its walls and its boxes' faces that may be seen from ``eye``, each back
-        to front.
-        """
+        """Function of a room's index: walls, and boxes' faces, that may be seen from ``eye``, each back to front."""
 
         @cache
         def order(room: int) -> tuple[list[int], list[int]]:
@@ -302,9 +300,7 @@ class Renderer:
         return np.asarray(cv2.remap(self._atlas.image, map_x, map_y, cv2.INTER_LINEAR))
 
     def _to_atlas(self, f: int, level: FloatArray, mask: BoolArray, x: FloatArray, y: FloatArray) -> None:
-        """Turn texel-edge coordinates ``x``, ``y`` of level 0 into the atlas's pixel coordinates of ``level``, in
-        place.
-        """
+        """Turn texel-edge coordinates ``x``, ``y`` of level 0 into the atlas's pixels of ``level``, in place."""
         atlas = self._atlas
         chosen = level.astype(np.uint8)
         low, high = int(chosen.min(where=mask, initial=_MAX_LEVELS - 1)), int(chosen.max(where=mask, initial=0))
@@ -323,9 +319,7 @@ def _corners(face: Face) -> FloatArray:
 
 
 def _may_be_seen(part: _Rows, polygons: FloatArray) -> BoolArray:
-    """Mask (F,) of polygons (F, N, 3) in the camera frame that are not wholly beyond one side of the view, or nearer
-    than 2 cm.
-    """
+    """Mask (F,) of polygons (F, N, 3) in the camera frame not wholly beyond a side of the view, or nearer than 2 cm."""
     x, y, z = np.moveaxis(polygons, 2, 0)
     (fx, fy), (cx, cy) = part.focal_px, part.centre_px
     left, right = -(cx + 1) / fx, (part.width - cx) / fx

@@ -51,9 +51,7 @@ def meter(picture: ByteArray) -> FloatArray:
 
 
 def expose(gains: FloatArray, white_luminance: float) -> Exposure:
-    """The exposure that gives these gains (3,): a shutter of 0.5 to 10 ms first, then amplification if that is not
-    enough.
-    """
+    """The exposure that gives these gains (3,): first a shutter of 0.5 to 10 ms, then amplification."""
     saturating = white_luminance / float(gains[1])  # cd/m²
     seconds = float(np.clip(_BASE_GAIN_LUMINANCE_S / saturating, _SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S))
     return Exposure(seconds, gains, white_luminance)
@@ -86,9 +84,7 @@ def _noise(rng: np.random.Generator, height: int, width: int) -> FloatArray:
 
 @lru_cache(maxsize=2)
 def _noise_pool(height: int, width: int) -> FloatArray:
-    """Noise (H + 160, W + 160, 3), always the same, correlated between neighbours, in colour more than in
-    brightness.
-    """
+    """Noise (H + 160, W + 160, 3), always the same, correlated between neighbours, in colour more than brightness."""
     rng = np.random.default_rng(0)
     shape = (height + _POOL_MARGIN_PX, width + _POOL_MARGIN_PX)
     common = cv2.GaussianBlur(rng.standard_normal((*shape, 1), dtype=np.float32), (0, 0), 0.5)

@@ -127,9 +127,7 @@ def planks(base: tuple[int, int, int], plank_px: int = 36) -> Texture:
 def write_text(
     image: ByteArray, rng: Rng, left: float, top: float, width: float, glyph_px: float, ink: tuple[int, int, int]
 ) -> None:
-    """Draw a line of invented letters ``glyph_px`` high into ``image``, from (left, top), up to ``width``
-    pixels long.
-    """
+    """Draw a line of invented letters ``glyph_px`` high into ``image``, from (left, top), up to ``width`` long."""
     x = left
     thickness = max(1, round(glyph_px / 9))
     while x + 0.7 * glyph_px < left + width:

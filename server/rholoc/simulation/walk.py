@@ -88,9 +88,7 @@ class Motion(ABC):
         """Yaw and pitch (N, 2) [rad] at times (N,) [s]."""
 
     def positions(self, times: FloatArray) -> FloatArray:
-        """Positions (N, 3) [m] of the camera in the map frame at times (N,) [s]: the way, with sway and a bob of the
-        steps.
-        """
+        """Positions (N, 3) [m] of the camera, map frame, at times (N,) [s]: the way, with sway and bobbing."""
         times = np.asarray(times, dtype=np.float64)
         way, speed = self.way(times)
         position = way + self.sway(times)

@@ -216,9 +216,7 @@ def _traced(operation: str, key: str) -> AbstractContextManager[telemetry.Marks]
 
 @contextmanager
 def _reporting(doing: str) -> Iterator[None]:
-    """Convert exceptions of the storage's library, or of the disk, to MissingObject, StorageFull or
-    StorageUnavailable.
-    """
+    """Convert exceptions of the storage's library or disk to MissingObject, StorageFull or StorageUnavailable."""
     try:
         yield
     except (NotFoundError, FileNotFoundError) as error:

@@ -68,9 +68,7 @@ class LiveView(PoseMessages):
         self._server.stop()
 
     def repeat(self, channel_id: int) -> None:
-        """Send the last message of a latched topic again, for a late subscriber; nothing for other channels.
-        Thread-safe.
-        """
+        """Send the last message of a latched topic again, for a late subscriber; nothing for others. Thread-safe."""
         topic = self._topics.get(channel_id)
         with self._lock:
             last = None if topic is None else self._last.get(topic)

@@ -194,9 +194,7 @@ class PoseMessages(ABC):
         self._write("/visual_localization/uncertainty", time_s, marker)
 
     def _path_to(self, time_s: float, T_map_base: FloatArray) -> None:
-        """Add a pose to the path each second (the last 600 stay), and write the path; the longer it is, the
-        less often.
-        """
+        """Add a pose to the path each second (the last 600 stay), and write it; the longer, the less often."""
         if time_s >= self._next_pose_s:
             self._next_pose_s = time_s + _PATH_S
             self._path.append(self._make("PoseStamped", header=self._header(time_s, MAP), pose=self._pose(T_map_base)))

@@ -101,9 +101,7 @@ def estimate_trajectory(
 
 
 def _with_poses_in_metres(recording: Recording) -> Recording:
-    """The recording, its poses scaled by the median of its known lengths if their unit is not stated; unchanged without
-    any.
-    """
+    """The recording, its poses scaled by the median of known lengths if no unit is stated; unchanged without any."""
     poses = recording.poses
     if poses is None or poses.metric:
         return recording
@@ -155,9 +153,7 @@ def _because(found: Trajectory, why: str) -> Trajectory:
 
 
 def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
-    """The recording's own poses, which drift, adjusted to its pictures; its report tells by how much. Raises
-    MappingFailed.
-    """
+    """The recording's own poses, which drift, adjusted to its pictures, with a report. Raises MappingFailed."""
     assert recording.poses is not None
     with KeyframeFeatures(recording.frames, (), show, recording.camera) as features:
         flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
@@ -234,9 +230,7 @@ def _given(recording: Recording) -> Trajectory:
 
 
 def _is_upright(R_map_camera: FloatArray) -> tuple[bool, str]:
-    """Whether z of given poses' frame is within 5° of up by the no-roll prior (False if it fails), and one line on
-    that.
-    """
+    """Whether z of given poses' frame is within 5° of up by the no-roll prior (False if it fails), and a line on it."""
     prior = up_without_roll(R_map_camera)
     if not prior.holds:
         return False, f"Unknown; the cameras roll by {prior.roll_deg:.1f}°, so nothing shows whether z is up."
@@ -312,9 +306,7 @@ def _placed(
 
 
 def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, progress: ProgressListener) -> Trajectory:
-    """Trajectory of the placed keyframes with its report. Raises MappingFailed below half of a film's, a quarter of a
-    set's.
-    """
+    """Trajectory of the placed keyframes with its report. Raises MappingFailed below half (of a set: a quarter)."""
     flow, rows = sights.flow, sights.rows
     missing = missing_spans(flow, rows, found.placed)
     share = float(found.placed.mean())
@@ -343,9 +335,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
 
 
 def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[FeatureSet]) -> Sights:
-    """Sights of the keyframes ``rows`` (K,) with ``features``, corrected for the rolling shutter if its read-out is
-    known.
-    """
+    """Sights of the keyframes ``rows`` (K,) with ``features``, less the rolling shutter if its read-out is known."""
     shutter: RollingShutter | None = None
     if recording.readout_s is not None and flow.timed:
         shutter = measure_rolling_shutter(flow, rows, recording.readout_s)

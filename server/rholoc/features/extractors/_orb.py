@@ -76,9 +76,7 @@ class OrbExtractor:
         return self
 
     def extract(self, image: ByteArray) -> FeatureSet:
-        """Features of an image (H, W, 3) BGR or (H, W) grey, uint8, channel after channel; none if a side is below 31
-        px.
-        """
+        """Features of an image (H, W, 3) BGR or (H, W) grey, channel after channel; none if a side is below 31 px."""
         if min(image.shape[:2]) < _PATCH_PX:
             return FeatureSet.empty(DESCRIPTOR_BYTES)
         sets = []

@@ -191,9 +191,7 @@ Layer = tuple[FloatArray, FloatArray]  # weights (O, I, K, K) and bias (O,) of a
 
 @cache
 def _layers() -> dict[str, Layer]:
-    """Weights and bias of each convolution by name, with the normalisation that follows it folded in. Raises
-    NotInstalled.
-    """
+    """Weights and bias of each convolution by name, with the normalisation after it folded in. Raises NotInstalled."""
     stored = read_torch_file(BytesIO(_weights()))
     layers = {}
     for name, weights in stored.items():

@@ -72,9 +72,7 @@ class MapIndex:
 
     @lazy
     def seen_upright(self) -> bool:
-        """Whether a camera held upright took the map's views: at least 80 % lean by less than 4°. False if up is
-        unknown.
-        """
+        """Whether a camera held upright took the map's views: 80 % lean by less than 4°. False if up is unknown."""
         if not self.map.info.upright or len(self.map.views.T_map_camera) == 0:
             return False
         lean_rad = np.arcsin(np.clip(np.abs(self.map.views.T_map_camera[:, 2, 0]), 0, 1))  # of the camera's x axis
@@ -98,9 +96,7 @@ class MapIndex:
         return np.flatnonzero(seen)
 
     def seen_alike(self, landmarks: IntArray, views: int) -> BoolArray:
-        """Mask (F,) of features seen by the ``views`` views that saw most of ``landmarks`` (M,), and hence from
-        nearby.
-        """
+        """Mask (F,) of features seen by the ``views`` views that saw most of ``landmarks`` (M,), hence from nearby."""
         votes = self.seen_by_views(landmarks)
         seen = np.zeros(len(self.map), dtype=bool)
         seen[self.seen_from(np.argsort(-votes, kind="stable")[:views])] = True
@@ -118,9 +114,7 @@ class MapIndex:
         return self._nearest(self._everywhere, self._medoids, features, some)
 
     def match_everywhere(self, features: FeatureSet) -> Matches:
-        """Match each of a query's features with the map's nearest landmark, if within the loose descriptor limit. Not
-        mutual.
-        """
+        """Match each of a query's features with the map's nearest landmark, within the loose limit. Not mutual."""
         return self.nearest_everywhere(features).matches()
 
     def match_within(self, features: FeatureSet, landmarks: IntArray, some: IntArray | None = None) -> Matches:

@@ -83,9 +83,7 @@ class ViewIndex:
         return {held.maps[number] for number in np.unique(held.owners[held.owners >= 0]).tolist()}
 
     def put(self, given: Mapping[str, FloatArray]) -> None:
-        """Add the view vectors (V, ``DIMENSIONS``), of unit length, of maps by name, replacing those that a map already
-        has.
-        """
+        """Add the view vectors (V, ``DIMENSIONS``), of unit length, of maps by name, replacing those that a map has."""
         with self._changing:
             held = self._held.without(set(given))
             new = np.concatenate([np.zeros((0, DIMENSIONS), np.float32), *given.values()])

@@ -169,9 +169,7 @@ def _belief(moved_m: float, scale: float, sigma: float) -> float:
 
 
 def _spread(sigma: float) -> float:
-    """Relative standard deviation of a focal length: three times that of its logarithm by the curvature alone, at most
-    1.
-    """
+    """Relative standard deviation of a focal length: 3 × that of its logarithm by the curvature alone, at most 1."""
     return min(_SIGMAS * sigma, 1.0)
 
 

@@ -81,9 +81,7 @@ def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified)
 
 
 def are_rivals(a: Verified, b: Verified) -> bool:
-    """Whether two poses are of different places, more than ``PLACE_M`` or ``PLACE_RAD`` apart, and so exclude each
-    other.
-    """
+    """Whether two poses are of two places, more than ``PLACE_M`` or ``PLACE_RAD`` apart, and so exclude each other."""
     return a.is_apart(b, PLACE_M, PLACE_RAD)
 
 

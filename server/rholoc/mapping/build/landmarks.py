@@ -352,9 +352,7 @@ def _coincide(views: Views, landmarks: Landmarks, a: IntArray, b: IntArray, k: i
 
 
 def _merged(labels: IntArray, same: IntArray, count: int, view_of: IntArray) -> IntArray:
-    """Labels (N,), renumbered, after merging pairs (M, 2) of the ``count`` landmarks that never appear in the same
-    view.
-    """
+    """Labels (N,), renumbered, after merging pairs (M, 2) of ``count`` landmarks that are never in one view."""
     rows = np.flatnonzero(labels >= 0)
     shown = coo_array(
         (np.ones(len(rows), dtype=np.int32), (labels[rows], view_of[rows])), shape=(count, int(view_of.max()) + 1)

@@ -115,17 +115,13 @@ def _latest(features: IntArray, sources: IntArray) -> BoolArray:
 
 
 def _numbers(a: Map, same: IntArray) -> IntArray:
-    """Rows (F_b,) of the second map's features in the joined map: ``same`` (F_b,), or new rows after those of ``a`` for
-    -1.
-    """
+    """Rows (F_b,) of the second map's features in the joined map: ``same`` (F_b,), or for -1 new ones after ``a``."""
     new = same < 0
     return np.asarray(np.where(new, len(a) + np.cumsum(new) - 1, same))
 
 
 def _joined(a: Map, b: Map, same: IntArray) -> Map:
-    """Map with the rows of both maps, ``a`` first, and the landmarks' positions unchanged; ``same`` as for
-    :func:`join`.
-    """
+    """Map of the rows of both maps, ``a`` first, the landmarks' positions unchanged; ``same`` as for :func:`join`."""
     numbers, views = _numbers(a, same).astype(np.int32), np.int32(len(a.views))
     of_b, first_source = check_memory(b, "The map"), np.int32(len(a.info.sources))
     descriptors = MapDescriptors.concat(

@@ -33,9 +33,7 @@ def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
 
 
 def _contradicted(sights: Sights, believed: BoolArray) -> FloatArray:
-    """Share (C,) of the landmarks seen by each camera that the ``believed`` (C,) other cameras miss, by more than 1
-    nat.
-    """
+    """Share (C,) of the landmarks seen by each camera that the ``believed`` (C,) other cameras miss by over 1 nat."""
     nats = sights.evidence(believed, _MISPLACED)
     of_others = sights.sums(nats, believed)[sights.landmarks] - nats * believed[sights.cameras]
     missed = np.bincount(sights.cameras, sights.seen & (of_others < -_TELLING_NATS), sights.camera_count)

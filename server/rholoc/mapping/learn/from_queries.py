@@ -136,9 +136,7 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
 
 
 def _is_held_back(query: AnsweredQuery) -> bool:
-    """Whether a query is one of the fifth reserved for testing; by a hash of asker and time, so always the
-    same ones.
-    """
+    """Whether a query is one of the fifth reserved for testing; by a hash of asker and time: always the same ones."""
     digest = hashlib.blake2b(f"{query.asker} {query.time_s:.3f}".encode(), digest_size=8).digest()
     return int.from_bytes(digest) % _HELD_BACK_EVERY == 0
 
@@ -442,9 +440,7 @@ def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, F
 
 
 def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, FeatureSet]]:
-    """At most 40 of the recordings' views that the map remembers, as frames, without the features that are ``gone``
-    (F,).
-    """
+    """At most 40 of the recordings' views that the map remembers, as frames without the features ``gone`` (F,)."""
     recorded = np.flatnonzero(_is_recorded(map_))
     chosen = recorded[np.unique(np.linspace(0, len(recorded) - 1, _MAX_REMEMBERED).round().astype(np.int64))]
     frames = remembered_frames(map_)

@@ -156,9 +156,7 @@ def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool,
 
 
 def _fit(own: FloatArray, target: FloatArray, fixed_scale: bool) -> tuple[Similarity, FloatArray, FloatArray]:
-    """Robust similarity from poses ``own`` (L, 4, 4) to ``target`` (L, 4, 4); residuals of each pose (L,) [m] and (L,)
-    [rad].
-    """
+    """Robust similarity from poses ``own`` (L, 4, 4) to ``target`` (L, 4, 4); residuals (L,) [m] and (L,) [rad]."""
     weights = np.ones(len(own))
     for _ in range(_ROUNDS):
         similarity = posed_alignment(own, target, weights, fixed_scale, _MIN_SPREAD_M)

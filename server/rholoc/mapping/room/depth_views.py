@@ -212,9 +212,7 @@ def _window(camera: Camera, R_camera_pair: FloatArray) -> tuple[float, FloatArra
 def _rectified(
     image: ByteArray, camera: Camera, R_camera_pair: FloatArray, focal: float, centre: FloatArray
 ) -> tuple[ByteArray, BoolArray]:
-    """A frame as a camera in a pair's axes sees it (S, S, 3) BGR, and the mask (S, S) of the pixels that the frame
-    shows.
-    """
+    """A frame as a camera in a pair's axes sees it (S, S, 3) BGR, and the mask (S, S) of pixels that it shows."""
     camera = camera.fitted(*image.shape[1::-1])
     pixels = camera.project(_rays(focal, centre, _COARSE) @ R_camera_pair.T).reshape(len(_FINER[0]), -1, 2)
     at_u, at_v = (_FINER @ np.nan_to_num(pixels[..., k], nan=-1e4) @ _FINER.T for k in range(2))

@@ -132,9 +132,7 @@ def _fitted(points: FloatArray, normal: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _continued(wall: Wall, others: list[Wall], reach: float, top: float) -> Wall:
-    """A wall of height ``top`` whose ends move to the corners with the walls next to it, if these are within
-    ``reach``.
-    """
+    """A wall of height ``top`` whose ends move to the corners with adjacent walls, if these are within ``reach``."""
     low, high = wall.ends
     for other in others:
         across = float(other.normal @ wall.along)

@@ -84,9 +84,7 @@ def _faces(d: FloatArray, number: IntArray) -> IntArray:
 
 
 def _without_small_pieces(mesh: Quads, smallest: float) -> Quads:
-    """The mesh, smoothed, without connected pieces below ``smallest`` × the largest, or below 0.15 × it outside its
-    box.
-    """
+    """The mesh, smoothed, without connected pieces below ``smallest`` × the largest, or 0.15 × it outside its box."""
     count = len(mesh.vertices)
     neighbours = neighbours_of(mesh.faces, count)
     degree = np.asarray(neighbours.sum(axis=1)).reshape(-1, 1)

@@ -136,9 +136,7 @@ def _search(first: str, second: str, load: Callable[[str], Map], progress: Progr
 
 
 def _with_pair(site: Site, pair: SearchedPair) -> tuple[Site, SearchedPair]:
-    """The site with the pair's link, and the pair; the same site, and the pair with a reason, if the link contradicts
-    others.
-    """
+    """The site with the pair's link, and the pair; if it contradicts other links, the same site, and the reason."""
     if pair.link is None:
         return site, pair
     try:

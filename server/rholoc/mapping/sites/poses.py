@@ -104,9 +104,7 @@ class _Graph:
         return cls(links, of_map)
 
     def spread(self, known: Mapping[str, FloatArray]) -> dict[str, _Placed]:
-        """All maps that can be reached from those with known T_site_map (4, 4), by the fewest links; with the summed
-        variances.
-        """
+        """The maps reached from those with known T_site_map (4, 4), by the fewest links, with summed variances."""
         placed = {name: _Placed(T, (name,), 0.0, 0.0) for name, T in known.items()}
         waiting = deque(known)
         while waiting:
@@ -186,9 +184,7 @@ def _adjusted(
 
 
 def _in_site(covariance: FloatArray, T: FloatArray) -> FloatArray:
-    """GTSAM's covariance (6, 6) (rotation, position; in the map's own axes) as (position, rotation) in the site's
-    axes.
-    """
+    """GTSAM's covariance (6, 6) (rotation, position; map's own axes) as (position, rotation) in the site's axes."""
     turn = np.zeros((6, 6))
     turn[:3, 3:] = turn[3:, :3] = T[:3, :3]
     return np.asarray(turn @ covariance @ turn.T)

@@ -130,9 +130,7 @@ def _header(name: str, columns: list[str]) -> _Header:
 
 
 def _with_columns(forms: list[type[Densities]], columns: list[str]) -> type[Densities]:
-    """Of forms with the same number of variables, the one with most domain columns, all present; without any, the
-    first.
-    """
+    """Of forms with the same number of variables, the one with most domain columns, all present; else the first."""
     there = set(columns)
     whole = [form for form in forms if set(form.domain_columns) <= there]
     return max(whole, key=lambda form: len(form.domain_columns), default=forms[0])

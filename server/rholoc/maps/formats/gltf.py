@@ -50,9 +50,7 @@ def map_to_gltf(map_: Map) -> bytes:
 
 
 def _walks(map_: Map) -> list[tuple[str, NDArray[Any]]]:
-    """Name of each recording and the rows of its views; all views as the first one's if the map does not keep their
-    sources.
-    """
+    """Name of each recording and the rows of its views; all as the first one's if the map keeps no sources."""
     sources = np.zeros(len(map_.views), dtype=np.int64) if map_.views.sources is None else map_.views.sources
     names = [source.name for source in map_.info.sources] or ["walk"]
     return [(name, np.flatnonzero(sources == row)) for row, name in enumerate(names)]
@@ -74,9 +72,7 @@ class _File:
         return self._accessor(stored.tobytes(), len(points), _FLOAT, "VEC3", bounds)
 
     def colours(self, colours: NDArray[Any]) -> int:
-        """Add colours (N, 3) uint8, with alpha 255 because rows must be aligned to four bytes; return their accessor's
-        number.
-        """
+        """Add colours (N, 3) uint8, with alpha 255, for rows of four bytes; returns their accessor's number."""
         rows = np.column_stack([colours, np.full(len(colours), 255, dtype=np.uint8)])
         return self._accessor(
             rows.astype(np.uint8).tobytes(), len(colours), _UNSIGNED_BYTE, "VEC4", {"normalized": True}

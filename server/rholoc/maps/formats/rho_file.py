@@ -285,9 +285,7 @@ def outline_of(header: bytes, called: str) -> MapOutline:
 
 
 def _header(path: Path, called: str) -> bytes:
-    """The header of a map's file, without the length before it. Raises InvalidMap if it is too long or cannot
-    be read.
-    """
+    """The header of a map's file, without the length before it. Raises InvalidMap if too long or unreadable."""
     try:
         with path.open("rb") as file:
             header = file.read(header_bytes(file.read(LENGTH_BYTES), called))
@@ -313,9 +311,7 @@ def _check_format(called: str, metadata: Mapping[str, str]) -> None:
 
 
 def _packed(map_: Map) -> Arrays:
-    """The arrays of a map's file by name, in C order and little-endian, as safetensors expects them; indices
-    narrowed.
-    """
+    """The arrays of a map's file by name, in C order and little-endian, as safetensors wants them; indices narrowed."""
     arrays: dict[str, Any] = {
         **_packed_table(map_.landmarks, _LANDMARKS),
         **_packed_table(map_.descriptors, _DESCRIPTORS),
@@ -478,9 +474,7 @@ def _unpacked_ranges(arrays: Arrays) -> FloatArray | None:
 
 
 def _unpacked_pixels(info: MapInfo, views: MapViews, seen_from: IntArray, arrays: Arrays) -> FloatArray | None:
-    """The pixels (V, 2) of observations from views (V,); None if the file has none. Raises InvalidMap for other
-    lengths.
-    """
+    """The pixels (V, 2) of observations from views (V,); None without any. Raises InvalidMap for other lengths."""
     if _PIXELS.keys().isdisjoint(arrays):
         return None
     _check_arrays(arrays, _PIXELS)

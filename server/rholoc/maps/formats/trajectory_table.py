@@ -147,9 +147,7 @@ def read_trajectory_csv(path: Path) -> TrajectoryTable:
 
 
 def _read_values(path: Path) -> tuple[list[str], FloatArray]:
-    """The names of the known columns and their values (N, C). Raises InvalidTrajectory for an unreadable file or
-    value.
-    """
+    """The names of the known columns and their values (N, C). Raises InvalidTrajectory for a bad file or value."""
     try:
         rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
     except OSError as error:

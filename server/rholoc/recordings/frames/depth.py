@@ -71,9 +71,7 @@ class DepthImages:
         return np.where(np.isin(values, self.unknown), np.nan, values * self.unit_m)
 
     def of_frame(self, row: int, camera: Camera) -> DepthImage | None:
-        """Depth image of frame ``row``, taken by ``camera``; None if it has no readable one, or one of another aspect
-        ratio.
-        """
+        """Depth image of frame ``row``, taken by ``camera``; None if unreadable, or of another aspect ratio."""
         metres = self.read(row)
         if metres is None:
             return None
@@ -89,9 +87,7 @@ class DepthImages:
 
 
 def _on_surfaces(metres: FloatArray) -> BoolArray:
-    """Mask (H, W) of known depths below 10 m that differ by less than 5 % from their 8 neighbours': at edges, depths
-    are mixed.
-    """
+    """Mask (H, W) of known depths below 10 m that differ by less than 5 % from their 8 neighbours', as at edges."""
     known = np.nan_to_num(metres, nan=0.0).astype(np.float32)
     around = np.ones((3, 3), np.uint8)
     least, most = cv2.erode(known, around), cv2.dilate(known, around)

@@ -97,9 +97,7 @@ def untimed_images(paths: Sequence[Path], cameras: Sequence[Camera] | None = Non
 
 
 def camera_of(frames: ImageFolderFrames | UnifiedPictures, cameras: Sequence[Camera] | None) -> Camera | None:
-    """Camera of the frames of images with known ``cameras``: the common one if they are resampled. None if ``cameras``
-    is.
-    """
+    """Camera of the frames of images with known ``cameras``: the common one if resampled. None if ``cameras`` is."""
     if cameras is None:
         return None
     return frames.common if isinstance(frames, UnifiedPictures) else cameras[0].fitted(*frames.size)
@@ -137,9 +135,7 @@ def find_video(folder: Path, name: str = "video") -> Path | None:
 
 
 def require_video(folder: Path, name: str) -> Path:
-    """The video called ``name``, or the folder's only one. Raises InvalidRecording without videos, or if it is not
-    clear.
-    """
+    """The video called ``name``, or the folder's only one. Raises InvalidRecording if none, or unclear."""
     video = find_video(folder, name)
     if video is None:
         raise InvalidRecording(f"The folder {folder.name} contains no video.", "Pack the video with the tables.")

@@ -115,8 +115,6 @@ def pose_of(message: Any, topic: str) -> FloatArray:
 
 
 def _pose(position: Any, q: Any, source: str) -> FloatArray:
-    """Pose (4, 4) from a message's position and quaternion. Raises InvalidTrajectory, naming ``source``, if it is not
-    one.
-    """
+    """Pose (4, 4) from a message's position and quaternion. Raises InvalidTrajectory, naming ``source``."""
     row = np.array([[position.x, position.y, position.z, q.x, q.y, q.z, q.w]], dtype=np.float64)
     return np.asarray(poses_from_rows(row, source)[0])

@@ -257,9 +257,7 @@ def _imu(
 
 
 def _measures(reader: AnyReader, connection: Connection) -> tuple[bool, bool]:
-    """Whether a topic has accelerations, and whether it has rates, by its first 21 messages; missing ones are zero or
-    marked.
-    """
+    """Whether a topic has accelerations, and whether it has rates, by 21 messages; missing ones are zero or marked."""
     a, w = False, False
     for number, (_, message) in enumerate(_messages(reader, connection)):
         a |= bool(message.linear_acceleration_covariance[0] >= 0 and np.any(vector(message.linear_acceleration)))

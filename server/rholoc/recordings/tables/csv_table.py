@@ -130,9 +130,7 @@ def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator
 
 
 def _paper_columns(groups: list[str], second: list[str], path: Path, error: type[InvalidInput]) -> list[str]:
-    """Column names from the paper's two header rows: groups, each above its first column, and parts. Raises
-    ``error``.
-    """
+    """Column names from the paper's two header rows: groups above their first columns, and parts. Raises ``error``."""
     parts = [part.strip().lower().strip("$").replace("_", "") for part in second]
     columns, group = [], ""
     for above, part in zip_longest(groups, parts, fillvalue=""):

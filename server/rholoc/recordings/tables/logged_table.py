@@ -115,9 +115,7 @@ def read_logged_table(path: Path) -> LoggedTable:
 
 
 def header_of(path: Path) -> tuple[str, ...]:
-    """The names in a table's header, lower case and without units; empty for no file, no text or no header in its first
-    4 KiB.
-    """
+    """The names in a table's header, lower case and without units; empty if its first 4 KiB have no header."""
     before: list[str] = []
     for line in _head(path):
         if _begins_with_number(line):

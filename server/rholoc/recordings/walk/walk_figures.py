@@ -101,9 +101,7 @@ def _turn(recording: Recording, times: FloatArray, T_map_camera: FloatArray) -> 
 
 
 def _turn_of_imu(imu: Imu, times: FloatArray) -> float | None:
-    """Rate of turn [°/s], 90th percentile, within the time span of frames at ``times`` (N,) [s]; None without readings
-    in it.
-    """
+    """Rate of turn [°/s], 90th percentile, within the span of frames at ``times`` (N,) [s]; None without readings."""
     rows = (imu.times >= times[0]) & (imu.times <= times[-1])
     if not rows.any():
         return None
@@ -112,9 +110,7 @@ def _turn_of_imu(imu: Imu, times: FloatArray) -> float | None:
 
 
 def _turn_of_poses(times: FloatArray, T_map_camera: FloatArray) -> float | None:
-    """Rate of turn [°/s], 90th percentile, between poses (N, 4, 4) at least 0.1 s apart; None without two such
-    poses.
-    """
+    """Rate of turn [°/s], 90th percentile, between poses (N, 4, 4) at least 0.1 s apart; None without two such."""
     if len(times) < 2:
         return None
     later = np.searchsorted(times, times + _TURN_INTERVAL_S)

@@ -151,9 +151,7 @@ class Guard:
         return receive_checked
 
     async def _known(self, secret: str, scope: Scope) -> ApiKey | None:
-        """The key of a secret; unless it is in memory, all keys are read again, in a thread. None if there is no such
-        key.
-        """
+        """The key of a secret; unless in memory, all keys are read again, in a thread. None if there is none."""
         key = self._keys.find(secret)
         if key is None:
             if self._looking is None or self._looking.done():
@@ -190,18 +188,14 @@ def _address(scope: Scope) -> str:
 
 
 def _authorization(scope: Scope, headers: Headers) -> str:
-    """A request's Authorization header; else "Bearer KEY" with the key that a WebSocket offers as a subprotocol; else
-    empty.
-    """
+    """A request's Authorization header; else "Bearer KEY" with a WebSocket's subprotocol's key; else empty."""
     offered = scope.get("subprotocols", ()) if scope["type"] == "websocket" else ()
     keys = [one.removeprefix(STREAM_KEY_PREFIX) for one in offered if one.startswith(STREAM_KEY_PREFIX)]
     return headers.get("authorization", f"Bearer {keys[0]}" if keys else "")
 
 
 def check_query(scope: Scope, route: RouteAccess) -> None:
-    """Raise InvalidRequest for a query parameter that a route of the API does not know: a typing error would be
-    ignored.
-    """
+    """Raise InvalidRequest for a query parameter that an API route does not know: a typing error would be ignored."""
     if not route.path.startswith(API_PATHS):
         return
     given = QueryParams(scope["query_string"])

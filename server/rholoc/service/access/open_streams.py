@@ -159,9 +159,7 @@ class EventStream(StreamingResponse):
 
 
 def stream_limits(max_streams: int, max_connections: int) -> tuple[Mapping[StreamKind, int], Mapping[StreamKind, int]]:
-    """Maximum numbers of open streams by kind, for all clients and for one, who may have half the frames and a fifth of
-    events.
-    """
+    """Maximum numbers of open streams by kind, for all clients and for one (half the frames, a fifth of the events)."""
     events = max(1, max_connections // 2)
     return (
         {StreamKind.FRAMES: max_streams, StreamKind.EVENTS: events},

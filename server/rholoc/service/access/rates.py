@@ -56,9 +56,7 @@ class Rates:
             bucket.tokens -= 1
 
     def _filled(self, key: ApiKey) -> _Bucket:
-        """The key's bucket, created full, refilled to the present time. Drops others unused for an hour, if there are
-        10,000.
-        """
+        """The key's bucket, created full, refilled to the present time. Beyond 10,000, those unused for an hour go."""
         now_s = self._clock()
         if len(self._buckets) >= _MAX_BUCKETS:
             self._buckets = {name: one for name, one in self._buckets.items() if now_s - one.counted_s < _LONG_S}

@@ -123,9 +123,7 @@ class Answerer:
         )
 
     async def places(self, frame: Frame, maps: MapChoice, clock: Stopwatch, most: int) -> PlacesOut:
-        """The views of several maps that a frame resembles most, at most ``most``, best first; raises as
-        :meth:`localize`.
-        """
+        """The views of maps that a frame resembles most, at most ``most``, best first; raises as :meth:`localize`."""
         await self.check_known(maps.names if maps.named else ())
         return await self._compute(
             lambda localizers: likeliest_places(frame, maps, localizers, self.settings, clock, most),
@@ -174,9 +172,7 @@ class Answerer:
         return answer
 
     async def _late(self, name: str, clock: Stopwatch) -> LocalizationOut:
-        """The answer without a pose at the deadline. Raises DeadlineExceeded if the map takes half a second more to
-        load.
-        """
+        """The answer without a pose at the deadline. Raises DeadlineExceeded if loading takes half a second more."""
         try:
             async with asyncio.timeout(_LOADING_GRACE_S):
                 localizer = await self.lanes.files(self.localizers.get, name)

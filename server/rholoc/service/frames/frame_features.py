@@ -49,9 +49,7 @@ class FrameFeatures:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the image [px], by its header or as sent with features; raises InvalidCamera if neither
-        says.
-        """
+        """Width and height of the image [px], by its header or as sent with features; else InvalidCamera."""
         if self._frame.image is not None:
             return self._image_size
         camera = self._frame.options.camera
@@ -62,9 +60,7 @@ class FrameFeatures:
         return camera.width, camera.height
 
     def by(self, extractor: Extractor) -> FeatureSet:
-        """The features by this extractor, found once; or those that were sent. Raises InvalidDescriptors, and as
-        :attr:`image`.
-        """
+        """The features by this extractor, once; or those sent. Raises InvalidDescriptors, and as :attr:`image`."""
         if extractor not in self._extracted:
             if self.image is not None:
                 with self._clock.stage("extract"):
@@ -100,9 +96,7 @@ class FrameFeatures:
 
 
 def extract_bounded(extractor: Extractor, image: ByteArray, max_pixels: int) -> FeatureSet:
-    """The features of an image (H, W, 3) BGR, in its own pixels; found in a smaller copy if it has over
-    ``max_pixels``.
-    """
+    """The features of an image (H, W, 3) BGR, in its own pixels; from a smaller copy above ``max_pixels``."""
     height, width = image.shape[:2]
     if width * height <= max_pixels:
         return extractor.extract(image)

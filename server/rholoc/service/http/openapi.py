@@ -82,9 +82,7 @@ def event_stream(event: str) -> dict[int, dict[str, Any]]:
 
 
 def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
-    """``responses`` for the errors that a route answers with, by status, one example each, of the class's
-    first line.
-    """
+    """``responses`` for the errors that a route answers with, by status, an example each, of the class's first line."""
     answers: dict[int | str, dict[str, Any]] = {}
     for kind in kinds:
         summary = (kind.__doc__ or "").strip().splitlines()[0]
@@ -122,9 +120,7 @@ def _describe_names(operation: dict[str, Any]) -> None:
 
 
 def install(app: FastAPI, read_by_hand: Sequence[type[BaseModel]]) -> None:
-    """Serve the OpenAPI document at /openapi.json, with the models of bodies that routes read by hand, and no errors
-    but ours.
-    """
+    """Serve the OpenAPI document at /openapi.json, with the models of hand-read bodies, and no errors but ours."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:

@@ -47,7 +47,5 @@ class Stopwatch:
 
 
 def frame_deadline_s(asked_ms: float | None, settings: Settings) -> float:
-    """Deadline of a frame's answer, in seconds after its request arrived: ``asked_ms``, by the settings if that is
-    None.
-    """
+    """Deadline of a frame's answer, in seconds after its request arrived: ``asked_ms``, or the settings'."""
     return (asked_ms or settings.default_deadline_ms) / 1000

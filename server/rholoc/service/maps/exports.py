@@ -55,9 +55,7 @@ class ExportRequest:
 
 
 def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: Sequence[int] | None) -> bool:
-    """Whether an export is made by a process of its own: it computes or writes over 4 million numbers (CSV,
-    surfaces).
-    """
+    """Whether an export is made by a process of its own: it has over 4 million numbers (CSV, surfaces)."""
     match format:
         case ExportFormat.CSV:
             powers = 1 + (_DEGREE if degree is None else max(0, degree))
@@ -158,9 +156,7 @@ class _Export:
                 raise Busy("The process that exports was killed.", "Try again after Retry-After.", _RETRY_AFTER_S)
 
     async def pieces(self) -> AsyncIterator[bytes]:
-        """Iterate over the output, from its beginning. Raises ConnectionError if the process is killed,
-        DeadlineExceeded.
-        """
+        """Iterate over the output, from its beginning. Raises ConnectionError if it is killed, DeadlineExceeded."""
         assert self._program is not None
         piece = self._first
         while piece:

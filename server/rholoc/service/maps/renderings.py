@@ -86,9 +86,7 @@ class Renderings:
         return Rendered(kept, etag)
 
     def _made(self, name: str, kind: Rendering, path: Path) -> asyncio.Task[None]:
-        """The task that makes a rendering in ``path``; the same one while it is being made. Raises Busy if 200 are
-        being made.
-        """
+        """The task that makes a rendering in ``path``; the same while it is made. Raises Busy if 200 are being made."""
         if path not in self._making:
             if len(self._making) >= _MAX_WAITING:
                 raise Busy("Too many pictures are being drawn.", "Try again after Retry-After.", _RETRY_AFTER_S)
@@ -112,9 +110,7 @@ class Renderings:
             raise kind_of_error(answer["error"], answer["hint"])
 
     async def _ask(self, request: dict[str, str]) -> dict[str, str] | None:
-        """The process's answer, which is started if necessary; None if it ended or gave none within 120 s, and is
-        killed.
-        """
+        """The process's answer, started if necessary; None if it ended or gave none within 120 s, and is killed."""
         if self._idle is not None:
             self._idle.cancel()
         if self._program is None or not self._program.running:

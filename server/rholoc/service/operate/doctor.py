@@ -72,9 +72,7 @@ _Found = Iterator[tuple[Level, str] | tuple[Level, str, str]]
 
 
 def _storage(settings: Settings) -> _Found:
-    """Yield for each folder whether it can be written to and has space: an error below 256 MiB, a warning
-    below 4 GiB.
-    """
+    """Yield for each folder whether it can be written to and has space: error below 256 MiB, warning below 4 GiB."""
     folders = {settings.data_dir: "RHOLOC_DATA_DIR"}
     if settings.shared_storage is None:
         folders = {settings.maps_dir: "RHOLOC_MAPS_DIR", **folders}
@@ -109,9 +107,7 @@ def _can_be_created(folder: Path) -> bool:
 
 
 def _maps(settings: Settings) -> _Found:
-    """Yield which map files cannot be read, or whether the shared storage answers, and which sites name
-    missing maps.
-    """
+    """Yield which map files cannot be read, whether the shared storage answers, and which sites name missing maps."""
     stores = settings.stores()
     try:
         if stores.are_shared:

@@ -130,9 +130,7 @@ def text_of(known: LastKnown[str], what: str) -> str:
 
 
 def unanswered(known: LastKnown[Any], what: str) -> str:
-    """Why a reading of ``what`` is out of date (failed, over 1 s without an answer, none yet), with its age; empty if
-    not.
-    """
+    """Why a reading of ``what`` is out of date (failed, silent for 1 s, none yet), with its age; empty if not."""
     if known.error is None and known.unanswered_s < 1 and known.age_s is not None:
         return ""
     cause = f" ({type(known.error).__name__})" if known.error is not None else ""

@@ -299,9 +299,7 @@ async def _receive(request: Request, pending: PendingRecording, service: State) 
 
 
 def _check_files(starts: Mapping[str, bytes], pending: PendingRecording, max_files: int) -> None:
-    """Refuse files, by name and first bytes, that do not make a recording together. Raises InvalidRecording,
-    TooLarge.
-    """
+    """Refuse files, by name and first bytes, that do not make a recording. Raises InvalidRecording, TooLarge."""
     for name, start in starts.items():
         if len(start) < START_BYTES:
             check_file_start(name, start)

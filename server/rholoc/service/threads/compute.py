@@ -72,9 +72,7 @@ class ComputePool:
 
     @property
     def full(self) -> bool:
-        """Whether ordinary calls run and wait up to the limit, so that the next is refused or displaces another
-        client's.
-        """
+        """Whether ordinary calls run and wait up to the limit, so that the next is refused or displaces another."""
         return self._lanes[Effort.ORDINARY].full
 
     def check_room(self, effort: Effort) -> None:
@@ -106,9 +104,7 @@ class ComputePool:
         return result
 
     def _is_costly(self, client: str) -> bool:
-        """Whether a client's useful results cost over 0.25 s, and three times those of another client of the
-        last 5 s.
-        """
+        """Whether a client's useful results cost over 0.25 s, 3 × those of another client of the last 5 s."""
         own, now_s = self._costs.get(client), time.monotonic()
         if own is None or own.per_result_s <= _COSTLY_S:
             return False

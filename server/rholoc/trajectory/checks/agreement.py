@@ -39,9 +39,7 @@ class Agreement:
 
     @property
     def same(self) -> bool:
-        """Whether the reconstructions are equal: within 2 % (nine in ten within 4 %) of the median depth and 2° in the
-        median.
-        """
+        """Whether the reconstructions are equal: within 2 % of the median depth (nine in ten: 4 %), and 2°."""
         close = self.distance <= _MAX_DISTANCE and self.distance_of_most <= _MAX_DISTANCE_OF_MOST
         return close and self.angle_deg <= _MAX_ANGLE_DEG
 

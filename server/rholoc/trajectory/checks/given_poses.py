@@ -67,9 +67,7 @@ class PoseCheck:
 
     @property
     def usable(self) -> bool:
-        """Whether an adjustment can start from the poses: an error of at most 1.2 % of the focal length; False for
-        NaN.
-        """
+        """Whether an adjustment can start from the poses: error up to 1.2 % of the focal length; False for NaN."""
         return self.error <= _MAX_USABLE
 
     def read(self, T: FloatArray) -> FloatArray:

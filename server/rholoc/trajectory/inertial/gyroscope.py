@@ -65,9 +65,7 @@ class GyroCalibration:
 
 
 def orientations(imu: Imu, bias: FloatArray) -> Rotation:
-    """Integrate the gyroscope, less its ``bias`` (3,) [rad/s], by the midpoint rule: R_start_imu at every IMU time
-    (N,).
-    """
+    """Integrate the gyroscope, less its ``bias`` (3,) [rad/s], by the midpoint rule: R_start_imu at all times (N,)."""
     rate = imu.angular_velocity - bias
     steps = Rotation.from_rotvec(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu.times)[:, None])
     R = np.empty((len(imu.times), 3, 3))
@@ -158,9 +156,7 @@ def allowed_apart(seconds: FloatArray) -> FloatArray:
 
 
 def longest_interval_s(imu: Imu) -> float:
-    """Maximum interval between two IMU readings [s]; a longer one is a gap: 0.1 s, or five median intervals if
-    longer.
-    """
+    """Maximum interval between two IMU readings [s]; a longer one is a gap: 0.1 s, or five medians if longer."""
     return max(_MAX_GAP_S, _MAX_GAP_INTERVALS * float(np.median(np.diff(imu.times))))
 
 

@@ -75,9 +75,7 @@ def _with_columns(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 
 def _unit(path: Path) -> str:
-    """The unit of times, "s" or "ns", that the header's first name states. Raises InvalidRecording if there is no such
-    header.
-    """
+    """The unit of times, "s" or "ns", that the header's first name states. Raises InvalidRecording if it does not."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for line in file:
             if "timestamp[" in line.lower():

@@ -113,9 +113,7 @@ class ScanningApp:
 
 
 def _depth_camera(depths: Sequence[Path | None], camera: Camera) -> Camera | None:
-    """Intrinsics of the depth images: the pictures' own ``camera``, at the first depth image's size. None
-    without any.
-    """
+    """Intrinsics of the depth images: the pictures' own ``camera``, at the first depth image's size; None without."""
     path = next((path for path in depths if path is not None and path.is_file()), None)
     return None if path is None else camera.resized(*image_size(path))
 

@@ -81,9 +81,7 @@ def _milliseconds(path: Path) -> int:
 
 
 def _acceleration(folder: Path) -> tuple[Samples, bool]:
-    """The accelerations, and whether gravity is in them: measured, or added from its own table. Raises
-    InvalidRecording.
-    """
+    """The accelerations, and whether gravity is in them: measured, or added from a table. Raises InvalidRecording."""
     total, linear, gravity = (folder / name for name in ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv"))
     if total.is_file():
         return _samples(total), True

@@ -115,9 +115,7 @@ def read(folder: Path) -> Recording:
 
 
 def _pictures_folder(folder: Path, name: str) -> Path:
-    """The folder that a picture's name is relative to: ``images`` if there is one, else the first that has the
-    picture.
-    """
+    """The folder that a picture's name is relative to: ``images`` if present, else the first that has it."""
     if (folder / "images").is_dir():
         return folder / "images"
     some = [path for path in (folder, *sorted(folder.iterdir())) if path.is_dir()]
@@ -203,9 +201,7 @@ def _read_cameras(path: Path) -> dict[str, list[str]]:
 
 
 def _camera(fields: list[str]) -> Camera | None:
-    """The camera of a line's fields; None where the model is not supported. Raises InvalidCamera: the fields are
-    broken.
-    """
+    """The camera of a line's fields; None if the model is not supported. Raises InvalidCamera if they are broken."""
     try:
         values = [float(field) for field in fields[3:]]
         return camera_of_model(fields[0], (int(fields[1]), int(fields[2])), values)

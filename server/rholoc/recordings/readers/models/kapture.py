@@ -131,9 +131,7 @@ def _number(text: str, table: str) -> float:
 def _cameras(
     known: dict[str, Camera | None], used: Sequence[str]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
-    """The camera of each picture, by the sensors ``used``; None if one is unknown, with a warning if its model is
-    unsupported.
-    """
+    """The camera of each picture, by the sensors ``used``; None if one is unknown, with a warning for its model."""
     cameras = [known.get(sensor) for sensor in used]
     unknown = next((sensor for sensor, camera in zip(used, cameras, strict=True) if camera is None), None)
     if unknown is None:
@@ -154,9 +152,7 @@ def _frames(
 
 
 def _imu(tables: Path) -> Imu | None:
-    """The IMU of the first accelerometer and gyroscope listed; None without one of the tables. Raises
-    InvalidRecording.
-    """
+    """The IMU of the first accelerometer and gyroscope listed; None if one is missing. Raises InvalidRecording."""
     samples = []
     for name in ("accelerometer", "gyroscope"):
         path = tables / f"records_{name}.txt"
@@ -176,9 +172,7 @@ def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[st
 
 
 def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> GivenPoses | None:
-    """T_world_camera of each picture, by its own trajectory or by its rig's; None without any. Raises
-    InvalidTrajectory.
-    """
+    """T_world_camera of each picture, by its own trajectory or its rig's; None without. Raises InvalidTrajectory."""
     path = tables / "trajectories.txt"
     if not path.is_file():
         return None

@@ -139,9 +139,7 @@ def _numbers(element: Element | None, count: int) -> FloatArray:
 
 
 def _cameras(sensors: Sequence[Element | None]) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
-    """Camera of each sensor; None, with a warning, if one is missing or of an unsupported type. Raises
-    InvalidCamera.
-    """
+    """Camera of each sensor; None, with a warning, if one is missing or of unknown type. Raises InvalidCamera."""
     known: dict[Element | None, Camera] = {}
     for sensor in dict.fromkeys(sensors):
         kind = "unknown" if sensor is None else str(sensor.get("type", "frame"))

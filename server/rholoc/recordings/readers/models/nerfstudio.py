@@ -96,9 +96,7 @@ def _pose(frame: dict[str, Any]) -> FloatArray:
 
 
 def _applied_transform(values: dict[str, Any]) -> FloatArray:
-    """Transform (4, 4) that was applied to the original world; the identity if none is stated. Raises
-    InvalidTrajectory.
-    """
+    """Transform (4, 4) applied to the original world; the identity if none is stated. Raises InvalidTrajectory."""
     try:
         given = np.array(values.get("applied_transform", np.eye(4)[:3]), dtype=np.float64)
     except (TypeError, ValueError):
@@ -129,9 +127,7 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def _number(values: dict[str, Any], name: str) -> float:
-    """The member ``name`` as a float; NaN if missing. Raises InvalidCamera: it is no number, or its size is 1e9 or
-    more.
-    """
+    """The member ``name`` as a float; NaN if missing. Raises InvalidCamera for no number, or of size 1e9."""
     if name not in values:
         return math.nan
     value = values[name]

@@ -75,9 +75,7 @@ class OptionParameters:
     ] = None
 
     def options(self) -> dict[str, Any]:
-        """The given options as fields of :class:`LocalizeOptions`. Raises InvalidRequest for a list that is not of
-        numbers.
-        """
+        """The given options as fields of :class:`LocalizeOptions`. Raises InvalidRequest for a list not of numbers."""
         camera = _given(
             name=self.camera,
             fx=self.fx,
@@ -164,9 +162,7 @@ async def read_frame(request: Request, options: OptionParameters, service: State
 
 @asynccontextmanager
 async def read_frames(request: Request, service: State) -> AsyncIterator[Frames]:
-    """Yield the frames of a request, sent as JSON or multipart. Raises as :func:`read_frame`, and as
-    :meth:`Frames.of`.
-    """
+    """Yield the frames of a request, sent as JSON or multipart. Raises as :func:`read_frame` and :meth:`Frames.of`."""
     settings, kind = service.settings, media_type(request)
     limits = JsonLimits.of_features(settings.max_request_bytes, MAX_FRAMES * settings.max_features)
     images: dict[int, bytes] = {}
