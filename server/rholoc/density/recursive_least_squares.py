@@ -37,7 +37,7 @@ class RecursiveFit:
         return cls(np.zeros((monomials, values)), np.eye(monomials) / ridge)
 
     def observe(self, phi: FloatArray, value: FloatArray, forgetting: float = 1.0) -> RecursiveFit:
-        """After one more observation.
+        """The state after one more observation; this one stays as it is.
 
         Args:
             phi: (X,) the monomials where it was made.

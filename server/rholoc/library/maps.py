@@ -51,7 +51,9 @@ class MapLibrary:
         return self._catalogue.names()
 
     def readable(self) -> list[str]:
-        """Names of the readable maps, sorted; reads each unchecked file once."""
+        """Names of the readable maps, sorted; reads each unchecked file once. Raises StorageUnavailable,
+        StorageFull.
+        """
         names = self.names()
         return names if self._catalogue.holds_only_maps else [name for name in names if self._is_readable(name)]
 
@@ -80,6 +82,7 @@ class MapLibrary:
         """A map's file on this machine, fetched if necessary.
 
         Raises:
+            InvalidName, UnknownMap: there is no such map.
             StorageUnavailable, StorageFull: it cannot be fetched.
         """
         try:
@@ -96,6 +99,7 @@ class MapLibrary:
         """Description and size of a map, from the header of its file.
 
         Raises:
+            InvalidName, UnknownMap: there is no such map.
             InvalidMap: its file is not a map.
             StorageUnavailable: the header cannot be fetched.
         """
@@ -113,6 +117,7 @@ class MapLibrary:
         """A map, cached until it is replaced. Reading one does not block others.
 
         Raises:
+            InvalidName, UnknownMap: there is no such map.
             InvalidMap: its file is not a map.
             StorageUnavailable, StorageFull: it cannot be fetched.
         """
@@ -186,8 +191,8 @@ class MapLibrary:
         """Publish the next version of a map, with its number plus one; does nothing if it is published already.
 
         Raises:
-            Conflict: the map has changed since; nothing was replaced.
-            InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
+            Conflict, UnknownMap: the map has changed since, or is gone; nothing was replaced.
+            InvalidName, InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
         """
         self._catalogue.refresh()
         file, present = self.stat(name), self.get(name).info
@@ -253,7 +258,7 @@ class MapLibrary:
     def holds(self, name: str, file: Path) -> bool:
         """Whether a map has the same content as a file, by their checksums; False if no map has the name.
 
-        Raises StorageUnavailable, StorageFull.
+        Raises InvalidName, StorageUnavailable, StorageFull, and InvalidMap if ``file`` is none.
         """
         try:
             return self.outline(name).checksum == load_outline(file).checksum
@@ -263,12 +268,16 @@ class MapLibrary:
             return filecmp.cmp(self.path(name), file, shallow=False)
 
     def previous(self, name: str) -> MapInfo | None:
-        """Description of a name's last replaced map; None if there is none to restore, or it cannot be read."""
+        """Description of the last map replaced under a name; None if none is kept or it cannot be read. Raises
+        InvalidName.
+        """
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name)[:1]).get(1)
 
     def versions(self, name: str) -> dict[int, MapInfo]:
-        """Descriptions of a name's replaced maps by number, 1 the last replaced; unreadable ones are left out."""
+        """Descriptions of the maps replaced under a name by number, 1 the last; unreadable ones are left out. Raises
+        InvalidName.
+        """
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name))
 
@@ -280,7 +289,7 @@ class MapLibrary:
         return found
 
     def version_path(self, name: str, number: int) -> Path:
-        """Local file of a name's replaced map, by its number in :meth:`versions`.
+        """File, on this machine, of a map replaced under a name, by its number in :meth:`versions`.
 
         Raises:
             Conflict: it is not kept.
@@ -294,7 +303,7 @@ class MapLibrary:
         The present map becomes a version: restoring number 1 twice changes nothing.
 
         Raises:
-            Conflict: none was replaced, or it is no longer kept.
+            InvalidName, UnknownMap, Conflict: there is no such map, it replaced none, or that is no longer kept.
             InvalidMap: the one that was replaced cannot be read; nothing was changed.
             StorageUnavailable, StorageFull: nothing was changed.
         """
@@ -310,7 +319,12 @@ class MapLibrary:
             change.arrange(name, wanted, [present, *(file for file in kept if file != wanted)])
 
     def delete(self, name: str) -> None:
-        """Delete a map and its versions. Raises StorageUnavailable, StorageFull: nothing was deleted."""
+        """Delete a map and its versions.
+
+        Raises:
+            InvalidName, UnknownMap: there is no such map.
+            StorageUnavailable, StorageFull: nothing was deleted.
+        """
         self.stat(name)
         with self._catalogue.changing() as change:
             if change.present(name) is None:
@@ -322,8 +336,8 @@ class MapLibrary:
         """Rename a map and its versions.
 
         Raises:
-            Conflict: a map has the new name already.
-            StorageUnavailable, StorageFull: nothing was renamed.
+            InvalidName, UnknownMap: a name is not valid, or there is no such map.
+            Conflict, StorageUnavailable, StorageFull: a map has the new name, or it fails; nothing was renamed.
         """
         check_map_name(new_name)
         self.stat(name)

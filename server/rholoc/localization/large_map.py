@@ -177,7 +177,7 @@ class LargeMapLocalizer:
 
     @property
     def extractor(self) -> Extractor:
-        """Extractor of the map's features."""
+        """Extractor of the map's features. Raises NotInstalled, or InvalidInput if it is unknown."""
         return get_extractor(self.map.info.features)
 
     def localize(self, query: Query) -> Localization:

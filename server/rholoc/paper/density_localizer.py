@@ -69,10 +69,10 @@ class DensityLocalizer:
     def ascents(
         self, features: FeatureSet, camera: Camera, dof: Dof = Dof.FREE, start: FloatArray | None = None
     ) -> Iterator[Ascent]:
-        """Yield an ascent from the pose ``start`` (4, 4), or else from each of ``starts`` views that most matches speak
-        for.
+        """Yield an ascent from the pose ``start`` (4, 4), or else from each of the ``starts`` views that most matches
+        speak for.
 
-        None with fewer than six matches in the whole map.
+        Yields nothing with fewer than six matches in the whole map.
         """
         everywhere = self.index.match_everywhere(features)
         if len(everywhere) < _MIN_MATCHES:

@@ -125,9 +125,12 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
 
 
 def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
-    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if the interval is then 2 ms to 4 s.
+    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if the median interval is then 2 ms to
+    4 s.
 
-    Otherwise the unit follows from the interval, as for an IMU."""
+    Otherwise the unit follows from the interval, as for an IMU. Raises InvalidRecording if none fits or they span
+    years.
+    """
     steps = np.abs(np.diff(times)) / _PER_SECOND[says]
     plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
     unit = says if plausible else time_unit(times, 1000 * _SHORTEST_FRAME_INTERVAL_S) or says

@@ -122,7 +122,7 @@ def _with_poses_in_metres(recording: Recording) -> Recording:
 def _automatic(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
     """Poses by what the recording has: its own (at least three) if its pictures agree, else pictures, IMU and
     waypoints. Waypoints are measured in the frame that the map is to have, which the recording's own poses need not be
-    in.
+    in. Raises MappingFailed, InvalidRecording, InvalidCamera, InvalidWaypoints.
     """
     if recording.poses is None or recording.poses.known.sum() < _FEWEST_GIVEN or recording.waypoints:
         return _visual(recording, PoseMethod.VISUAL_INERTIAL, progress, show)

@@ -143,6 +143,8 @@ class MappingPipeline:
 def write_room(task: MappingTask, target: Path, progress: ProgressListener) -> bool:
     """Write the task's built map with the surfaces of its room to ``target``. Returns False, without a file, if none
     are shown.
+
+    Raises as :func:`read_recording` and :func:`draw_room`.
     """
     map_ = load_map(task.built_file)
     drawn = draw_room(map_, [_recording_of(task)], progress)

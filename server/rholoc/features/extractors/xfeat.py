@@ -71,7 +71,9 @@ class XFeatExtractor:
         return self
 
     def extract(self, image: ByteArray) -> FeatureSet:
-        """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8."""
+        """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8; none if a side is below 32 px. Raises
+        NotInstalled.
+        """
         pixels, descriptors = described(image, self.longest_px, self.features)
         count = len(pixels)
         size_px = _CELL_PX * max(1.0, max(image.shape[:2]) / self.longest_px)
@@ -114,7 +116,7 @@ def described(image: ByteArray, longest_px: int, count: int) -> tuple[FloatArray
 def _run(seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """What the network makes of a picture (H, W) of mean 0 and spread 1, sides multiples of 32. Descriptors of unit
     length (H/8, W/8, 64), the chance that a keypoint is at a pixel (H, W), and how reliable a cell's descriptor is,
-    0..1 (H/8, W/8).
+    0..1 (H/8, W/8). Raises NotInstalled.
     """
     height, width = seen.shape
     with _network(height, width) as network:
@@ -129,7 +131,7 @@ def _run(seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 @contextmanager
 def _network(height: int, width: int) -> Iterator[cv2.dnn.Net]:
-    """A network for pictures of one size that nobody else uses meanwhile."""
+    """A network for pictures of one size [px] that no other thread uses meanwhile. Raises NotInstalled."""
     idle = _idle_networks(height, width)
     try:
         network = idle.pop()

@@ -252,7 +252,9 @@ class MapFinder:
         self._files[views.map] = views.file
 
     def _loaded(self, name: str) -> Map | None:
-        """Load a map. Returns None if it cannot be read, or if its extractor is unknown."""
+        """Load a map. None if it cannot be read, or if its extractor is unknown. Raises StorageUnavailable,
+        StorageFull.
+        """
         try:
             map_ = load_map(self._library.path(name))
             get_extractor(map_.info.features)

@@ -97,7 +97,9 @@ def untimed_images(paths: Sequence[Path], cameras: Sequence[Camera] | None = Non
 
 
 def camera_of(frames: ImageFolderFrames | UnifiedPictures, cameras: Sequence[Camera] | None) -> Camera | None:
-    """Camera of the frames of images with known ``cameras``: the common one if resampled. None if ``cameras`` is."""
+    """Camera of the frames of images with known ``cameras``: the common one if resampled; None if ``cameras`` is.
+    Raises InvalidCamera.
+    """
     if cameras is None:
         return None
     return frames.common if isinstance(frames, UnifiedPictures) else cameras[0].fitted(*frames.size)

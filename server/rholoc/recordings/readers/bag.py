@@ -201,7 +201,9 @@ def _frames(path: Path, reader: AnyReader, found: _Topics) -> tuple[BagFrames, s
 def _camera(
     path: Path, reader: AnyReader, found: _Topics, size: tuple[int, int]
 ) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    """The intrinsics by the bag's CameraInfo, else by ``sensors.txt`` beside it, and warnings; None without either."""
+    """The intrinsics by the bag's CameraInfo, else by ``sensors.txt`` beside it, and warnings; None without either.
+    Raises InvalidCamera.
+    """
     infos = found.of_types(_CAMERA_INFO)
     asked = [one for one in infos if one.topic in found.asked]
     nearest = asked or [one for one in infos if _is_beside(one.topic, found.picture.topic)]

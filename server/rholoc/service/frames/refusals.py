@@ -118,7 +118,7 @@ class Refusals:
 
 
 def likeness(localizer: AnyLocalizer, refusal: Refusal) -> LikenessOut:
-    """The view that a refused picture resembles most, and the matches between the two; None, and none, without any."""
+    """The view that a refused picture resembles most (None if none), and their matches as of :func:`lines_between`."""
     image = decode_image(refusal.picture, _MAX_PIXELS, SENT_FORMATS)
     features = localizer.extractor.extract(image)
     views = likeliest_views(localizer, features, 1)

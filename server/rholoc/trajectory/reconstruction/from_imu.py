@@ -178,7 +178,7 @@ def _accelerometer_corrected(
     problem: Problem, adjusted: Adjusted, progress: AdjustmentProgress
 ) -> tuple[Problem, Adjusted, float]:
     """Problem and solution after the accelerometer's scale is corrected, and that scale: its reading for 1 m/s². A
-    scale within 1 % is left as it is; 1.0 is then returned.
+    scale within 1 % is left as it is; 1.0 is then returned. Raises MappingFailed.
     """
     assert adjusted.state.inertial is not None
     assert problem.imu is not None

@@ -325,7 +325,9 @@ def _adjusted(
 
 
 def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reconstruction:
-    """The part in the map frame, as a reconstruction of all pictures."""
+    """The part in the map frame, as a reconstruction of all pictures. Raises MappingFailed if it misses the
+    waypoints.
+    """
     sights = walk.sights
     up = up_by_pictures(part.adjusted.state.R_map_camera)
     members = sights.take(part.members)

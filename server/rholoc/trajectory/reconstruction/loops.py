@@ -24,6 +24,7 @@ def with_loops_closed(
     """Adjust with the loops that the walk without them allows; verify all loops again after the first closure.
 
     Returns the evidence with only these loops, the problem and the solution; unchanged if there are no candidates.
+    Raises MappingFailed.
     """
     if not evidence.loops:
         return evidence, problem, adjusted

@@ -70,7 +70,9 @@ def _held_by_waypoints(
     loops: Sequence[VerifiedPair],
     progress: AdjustmentProgress,
 ) -> Solved:
-    """Adjust with the waypoints; remove mistaken ones (at most a third, leaving three), the largest error first."""
+    """Adjust with the waypoints; remove mistaken ones (at most a third, leaving three), the largest error first. Raises
+    MappingFailed.
+    """
     keyframes = {waypoint.name: int(np.abs(problem.times - waypoint.time).argmin()) for waypoint in frame.waypoints}
     measured = {
         waypoint.name: waypoint

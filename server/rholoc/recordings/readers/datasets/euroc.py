@@ -95,7 +95,7 @@ def read(folder: Path) -> Recording:
 
 def _rig(root: Path, first: Camera | None) -> Recording | None:
     """Pictures of cam0 and cam1, linked where they are of one moment; None unless both are calibrated and mounted, with
-    common moments.
+    common moments. Raises InvalidRecording, InvalidCamera.
     """
     paths: list[Path] = []
     moments: list[float] = []

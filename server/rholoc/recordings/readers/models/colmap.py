@@ -115,7 +115,9 @@ def read(folder: Path) -> Recording:
 
 
 def _pictures_folder(folder: Path, name: str) -> Path:
-    """The folder that a picture's name is relative to: ``images`` if present, else the first that has it."""
+    """The folder that a picture's name is relative to: ``images``, else the first that has it. Raises
+    InvalidRecording.
+    """
     if (folder / "images").is_dir():
         return folder / "images"
     some = [path for path in (folder, *sorted(folder.iterdir())) if path.is_dir()]
