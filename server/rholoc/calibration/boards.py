@@ -113,7 +113,9 @@ class BoardFinder:
         self.board = board
 
     def find(self, row: int, image: ByteArray) -> Sighting | None:
-        """The board in an image (H, W, 3) BGR or (H, W); None if not found (ChArUco: below 12 corners or a quarter)."""
+        """The board in an image (H, W, 3) BGR or (H, W) of frame ``row``; None if not found (ChArUco: below 12 corners
+        or a quarter).
+        """
         gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
         shrink = min(1.0, _LONGER_SIDE_PX / max(gray.shape))
         small = gray if shrink == 1 else cv2.resize(gray, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
@@ -163,8 +165,8 @@ class BoardFinder:
 
 
 def _refined(gray: ByteArray, pixels: FloatArray, window_px: float) -> FloatArray:
-    """Corners (C, 2) refined to a fraction of a pixel within ``window_px``: gradients around each point across the way
-    to it.
+    """Corners (C, 2) refined to a fraction of a pixel within ``window_px``: nearby gradients are across the way to
+    each.
     """
     half = int(np.clip(window_px, 2, 12))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)

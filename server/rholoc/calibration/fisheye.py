@@ -81,7 +81,9 @@ def _starts(sightings: Sequence[Sighting], board: Board, size: tuple[int, int]) 
 
 
 def _refined(found: _Solution, sightings: Sequence[Sighting], board: Board) -> _Solution:
-    """All intrinsics and poses together (Levenberg and Marquardt)."""
+    """The solution after refining all intrinsics and poses together (Levenberg and Marquardt); as it is if nothing
+    lowers its cost.
+    """
     damping, least, most = _DAMPING
     for _ in range(_STEPS):
         weighted = found.slopes * found.weights[:, None]

@@ -39,8 +39,8 @@ class Places:
     def of(cls, sightings: Sightings) -> Places:
         """Gather each feature's views into places; from one place it is seen from one side and at similar distances.
 
-        If there would be too many, each feature keeps its first place, and of the others those with the most views
-        stay. Positions and radii are rounded to float32, as files keep them.
+        Above 20,000 places, each feature keeps its first place, and of the others those with the most views stay.
+        Positions and radii are rounded to float32, as files keep them.
         """
         order = np.argsort(sightings.features, kind="stable")
         bounds = np.searchsorted(sightings.features[order], np.arange(len(sightings.landmarks) + 1))

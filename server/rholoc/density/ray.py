@@ -193,7 +193,9 @@ class RayDensities:
         return ""
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
-        """One a feature, with the tolerance r of 60 px at the mean distance that it was seen from."""
+        """A row for each feature, with r (1,) [m]: 60 px at its views' mean distance (1 m without views), and its
+        variance.
+        """
         count = len(sightings.landmarks)
         away = np.linalg.norm(sightings.positions - sightings.landmarks[sightings.features], axis=1)
         seen = np.bincount(sightings.features, minlength=count)
@@ -203,7 +205,9 @@ class RayDensities:
         return DensityRows(np.arange(count), tolerances[:, None].astype(np.float32))
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
-        """All 729 of the density of a landmark (3,) with the tolerance in ``domain`` (1,)."""
+        """All 729 coefficients of the density of a landmark (3,) with the tolerance in ``domain`` (1,); ``row`` is not
+        used.
+        """
         return np.asarray(ray_coefficients(landmark[None].astype(np.float64), domain.astype(np.float64))[0])
 
     @classmethod
@@ -239,12 +243,12 @@ class RayDensities:
         return cls()
 
     def moved(self, similarity: Similarity) -> RayDensities:
-        """The densities; they move with the landmarks."""
+        """These densities; they move with the landmarks."""
         return self
 
     @classmethod
     def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> RayDensities:
-        """The densities; there is nothing to fit."""
+        """Densities without data; there is nothing to fit."""
         return cls()
 
 

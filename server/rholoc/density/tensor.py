@@ -170,7 +170,9 @@ class TensorDensities:
         return DensityRows(self.features, np.column_stack([self.places, self.radii]).astype(np.float32))
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
-        """All (P + 1)⁸ of the density at ``row``."""
+        """All (P + 1)⁸ coefficients of the density at ``row``, in Table 5's order; ``landmark`` and ``domain`` are not
+        used.
+        """
         return np.asarray(self.all_coefficients(np.array([row]))[0])
 
     @classmethod

@@ -71,9 +71,10 @@ class DescriptorIndex:
             self._indices[int(channel)] = make(descriptors[rows], metric)
 
     def nearest(self, features: FeatureSet, k: int) -> tuple[FloatArray, IntArray]:
-        """The ``k`` nearest descriptors of every feature (N): distances (N, k) and rows (N, k).
+        """The ``k`` nearest descriptors of its channel of every feature (N): distances (N, k), ascending, and rows (N,
+        k).
 
-        Where there are fewer than ``k``, the distance is inf and the row -1.
+        If there are fewer than ``k``, the distance is inf and the row -1.
         """
         distances = np.full((len(features), k), _NEVER, dtype=np.float32)
         rows = np.full((len(features), k), -1, dtype=np.int64)

@@ -99,13 +99,15 @@ class Pose:
 
     @classmethod
     def from_quaternion(cls, position: FloatArray, quaternion_xyzw: FloatArray) -> Pose:
-        """From a position (3,) in metres and a quaternion (4,) in the order x, y, z, w."""
+        """From a position (3,) in metres and a quaternion (4,) in the order x, y, z, w, of any length but 0
+        (ValueError).
+        """
         R = Rotation.from_quat(np.asarray(quaternion_xyzw, dtype=np.float64)).as_matrix()
         return cls(pose_matrix(R, np.asarray(position, dtype=np.float64)))
 
     @classmethod
     def from_heading(cls, position: FloatArray, heading: FloatArray, roll: float = 0.0) -> Pose:
-        """From a position (3,) in metres, a heading (3,) and a roll in radians."""
+        """From a position (3,) in metres, a heading (3,) of any length but 0, and a roll in radians."""
         return cls(pose_matrix(rotation_from_heading(np.asarray(heading), roll), np.asarray(position)))
 
     @property

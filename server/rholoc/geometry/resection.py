@@ -84,7 +84,7 @@ def resected(
 
 
 def three_point_poses(rays: FloatArray, points: FloatArray) -> FloatArray:
-    """Poses (S, 4, 4) T_map_camera, at most four of each sample: unit rays (N, 3, 3) of points (N, 3, 3)."""
+    """Poses (S, 4, 4) T_map_camera of N samples, none to four of each: unit rays (N, 3, 3) of points (N, 3, 3)."""
     if poselib is None:
         return sampling.three_point_poses(rays, points)
     poses = [pose for three, seen in zip(rays, points, strict=True) for pose in poselib.p3p(three, seen)]

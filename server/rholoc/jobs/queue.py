@@ -202,7 +202,7 @@ class JobQueue:
         return self._engine
 
     def has_worker(self) -> bool:
-        """Whether any worker's last heartbeat is recent."""
+        """Whether any worker's last heartbeat is younger than 15 s."""
         return bool(self._workers.living())
 
     def requeue_jobs_of(self, pid: int, error: str) -> None:
@@ -228,7 +228,7 @@ class JobQueue:
                 self._workers.report(self._starter, shortened(trouble))
 
     def worker_trouble(self) -> str | None:
-        """Recently reported reason why workers die when started, or None."""
+        """Reason why workers die when started, of this process or reported within ten minutes; None without one."""
         return self._trouble or self._workers.error()
 
     def close(self) -> None:

@@ -310,7 +310,7 @@ class RecordingStore:
             return {row["file"]: bytes(row["content"]) for row in connection.execute(wanted).mappings()}
 
     def note(self, recording_id: str, files: Mapping[str, bytes | None]) -> None:
-        """Store a recording's notes by file name. None deletes a file."""
+        """Store a recording's notes by file name, replacing these files; None deletes one. Raises StorageFull."""
         table = recording_notes_table
         with reporting_full_database(), self.engine.begin() as connection:
             for name, content in files.items():
@@ -448,7 +448,7 @@ def _key(recording_id: str, name: str) -> str:
 
 
 def is_recording_id(text: str) -> bool:
-    """Whether the text could be a recording's id."""
+    """Whether the text could be a recording's id: 32 hex digits."""
     return _ID.fullmatch(text) is not None
 
 

@@ -180,7 +180,9 @@ def _ring(geometry: Mapping[str, Any], what: str) -> list[Any]:
 
 
 def _properties(feature: Mapping[str, Any]) -> tuple[str, str, dict[str, FieldValue]]:
-    """Name, kind (empty if there is none) and fields of a feature; properties that are lists or objects are not."""
+    """Name, kind (empty if there is none) and fields of a feature; properties that are lists or objects are
+    left out.
+    """
     properties = feature.get("properties") or {}
     kind = next((str(properties[key]) for key in ("kind", "category") if properties.get(key)), "")
     fields = {

@@ -90,7 +90,7 @@ class ObjectStorage:
             raise InvalidInput(f"RHOLOC_STORAGE_URL cannot be used: {_first_line(error)}.", "Check it.") from error
 
     def put(self, key: str, content: bytes | Path) -> None:
-        """Store an object atomically.
+        """Store an object atomically, replacing any of that key: bytes, or the content of a file.
 
         Raises:
             StorageUnavailable: the storage does not answer or refuses.

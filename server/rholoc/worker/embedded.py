@@ -54,7 +54,9 @@ class EmbeddedWorker:
 
     @property
     def trouble(self) -> str | None:
-        """Number of consecutive deaths of the child and its last error; None unless it dies repeatedly."""
+        """A text with the number of consecutive deaths of the child and its last error; None unless it dies
+        repeatedly.
+        """
         return self._trouble
 
     def start(self) -> None:

@@ -71,7 +71,7 @@ class XFeatExtractor:
         return self
 
     def extract(self, image: ByteArray) -> FeatureSet:
-        """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8; none if a side is below 32 px. Raises
+        """Features of an image (H, W, 3) BGR or (H, W) grey, uint8; none if a side is below 32 px. Raises
         NotInstalled.
         """
         pixels, descriptors = described(image, self.longest_px, self.features)
@@ -90,7 +90,7 @@ def described(image: ByteArray, longest_px: int, count: int) -> tuple[FloatArray
     """Pixels (N, 2) of at most ``count`` features of an image, the best first, and their descriptors (N, 64) of unit
     length.
 
-    None if a side is below 32 px or the picture has no contrast.
+    No features if a side is below 32 px or the picture has no contrast. Raises NotInstalled.
     """
     grey = as_gray(image)
     height, width = grey.shape
@@ -147,7 +147,7 @@ def _idle_networks(height: int, width: int) -> deque[cv2.dnn.Net]:
 
 
 def _graph(layers: Mapping[str, Layer], height: int, width: int) -> Graph:
-    """The network of section 3.2, of pictures (1, 1, ``height``, ``width``)."""
+    """XFeat's network (its section 3.2) for pictures (1, 1, ``height``, ``width``)."""
     graph = Graph()
     rows, columns = height // _CELL_PX, width // _CELL_PX
 
@@ -214,8 +214,8 @@ def _layers() -> dict[str, Layer]:
 
 
 def _weights() -> bytes:
-    """Content of the file of weights. Raises NotInstalled: it is not there, or has other weights, whose descriptors
-    would match no map.
+    """Content of the file of weights. Raises NotInstalled if it is absent or other weights, whose descriptors match no
+    map.
     """
     path = _weights_path()
     try:

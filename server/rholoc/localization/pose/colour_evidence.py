@@ -45,7 +45,9 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
 
 
 def _foretold(inputs: FloatArray, output: FloatArray) -> float:
-    """Share 0 to 1 of the variance of ``output`` (M,) predicted by ``inputs`` (M, D), both centred; maybe NaN."""
+    """Share 0 to 1 of the variance of ``output`` (M,) predicted by ``inputs`` (M, D), both centred; NaN without
+    variance.
+    """
     count = len(output)
     total = float(output @ output) * (count / (count - 1)) ** 2  # each from the mean of the others
     if total == 0.0:

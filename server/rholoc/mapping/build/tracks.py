@@ -50,7 +50,9 @@ class Views(PosedCameras):
         features: Sequence[FeatureSet],
         ranges_m: FloatArray | None = None,
     ) -> Views:
-        """Views from one camera, pose, time and feature set each, and the ranges (N,) of all; at least one view."""
+        """Views from one camera, pose, time and feature set each; ``ranges_m`` (N,) are of all features, None if all
+        unknown.
+        """
         rays = [
             camera.rays(f.pixels) @ T[:3, :3].T for camera, f, T in zip(cameras, features, T_map_camera, strict=True)
         ]

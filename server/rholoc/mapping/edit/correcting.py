@@ -36,7 +36,7 @@ _MIN_PLAN_POINTS, _MAX_PLAN_POINTS = 2, 100
 
 
 def set_origin(map_: Map, point: FloatArray) -> Map:
-    """Move the origin to ``point`` (3,) of the present frame.
+    """Next version of the map, its origin moved to ``point`` (3,) of the present frame.
 
     Raises:
         InvalidInput: a part of the map would be more than 10 km from its origin.
@@ -45,7 +45,7 @@ def set_origin(map_: Map, point: FloatArray) -> Map:
 
 
 def set_north(map_: Map, direction: FloatArray) -> Map:
-    """Rotate the map about its origin so that ``direction`` (3,), seen from above, becomes y.
+    """Next version of the map, rotated about its origin so that ``direction`` (3,), seen from above, becomes y.
 
     Raises:
         InvalidInput: the direction is too short, or within 3° of the vertical.
@@ -55,7 +55,7 @@ def set_north(map_: Map, direction: FloatArray) -> Map:
 
 
 def set_wall(map_: Map, direction: FloatArray) -> Map:
-    """Rotate the map about its origin so that ``direction`` (3,) along a wall, seen from above, becomes x.
+    """Next version of the map, rotated about its origin so that ``direction`` (3,), seen from above, becomes x.
 
     Raises:
         InvalidInput: the direction is too short, or within 3° of the vertical.
@@ -65,19 +65,20 @@ def set_wall(map_: Map, direction: FloatArray) -> Map:
 
 
 def set_up(map_: Map, direction: FloatArray | None = None) -> Map:
-    """Rotate the map so that ``direction`` (3,) becomes z; it is upright from then on.
+    """Next version of the map, rotated so that ``direction`` (3,) becomes z; it is upright from then on.
 
     By default the up direction is estimated from its views.
 
     Raises:
-        InvalidInput: the direction is invalid, or the views do not agree on one.
+        InvalidInput: the direction is shorter than 1e-6, or the views do not agree on one.
     """
     up = frames.estimated_up(map_) if direction is None else direction
     return _moved(map_, frames.upward(up), CorrectionKind.UP, upright=True)
 
 
 def set_distance(map_: Map, start: FloatArray, end: FloatArray, length_m: float) -> Map:
-    """Scale the map so that points ``start`` (3,) and ``end`` (3,) are ``length_m`` apart; it is metric from then on.
+    """Next version of the map, scaled so that points ``start`` (3,) and ``end`` (3,) are ``length_m`` apart; it is
+    metric.
 
     Raises:
         InvalidInput: the points coincide, the scale is not within 1e-4 to 1e4, or the map gets too large.
@@ -86,7 +87,7 @@ def set_distance(map_: Map, start: FloatArray, end: FloatArray, length_m: float)
 
 
 def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool) -> Map:
-    """Align points (N, 3) of the map with points (N, 2) [m] of a floor plan.
+    """Next version of the map, its points (N, 3) aligned with points (N, 2) [m] of a floor plan by least squares.
 
     Args:
         map_: the map.
@@ -110,7 +111,8 @@ def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool)
 def remove_region(
     map_: Map, outline: FloatArray, bottom_m: float | None, top_m: float | None, keep_inside: bool
 ) -> Map:
-    """Remove the landmarks, cloud points and room surfaces inside a region, or all others. Densities are fitted again.
+    """Next version of the map without the landmarks, cloud points and room surfaces inside a region, or without all
+    others.
 
     Args:
         map_: the map.
@@ -130,7 +132,8 @@ def remove_region(
 
 
 def remove_views(map_: Map, first: int, last: int) -> Map:
-    """Remove the views ``first`` to ``last`` (inclusive), and the landmarks that only they saw.
+    """Next version of the map without the views ``first`` to ``last`` (inclusive), and the landmarks that only they
+    saw.
 
     Raises:
         InvalidInput: there are no such views.
@@ -140,7 +143,7 @@ def remove_views(map_: Map, first: int, last: int) -> Map:
 
 
 def set_names(map_: Map, names: MapNames) -> Map:
-    """Replace the map's names of points and areas.
+    """Next version of the map with other names of points and areas; it has none of the present ones.
 
     Raises:
         InvalidInput: a name or an area is invalid.
@@ -150,7 +153,8 @@ def set_names(map_: Map, names: MapNames) -> Map:
 
 
 def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
-    """Attach a floor plan: the file's ``content`` and its placement; ``plan`` None removes it.
+    """Next version of the map with a floor plan, the file's ``content`` and its placement; with none if ``plan`` is
+    None.
 
     Raises:
         TooLarge: the file is too large.
@@ -162,8 +166,8 @@ def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
 
 
 def set_earth(map_: Map, points: FloatArray, places: Sequence[EarthPlace], heading_deg: float | None) -> Map:
-    """Place the map on Earth by points (N, 3) [m] and their places, or by one and the heading of y from true north
-    [deg].
+    """Next version of the map, on Earth by points (N, 3) [m] and their places, or by one and the heading of y [° from
+    north].
 
     Raises:
         InvalidInput: as :meth:`SiteOnEarth.through`, or a number is out of range.
@@ -179,7 +183,7 @@ def set_earth(map_: Map, points: FloatArray, places: Sequence[EarthPlace], headi
 
 
 def set_labels(map_: Map, labels: MapLabels) -> Map:
-    """Replace the map's site, floor and tags.
+    """Next version of the map with other labels: site, floor and tags.
 
     Raises:
         InvalidInput: one is invalid.

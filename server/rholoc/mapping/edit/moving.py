@@ -17,7 +17,7 @@ _FARTHEST_M = 10_000.0  # from the origin: single precision still tells a millim
 
 
 def move_map(map_: Map, similarity: Similarity) -> Map:
-    """Apply a similarity to a map: landmarks, views, densities and reported lengths.
+    """The map in the frame after a similarity: landmarks, views, cloud, room, densities, places and reported lengths.
 
     Nothing is estimated again, and the version stays. The caller updates the report's coverage.
 

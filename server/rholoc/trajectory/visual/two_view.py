@@ -75,7 +75,8 @@ def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> Tw
 
 
 def absolute_pose(rays: FloatArray, points: FloatArray, tolerance: float) -> tuple[FloatArray, int]:
-    """Camera pose T_map_camera (4, 4) with most inliers, and their number (LO-RANSAC, poselib).
+    """Camera pose T_map_camera (4, 4) with most inliers (LO-RANSAC, poselib), arbitrary if none is found, and their
+    number.
 
     Args:
         rays: (M, 3) of detections, in the camera frame.
