@@ -75,7 +75,9 @@ class RecordingNotes:
 
 
 def notes_of(recording: Recording) -> dict[str, bytes]:
-    """Files with notes on a recording and a small picture, by name; without the picture if a frame is damaged."""
+    """Files with notes on a recording and a small picture of its first second, by name; without the picture if it is
+    damaged.
+    """
     times, (width, height) = recording.frames.times, recording.frames.size
     notes = RecordingNotes(
         first_s=float(times[0]) if recording.frames.timed else None,

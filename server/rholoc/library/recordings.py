@@ -455,6 +455,8 @@ def is_recording_id(text: str) -> bool:
 def sanitized(name: str) -> str:
     """A name as a relative path of plain, visible parts: other characters become "_", leading dots and empty parts go.
 
+    Of a part the last 100 characters are kept.
+
     Raises:
         InvalidRecording: nothing usable is left of the name, or it has more than four parts.
     """

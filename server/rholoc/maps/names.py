@@ -113,7 +113,7 @@ def check_labels(labels: MapLabels) -> MapLabels:
     """Return the labels, stripped of surrounding spaces and checked.
 
     Raises:
-        InvalidInput: there are too many tags; one is empty or given twice, or something is too long or not printable.
+        InvalidInput: over 20 tags; one is empty or given twice; or something is over 100 characters or not printable.
     """
     tags = tuple(tag.strip() for tag in labels.tags)
     if len(tags) > MAX_TAGS or len(set(tags)) < len(tags) or not all(tags):
@@ -131,8 +131,8 @@ def check_names(names: MapNames) -> MapNames:
     """Return the names, checked.
 
     Raises:
-        InvalidInput: there are too many; one is empty, too long, not printable or given twice; its kind, its fields or
-            its outline are not valid.
+        InvalidInput: over 500; one is empty, over 100 characters, not printable or twice a point's or an area's; its
+            kind, its fields or its outline are not valid.
     """
     if len(names.points) + len(names.areas) > MAX_NAMES:
         raise InvalidInput(f"A map keeps at most {MAX_NAMES} names.", "Leave some out.")

@@ -236,8 +236,8 @@ def check_site(site: Site) -> Site:
     """Return the site, checked.
 
     Raises:
-        InvalidInput: there are too many maps or links, a map is named twice, a link is between maps that are not the
-            site's, or a floor, pose, sigma, covariance or place on Earth is invalid.
+        InvalidInput: there are over 2000 maps or 10,000 links, a map is named twice, a link is between maps that are
+            not the site's, or a floor, pose, sigma, covariance or place on Earth is invalid.
         InvalidName: a map's name is not valid.
     """
     names = [one.map for one in site.maps]

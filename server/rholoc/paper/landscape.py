@@ -121,7 +121,7 @@ def over_positions(map_: Map, look: Look, grid: Grid, tolerance_px: float) -> Fl
 def over_headings(
     map_: Map, look: Look, half_rad: float, count: int, tolerance_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ρ (E, A) of the look's pixel for upright cameras at its place, at ``count`` × ``count`` offsets up to
+    """ρ (E, A) of the look's pixel for cameras at its place with its roll, at ``count`` × ``count`` offsets to
     ``half_rad``.
 
     Returns:
@@ -193,14 +193,14 @@ def landscape_around(
     T_map_camera: FloatArray | None,
     check: Callable[[], None] = _go_on,
 ) -> Landscape | None:
-    """Landscape of an ascent around a pose (4, 4), or around the best optimum; None if too few features match.
+    """Landscape of an ascent around a pose (4, 4), or around the best optimum; None if fewer than six features match.
 
     Args:
         localizer: of the map.
         features: of the frame, by the map's extractor.
         camera: its intrinsics.
         T_map_camera: the pose, or None.
-        check: is called again and again, and may raise to stop.
+        check: is called before each position, and may raise to stop.
     """
     ascents = []
     for ascent in localizer.ascents(features, camera):

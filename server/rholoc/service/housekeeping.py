@@ -59,7 +59,7 @@ def _learn(state: State) -> None:
 
 
 def learn_tonight(state: State, now: datetime) -> None:
-    """Queue a job for each map with ``MIN_QUERIES`` queries of the last day, unless one is queued; one a night for all
+    """Queue a learning job for each map with ``MIN_QUERIES`` queries of the last day and none; once a night for all
     servers.
     """
     options = JobOptions(kind=JobKind.LEARN, priority=JobPriority.LOW)

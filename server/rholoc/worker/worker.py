@@ -86,7 +86,9 @@ class Worker:
         _log.info("worker %s started", self.id)
 
     def stop(self) -> None:
-        """Stop within a few seconds and requeue running jobs; without a database other workers requeue them later."""
+        """Stop and requeue running jobs, waiting some seconds for them; without a database other workers requeue them
+        later.
+        """
         self._stopping.set()
         for thread in self._threads:
             thread.join()

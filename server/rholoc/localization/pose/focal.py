@@ -74,8 +74,8 @@ class FocalEstimate:
 def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
     """Check the camera's focal length against the matches of a verified pose.
 
-    Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if freeing the focal length would hardly
-    change the pose.
+    Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if by :func:`_fits` freeing the focal
+    length would hardly change the pose.
 
     Args:
         index: index of the map.

@@ -150,9 +150,7 @@ def too_few_queries(kept: int) -> Conflict:
 
 
 def _placed(localizer: Localizer, queries: Sequence[AnsweredQuery], progress: ProgressListener) -> list[_Placed]:
-    """The queries that are localized confidently in the present map, without a prior, and not five times less exactly
-    than the median.
-    """
+    """The queries that get a pose in the present map, without a prior, of a sigma of at most 5 × the median."""
     occasions = _occasions(queries)
     found = []
     for done, (query, occasion) in enumerate(zip(queries, occasions.tolist(), strict=True)):
@@ -223,7 +221,9 @@ def _is_of_queries(info: MapInfo) -> BoolArray:
 
 
 def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
-    """Queries that become views: exact, of a new time, from the four most common cameras, and spread over the map."""
+    """Queries that become views: of at most 3 × the median sigma, at a new time, from the four most common cameras, and
+    spread over the map.
+    """
     learned = set(known.views.times[~_is_recorded(known)].tolist())
     new = [one for one in _exact(teaching, _MAX_VIEW_SIGMA_RATIO) if one.query.time_s not in learned]
     cameras = [one.query.camera for one in new]

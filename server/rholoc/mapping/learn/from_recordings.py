@@ -148,8 +148,9 @@ def update_map(
 
 
 def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, progress: ProgressListener) -> _Walk:
-    """The recording's frames localized one by one, five per second, at most 240; frames without a pose are dropped.
-    Raises InvalidCamera without intrinsics, MappingFailed if hardly any frame is found.
+    """Views of a recording from frames localized one by one, five per second, at most 240, without those that jump and
+    those less than 0.1 (metres plus radians) from the view before. Raises InvalidCamera without intrinsics,
+    InvalidRecording for a damaged frame, MappingFailed below five frames or a tenth.
     """
     camera = _camera_of(recording, localizer.map.info)
     times = recording.frames.times
@@ -181,7 +182,7 @@ def _aligned_walk(
     localizer: Localizer, recording: Recording, method: PoseMethod, pictures: bool, progress: ProgressListener
 ) -> _Walk:
     """The recording's own trajectory, aligned with those of at most 24 of its frames that can be localized. Raises
-    MappingFailed if too few frames have a pose or are found, or if trajectory and map disagree.
+    MappingFailed for fewer than five views, or as :func:`find_frames` and :func:`align_to_found`.
     """
     frame_features = _frame_features(localizer, recording, pictures)
     trajectory = estimate_trajectory(recording, method, progress, frame_features.show)

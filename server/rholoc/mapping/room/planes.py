@@ -50,8 +50,9 @@ class Wall:
 
 
 def floor_height(mesh: Quads, size: float) -> float:
-    """Height of the lowest large horizontal surface of a mesh with voxels of ``size``; without one, the 2 % quantile of
-    its heights.
+    """Height of a mesh's lowest horizontal surface with 4 % of what faces up, within voxels of ``size``.
+
+    Without one, the 2 % quantile of the mesh's heights.
     """
     heights = mesh.vertices[:, 2]
     flat = heights[normals_of(*mesh)[:, 2] > _FLAT]
@@ -97,8 +98,9 @@ def _main_direction(normals: FloatArray) -> float:
 
 
 def _outermost(mesh: Quads, vertices: FloatArray, normals: FloatArray, angle: float, size: float) -> Wall | None:
-    """The outermost vertical plane with a normal at ``angle`` [rad]; None if none is large and tall enough. A quarter
-    of the mesh's vertices at most may lie behind it. ``vertices`` and ``normals`` (N, 3) are the steep ones.
+    """The outermost vertical plane with a normal at ``angle`` [rad], with at most a quarter of the mesh's vertices
+    behind it. None if none has 60 vertices, 0.15 × those of the largest and 0.4 × the room's height. ``vertices`` and
+    ``normals`` (N, 3) are the steep ones.
     """
     normal = np.array([np.cos(angle), np.sin(angle)])
     points = vertices[normals[:, :2] @ normal > _SAME_DIRECTION]

@@ -92,7 +92,7 @@ def read_grey(path: Path) -> IntArray:
     """An image file of one channel → its values (H, W), all of their up to 16 bits. EXIF orientation is ignored.
 
     Raises:
-        InvalidImage: the file cannot be read or decoded, or has several channels.
+        InvalidImage: the file cannot be read or decoded, has several channels, or more than 50 megapixels.
     """
     with _opened(path, DEFAULT_MAX_PIXELS) as image:
         if not (image.mode == "L" or image.mode.startswith("I")):

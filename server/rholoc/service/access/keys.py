@@ -155,7 +155,7 @@ class KeyStore:
             site: only site that a key of scope ``visit`` is for; empty for all.
 
         Raises:
-            InvalidName: the name is empty, too long or not printable.
+            InvalidName: the name is empty, over 64 characters or not printable.
             Conflict: there is a key of that name.
             StorageFull: the disk is full.
         """

@@ -98,7 +98,8 @@ class Candidates:
         """Whether the first ``asked`` maps suffice: the best is number ``best``, with a pose of probability
         ``recognized``.
 
-        That is at least ``CONCLUSIVE``, and the others' scores are below 0.8 of its own. False without scores.
+        That must be at least ``CONCLUSIVE``, and the scores of the maps not asked below 0.8 of its own. False without
+        scores.
         """
         if recognized < CONCLUSIVE or not self.scores:
             return False

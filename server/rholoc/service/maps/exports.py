@@ -88,7 +88,7 @@ class Exports:
         Raises:
             ClientDisconnect: it has.
             InvalidMap, InvalidInput: the map or an option does not allow it.
-            Busy: too many others wait, or the process was killed.
+            Busy: more than eight others wait or are made, or the process was killed.
             DeadlineExceeded: it takes longer than the limit.
         """
         if self._open > _MAX_WAITING:

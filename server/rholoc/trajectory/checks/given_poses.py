@@ -106,8 +106,8 @@ def check_given_poses(recording: Recording, camera: Camera) -> PoseCheck:
 
 
 def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
-    """Sorted pairs of ``rows`` (N,), of frames with poses T, that may overlap: close in the sequence, or in position
-    and heading.
+    """Sorted pairs of ten of ``rows`` (N,) with those 1 and 4 later and the two nearest of like heading, by poses T of
+    all frames.
     """
     anchors = np.unique(np.linspace(0, len(rows) - 1, _ANCHORS).astype(np.int64)).tolist()
     pairs: set[tuple[int, int]] = set()

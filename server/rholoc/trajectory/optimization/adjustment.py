@@ -257,8 +257,8 @@ def adjust(
 ) -> Adjusted:
     """Optimize from a nearby state, mostly by Gauss–Newton steps.
 
-    Points are triangulated from the state's poses. Points with too little parallax and outlier sightings are ignored in
-    this call only.
+    Points are triangulated from the state's poses. Points with at most 1.5° of parallax and outlier sightings are
+    ignored in this call only.
 
     Args:
         iterations: maximum number.

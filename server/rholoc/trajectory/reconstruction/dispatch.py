@@ -71,9 +71,9 @@ def _reconstruct(
 
 
 def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
-    """Reconstruct a film by following it. If that leaves out more than 10 % or contradicts itself, also as a set.
-    Returns the one that places more, or the set if the film contradicts itself. Raises MappingFailed: neither way
-    places enough, or two reconstructions contradict each other.
+    """Reconstruct a film by following it. If that leaves out more than 10 %, contradicts itself or fails, also as a
+    set. Returns the one that places more, or the set if the film contradicts itself. Raises MappingFailed if neither
+    works.
     """
     found: Reconstruction | None = None
     failure = MappingFailed("No two pictures overlap enough.", ADVICE)

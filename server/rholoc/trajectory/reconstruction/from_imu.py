@@ -98,8 +98,8 @@ def start_with_imu(
 
 
 def _directions(sights: Sights, camera: Camera, R: FloatArray, pairs: Sequence[VerifiedPair]) -> list[PairDirection]:
-    """Directions between keyframes a few apart, by followed corners, and between ``pairs``, by matches; only clear
-    ones.
+    """Directions between keyframes 1, 2, 4 and 8 apart that share 15 corners, and between ``pairs``, by matches;
+    unclear ones are left out (:func:`direction_between`).
     """
     found: list[PairDirection | None] = []
     rows = sights.rows.tolist()
