@@ -63,9 +63,10 @@ def parse_frame_slice(text: str) -> slice:
 
 
 def select_frames(recording: Recording, chosen: slice) -> Recording:
-    """Select the frames with *numbers* in the slice; a step counts from its start.
+    """The recording with only the frames whose *numbers* are in the slice; a step counts from its start.
 
-    Poses are kept for these frames, waypoints outside the chosen frames' time are dropped, the IMU's table stays whole.
+    Poses, lengths, mountings, intrinsics and depths of other frames are dropped, and waypoints outside the chosen
+    frames' time; the IMU's table stays whole.
 
     Raises:
         InvalidRecording: no frame is in the slice.

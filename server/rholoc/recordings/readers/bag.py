@@ -54,7 +54,7 @@ _MAX_NAMED = 3
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a bag."""
+    """Whether the folder has a ROS bag, or is one."""
     return bool(_bags(folder))
 
 

@@ -31,12 +31,12 @@ _READOUT = "frame readout time"  # nanoseconds
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a table of the IMU and one of the frames with these columns."""
+    """Whether there are tables with columns of an IMU, and with times and focal lengths, whatever their names."""
     return _with_columns(folder, _IMU) is not None and _with_columns(folder, _FRAMES) is not None
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a table or the video is missing or broken, or they contradict each other.

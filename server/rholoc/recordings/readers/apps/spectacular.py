@@ -41,12 +41,12 @@ class _Log:
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a file of JSON lines by this name."""
+    """Whether there is ``data.jsonl``."""
     return (folder / "data.jsonl").is_file()
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a line is not what it should be, or lines and video contradict each other.

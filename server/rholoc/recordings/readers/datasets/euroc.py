@@ -57,7 +57,7 @@ _MAX_SENSOR_BYTES = 2**16
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a cam0 with a list of images."""
+    """Whether there is ``cam0/data.csv`` with columns of times and file names."""
     return has_columns(_root(folder) / "cam0" / "data.csv", ("timestamp", "filename"))
 
 

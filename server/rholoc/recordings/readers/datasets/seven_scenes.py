@@ -29,12 +29,12 @@ _COLOUR = (".color.png", ".color.jpg")
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there are colour images with poses beside them, by their names."""
+    """Whether the first colour image (``.color.png`` or ``.jpg``) has a pose beside it, by its name."""
     return any(_pose_file(image).is_file() for image in _images(folder)[:1])
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: an image is broken.

@@ -31,12 +31,12 @@ _SAME_MOMENT_S = 0.02  # of a colour and a depth image
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a list of colour images with this dataset's name and columns; its header is a comment."""
+    """Whether ``rgb.txt`` has two columns, the first of numbers; its header is a comment."""
     return is_bare_table(folder / "rgb.txt", 2)
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: the list or an image is missing or broken.

@@ -84,12 +84,12 @@ class _Image:
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a model."""
+    """Whether the folder has a COLMAP model, as text or binary."""
     return _model(folder) is not None
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder; images that the model does not place are ignored.
+    """Read a recording of this format from its folder; images that the model does not place are ignored.
 
     Raises:
         InvalidRecording: the model or an image is broken.

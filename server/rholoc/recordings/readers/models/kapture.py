@@ -40,12 +40,12 @@ _Pose = dict[tuple[str, str], FloatArray]
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there are sensors and pictures."""
+    """Whether there are ``sensors/sensors.txt`` and ``sensors/records_camera.txt``."""
     return all((folder / "sensors" / name).is_file() for name in ("sensors.txt", "records_camera.txt"))
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a table or an image is broken.

@@ -44,12 +44,12 @@ _ADVICE = "Export the cameras again, as Agisoft XML."
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is an XML file of Metashape's cameras."""
+    """Whether there is an XML file that lists a chunk's cameras."""
     return _document(folder) is not None
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: no camera is aligned, or a photo is missing or broken.
