@@ -272,7 +272,7 @@ class _Joint:
         return T_map_rig if agreeing >= fewest and np.isfinite(T_map_rig).all() else None
 
     def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
-        """Match again around the poses (N, 4, 4) and ascend, within a wide and then a narrow radius. Returns None if
+        """Match again around the poses (N, 4, 4) and ascend, within 14 px and then 5 px. Returns None if
         either radius has fewer than six matches over all frames.
         """
         T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities

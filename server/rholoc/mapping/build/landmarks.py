@@ -278,7 +278,9 @@ class _Observed:
     ranges_m: FloatArray
 
     def sums(self, weights: FloatArray, range_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Λ (count, 3, 3) and η (count, 3) of the tracks; weights (O,) of the rays and (O,) of the ranges [1/m²]."""
+        """Sums by track of information matrices Λ (count, 3, 3) and vectors η = Λ position (count, 3), of the rays with
+        weights (O,) and the ranges with weights (O,), both in 1/m².
+        """
         information, eta = observation_information(self.bearings, self.positions, weights)
         known = np.flatnonzero(np.isfinite(self.ranges_m))
         if len(known):  # few recordings have depth

@@ -186,7 +186,7 @@ def set_labels(map_: Map, labels: MapLabels) -> Map:
     """Next version of the map with other labels: site, floor and tags.
 
     Raises:
-        InvalidInput: one is invalid.
+        InvalidInput: over 20 tags, an empty or repeated one, or a text over 100 characters or not printable.
     """
     info = replace(map_.info, labels=check_labels(labels))
     return replace(map_, info=noted(info, _correction(map_.info, CorrectionKind.LABELS)))

@@ -61,7 +61,9 @@ def voxel_size(points: FloatArray, finest: float, surface_voxels: int) -> float:
 
 
 def fused(views: Sequence[DepthView], points: FloatArray, size: float, R_grid_map: FloatArray) -> DistanceGrid:
-    """Fuse depth views into a grid with voxels of ``size`` around ``points`` (P, 3), both in the map frame."""
+    """Fuse depth views into a grid with voxels of ``size`` around ``points`` (P, 3), both in the map frame; the grid's
+    axes are turned by ``R_grid_map`` (3, 3).
+    """
     placed = points @ R_grid_map.T
     low, high = np.quantile(placed, _OUTER, axis=0)
     origin = low - _MARGIN * size

@@ -33,7 +33,8 @@ def centred_camera(size: tuple[int, int], focal_px: float) -> Camera:
 def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | None = None) -> GyroCalibration | None:
     """Calibrate the gyroscope to camera rotations by optical flow between frames 0.2 s apart.
 
-    ``most_pairs`` limits it to that many frames in the middle. None if IMU and frames have too little in common.
+    ``most_pairs`` limits it to that many frames in the middle. None if :func:`calibrate_gyro`
+    finds fewer than seven intervals that IMU and frames share.
     """
     rows = spaced_rows(flow.times, _INTERVAL_S)
     if most_pairs is not None and len(rows) > most_pairs:

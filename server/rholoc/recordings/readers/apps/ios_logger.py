@@ -45,7 +45,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder; without its video the recording has times of frames, and no images.
+    """Read a recording of this format from its folder; without its video it has times of frames, and no images.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.

@@ -31,9 +31,7 @@ TABLES = ("*frames.csv", "*accelerometer.csv", "*gyro.csv", "*gyroscope.csv", "*
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there are the iPhone's ``frames.mov``, ``frames.csv`` (2 columns), accelerometer and gyroscope
-    (4 each).
-    """
+    """Whether there are the iPhone's ``frames.mov``, ``frames.csv`` (2 columns) and two IMU files (4 each)."""
     phone = _phone(folder)
     return (
         (phone / "frames.mov").is_file()
