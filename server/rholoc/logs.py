@@ -26,8 +26,8 @@ def configure_logs() -> None:
 
 
 def configure_process_logs() -> None:
-    """As :func:`configure_logs`, for all other loggers too (level INFO), those of libraries included: a process that is
-    all ours.
+    """Write the lines of all loggers (level INFO), those of libraries included, to standard error as JSON: for a
+    process that is all ours.
     """
     configure_logs()
     handler = logging.StreamHandler()

@@ -83,7 +83,7 @@ def _sharpest(
     advance: Callable[[], None],
     look: Callable[[int, ByteArray], Sighting | None],
 ) -> Iterator[Sighting | None]:
-    """Iterate over ``look`` of the sharpest frame of each of at most ``_SEARCHED`` equal parts of the recording."""
+    """Iterate over ``look`` of the sharpest frame of each of at most 160 equal parts of the recording."""
     count = len(frames.times)
     stretch = np.arange(count) * min(count, _SEARCHED) // count
     best: tuple[float, int, ByteArray] | None = None

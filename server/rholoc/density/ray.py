@@ -112,14 +112,14 @@ def ray_densities(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: fl
 
 
 def squared_tolerances(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
-    """r² (M,) of all matches at a pose (4, 4), m²."""
+    """r² (M,) [m²] of all matches at a pose (4, 4): (tolerance in metres at the landmark's depth)² + its variance."""
     bearings = evidence.rays @ T_map_camera[:3, :3].T
     along = np.einsum("mi,mi->m", bearings, evidence.landmarks - T_map_camera[:3, 3])
     return _squared_tolerances(evidence, along, tolerance_px)
 
 
 def _squared_tolerances(evidence: Evidence, along: FloatArray, tolerance_px: float) -> FloatArray:
-    """r² (..., M), m²: the pixel tolerance at the landmark's distance, and the landmark's own variance."""
+    """r² (..., M) [m²]: (tolerance in metres at the distances ``along`` (..., M))² + the landmarks' variances."""
     return np.asarray((tolerance_px / evidence.focal_px * along) ** 2 + evidence.variances)
 
 
@@ -230,7 +230,7 @@ class RayDensities:
     def from_rows(
         cls, degree: int, rows: DensityRows, landmarks: FloatArray, kept: Sequence[FloatArray]
     ) -> RayDensities:
-        """The densities, which the landmarks determine."""
+        """The densities. Nothing is read from the arguments: landmarks determine the densities."""
         return cls()
 
     def arrays(self) -> dict[str, NDArray[Any]]:

@@ -94,7 +94,7 @@ def trajectory_errors(estimated: FloatArray, truth: FloatArray) -> PoseErrors:
 
 
 def evaluate(errors: PoseErrors) -> Evaluation:
-    """The figures of a trajectory's errors."""
+    """Medians, 90th percentiles and recalls of a trajectory's errors; None where infinite or without frames."""
     recalls = [_fraction(errors.within(*threshold)) for threshold in RECALL_THRESHOLDS]
     rotation_deg = np.degrees(errors.rotation_rad)
     return Evaluation(

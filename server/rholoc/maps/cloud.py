@@ -46,7 +46,7 @@ class Cloud:
 
     @staticmethod
     def joined(*clouds: Cloud) -> Cloud:
-        """All points of some clouds."""
+        """All points of at least one cloud, in the order given."""
         return Cloud(
             np.concatenate([one.positions for one in clouds]),
             np.concatenate([one.colours for one in clouds]),

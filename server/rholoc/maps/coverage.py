@@ -84,7 +84,7 @@ class Coverage:
 
 
 def coverage_of(map_: Map) -> Coverage:
-    """Coverage of a map within ``_REACH_M`` of its views.
+    """Coverage of a map within 0.75 m of its views.
 
     The plane is horizontal if the map is upright, else perpendicular to the views' mean up. The step is 0.25 m, or more
     to have at most 250 positions; in maps of arbitrary scale the landmarks' distance defines a metre.

@@ -123,7 +123,7 @@ class PoseMessages(ABC):
             self._write(f"/visual_localization/{name}", time_s, self._store.types["std_msgs/msg/Float64"](data=value))
 
     def status(self, time_s: float, status: str) -> None:
-        """Write the state of a track."""
+        """Write the state of a track at a time [s] as a string message."""
         self._write("/visual_localization/status", time_s, self._store.types["std_msgs/msg/String"](data=status))
 
     def room(self, time_s: float, positions: FloatArray, colours: ByteArray) -> None:

@@ -34,7 +34,7 @@ class Tally:
         self._last: Step | None = None
 
     def take(self, step: Step) -> None:
-        """Count the step."""
+        """Add a step to the counts."""
         self._first_s = step.moment.time_s if self._first_s is None else self._first_s
         self._counts[step.tracked.status] += 1
         self._track_s.append(step.track_s)

@@ -394,7 +394,7 @@ def _require_keyframes(rows: IntArray, frames: int) -> None:
 
 def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None) -> IntArray:
     """Keyframes of a film at steps of image motion; of a set all pictures up to ``MAX_PICTURES``, else the least alike.
-    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than ``_MAX_COMPARED`` pictures, they
+    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than 1200 pictures, they
     are chosen at even steps.
     """
     if recording.mounted:

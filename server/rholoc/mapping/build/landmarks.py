@@ -313,7 +313,7 @@ def _guided_matches(
     views: Views, landmarks: Landmarks, medoids: IntArray, presence: Presence, k: int, metric: Metric
 ) -> tuple[IntArray, IntArray]:
     """Mutual best matches of view ``k`` as rows of landmarks (C,) and of detections (C,). Candidates are visible
-    landmarks within ``_SEARCH_RADIUS_PX`` of a detection, of its channel, and within the strict descriptor limit.
+    landmarks within 5 px of a detection, of its channel, and within the strict descriptor limit.
     ``medoids`` (F,) are the detections whose descriptors stand for the landmarks.
     """
     T, camera = views.T_map_camera[k], views.cameras[k]

@@ -233,7 +233,7 @@ def _rays(focal: float, centre: FloatArray, step: int = 1) -> FloatArray:
 
 
 def _interpolation() -> FloatArray:
-    """Matrix (S, N) that takes values at every ``_COARSE``-th pixel to all pixels of a row."""
+    """Matrix (S, N) that takes values at every eighth pixel to all pixels of a row."""
     at = np.arange(SIDE) / _COARSE
     return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(SIDE // _COARSE + 1))))
 

@@ -111,7 +111,9 @@ def depth_images(
     unknown: tuple[int, ...] = (0,),
     camera: Camera | None = None,
 ) -> DepthImages | None:
-    """:class:`DepthImages` of files; those that are missing count as None. None if all are missing."""
+    """:class:`DepthImages` of one file per frame, with its attributes; missing files become None. None if all are
+    missing.
+    """
     found = tuple(path if path is not None and path.is_file() else None for path in paths)
     return DepthImages(found, unit_m, unknown, camera) if any(found) else None
 

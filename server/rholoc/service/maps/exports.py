@@ -48,7 +48,7 @@ class ExportRequest:
     features: Sequence[int] | None = None
 
     def as_dict(self) -> dict[str, object]:
-        """As the exporting process reads it from JSON."""
+        """The attributes by name, JSON-serialisable, with an absolute path; the exporting process reads them."""
         features = None if self.features is None else list(self.features)
         members = {"source": str(self.source.resolve()), "title": self.title, "format": self.format}
         return {**members, "degree": self.degree, "features": features}

@@ -280,7 +280,7 @@ def _keep_to_one_core() -> None:
 
 
 def lower_priority() -> None:
-    """As :func:`_keep_to_one_core`, with a lower priority than ordinary work."""
+    """Let faiss in this thread, and OpenCV, use one core; on Linux also lower the thread's priority."""
     _keep_to_one_core()
     if sys.platform == "linux":  # which has priorities per thread
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)

@@ -119,7 +119,7 @@ def _weights_of_motion(felt: FloatArray) -> FloatArray:
 
 def _weights_of_directions(between: FloatArray, unit: FloatArray, sigma_rad: FloatArray) -> FloatArray:
     """Geman–McClure weights (N,) of directions ``unit`` (N, 3), from the estimated displacements ``between`` (N, 3). A
-    displacement against its direction counts as ``_BACKWARD`` sigmas further off.
+    displacement against its direction counts as three sigmas further off.
     """
     way_m = np.linalg.norm(between, axis=1)
     along = np.sum(between * unit, axis=1)
@@ -137,7 +137,7 @@ def _turned_to(between: FloatArray, unit: FloatArray) -> tuple[FloatArray, Float
 
     Returns:
         Directions (N, 3) along which the displacements stay free: their own, or ``unit`` where a displacement points
-        backwards or is shorter than ``_MIN_WAY_M``; and targets (N, 3) [m] of their components across these.
+        backwards or is shorter than 2 cm; and targets (N, 3) [m] of their components across these.
     """
     way_m = np.linalg.norm(between, axis=1)
     ahead = (np.sum(between * unit, axis=1) > 0) & (way_m > _MIN_WAY_M)
@@ -146,8 +146,9 @@ def _turned_to(between: FloatArray, unit: FloatArray) -> tuple[FloatArray, Float
 
 
 def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:
-    """Solve the normal equations for all U unknowns (U,): a band matrix, apart from the first ``_UNKNOWNS_APART``
-    unknowns. Factorizing the band takes time linear in the length of the walk.
+    """Solve the normal equations for all U unknowns (U,): a band matrix, apart from the first six unknowns.
+
+    Factorizing the band takes time linear in the length of the walk.
     """
     n = _UNKNOWNS_APART
     band, border = information[n:, n:].tocsc(), information[n:, :n].toarray()

@@ -101,7 +101,7 @@ class KeyframeFeatures:
         return features
 
     def _extract(self, row: int, image: ByteArray) -> None:
-        """Start an extraction in a thread, unless the row's was started; blocks while ``_MAX_WAITING`` others wait."""
+        """Start an extraction in a thread, unless the row's was started; blocks while two per thread wait."""
         if row in self._found:
             return
         while len(self._waiting) >= _MAX_WAITING:
@@ -121,7 +121,7 @@ def _features_each(pictures: int) -> int:
 
 
 def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
-    """Features of an image reduced to ``longest_px``; to twice as much if they are fewer than ``_FEW``."""
+    """Features of an image reduced to ``longest_px``; to twice as much if they are fewer than 600."""
     found = _extract_reduced(image, extractor, longest_px)
     if len(found) >= _FEW or max(image.shape[:2]) <= longest_px:
         return found

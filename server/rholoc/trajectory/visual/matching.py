@@ -172,9 +172,7 @@ def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[Verifie
 
 
 def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
-    """Loop pairs with at least ``_STRONG_LOOP`` inliers, or with another loop pair within two keyframes at
-    both ends.
-    """
+    """Loop pairs with at least 80 inliers, or with another loop pair within two keyframes at both ends."""
     places = np.array([(pair.first, pair.second) for pair in pairs]).reshape(-1, 2)
     kept = []
     for pair, place in zip(pairs, places, strict=True):

@@ -61,7 +61,7 @@ class Observations:
         return self if self.depths is None else replace(self, depths=factor * self.depths)
 
     def take(self, kept: BoolArray) -> Observations:
-        """The sightings ``kept`` (N,) of points with at least ``_MIN_SIGHTINGS`` of them; points are renumbered."""
+        """The sightings ``kept`` (N,) of points with at least three of them; points are renumbered."""
         tracks = self.tracks[kept]
         often = np.bincount(tracks, minlength=self.points)[tracks] >= _MIN_SIGHTINGS
         rows = np.flatnonzero(kept)[often]
@@ -208,7 +208,7 @@ def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> t
 def pieces_of(count: int, observations: Observations) -> IntArray:
     """Connected component (K,) of each of ``count`` keyframes, numbered from the largest.
 
-    Edges need ``_MIN_TOGETHER`` common points. Components smaller than ``_MIN_PIECE`` get -1.
+    Edges need ten common points. Components of fewer than three keyframes get -1.
     """
     seen = coo_matrix(
         (np.ones(len(observations), np.float32), (observations.keyframes, observations.tracks)),
