@@ -41,7 +41,7 @@ class JobQueue:
         self._trouble: str | None = None
 
     def check(self) -> None:
-        """Connect to the database once. Raises as :func:`rholoc.storage.database.check_database` does."""
+        """Connect to the database once. Raises StorageUnavailable, StorageFull, InvalidInput or Conflict."""
         check_database(self._engine)
 
     def submit(

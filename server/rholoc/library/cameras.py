@@ -53,7 +53,7 @@ class CameraLibrary(NamedDocuments[CameraProfile]):
         returned unchanged.
 
         Raises:
-            InvalidName, UnknownCamera, InvalidCamera: as :meth:`get` does.
+            InvalidName, UnknownCamera: no camera is called this. InvalidCamera: its file is damaged.
         """
         if text is None or "," in text or text == Lens.EQUIRECTANGULAR:
             return text

@@ -56,7 +56,7 @@ class Documents(ABC):
         return self._set(name, content, called, lambda present: present == before)
 
     def delete(self, name: str) -> None:
-        """Remove a file. Raises FileNotFoundError if there is none, and as :meth:`write`."""
+        """Remove a file. Raises FileNotFoundError if there is none; StorageFull, InvalidInput, SQLAlchemyError."""
         if not self._set(name, None, ""):
             raise FileNotFoundError(name)
 
@@ -138,7 +138,9 @@ class NamedDocuments(ABC, Generic[Document]):
             raise self._unreadable(name) from error
 
     def delete(self, name: str) -> None:
-        """Delete a document. Raises InvalidName, NotFound if there is none, and as :meth:`Documents.write`."""
+        """Delete a document. Raises InvalidName, NotFound if there is none; StorageFull, InvalidInput,
+        SQLAlchemyError.
+        """
         try:
             self._files.delete(self._file_name(name))
         except FileNotFoundError as error:

@@ -92,7 +92,9 @@ class MapLibrary:
             return self._catalogue.local(self.stat(name))
 
     def map_id(self, name: str) -> str:
-        """The id of a map, which all its versions have. Raises as :meth:`outline`."""
+        """The id of a map, which all its versions have. Raises InvalidName, UnknownMap, InvalidMap,
+        StorageUnavailable.
+        """
         return self.stat(name).map_id or self.outline(name).info.id
 
     def outline(self, name: str) -> MapOutline:
@@ -352,11 +354,15 @@ class MapLibrary:
         self._cache.drop(name)
 
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
-        """Consistent snapshot of all maps' files; see :meth:`MapCatalogue.snapshot`."""
+        """Consistent snapshot of all maps' files, earlier versions included, see :meth:`MapCatalogue.snapshot`. Raises
+        MissingObject, StorageUnavailable, StorageFull.
+        """
         return self._catalogue.snapshot()
 
     def sweep(self) -> None:
-        """Sweep the catalogue; see :meth:`MapCatalogue.sweep`."""
+        """Remove files without a name, and complete a change interrupted by a crash. Raises StorageUnavailable,
+        SQLAlchemyError.
+        """
         self._catalogue.sweep()
 
     def _version(self, name: str, number: int, versions: Sequence[MapFile]) -> MapFile:

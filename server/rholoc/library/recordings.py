@@ -220,7 +220,7 @@ class RecordingStore:
     def create(self, files: Iterable[tuple[str, Iterable[bytes]]], max_bytes: int | None = None) -> RecordingEntry:
         """Store files, each a name and its chunks. After an error, nothing is left behind.
 
-        Raises: as :meth:`PendingRecording.write` and :meth:`PendingRecording.commit` do, and what ``files`` raises.
+        Raises Conflict, TooLarge, InvalidRecording, StorageFull, StorageUnavailable, and what ``files`` raises.
         """
         with self.begin(max_bytes) as pending:
             for name, chunks in files:

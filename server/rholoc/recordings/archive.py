@@ -52,8 +52,8 @@ def check_archive(archive: Path, max_files: int = MAX_FILES) -> None:
     """Check a ZIP file's directory and the first bytes of its videos as :func:`unpack` would, without unpacking.
 
     Raises:
-        InvalidRecording: as for :func:`unpack`.
-        TooLarge: as for :func:`unpack`, with the default bounds.
+        InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that :func:`unpack` refuses.
+        TooLarge: over ``DEFAULT_MAX_BYTES`` or ``max_files``, or an entry of over 1 MiB shrank 200-fold.
     """
     with _opened(archive, max_files) as packed:
         for entry in _checked_entries(packed, archive, DEFAULT_MAX_BYTES):

@@ -74,7 +74,9 @@ class AsyncMaps:
         self.keep_plan = lanes.transfers.offload(self._keep_plan)
 
     async def get(self, name: str) -> Map:
-        """A map, fetched from the storage if it is not on this machine. Raises as :meth:`MapLibrary.get`."""
+        """A map, fetched from the storage if it is not on this machine. Raises InvalidName, UnknownMap, InvalidMap,
+        StorageUnavailable, StorageFull.
+        """
         if not await self._lanes.files(self.sync.is_here, name):
             await self.path(name)
         return await self._lanes.files(self.sync.get, name)
@@ -92,7 +94,7 @@ class AsyncMaps:
         return list_of(self.sync)
 
     def _detail(self, name: str, published: Map | None = None) -> MapDetail:
-        """Description of a map, its file's size and settings of this server included. Raises as :meth:`MapLibrary.get`.
+        """Description of a map, its file's size and settings of this server included. Raises what :meth:`get` raises.
         ``published`` is the map that the request just published: the library's may be newer, or not visible here yet.
         """
         library, settings = self.sync, self._settings
@@ -109,7 +111,7 @@ class AsyncMaps:
         return versions_of(self.sync, name)
 
     def _delete(self, name: str) -> None:
-        """Delete a map and its kept queries. Raises as :meth:`MapLibrary.delete`."""
+        """Delete a map and its kept queries. Raises InvalidName, UnknownMap, StorageUnavailable, StorageFull."""
         with suppress(InvalidMap):  # an unreadable map has no id; the sweep deletes its queries
             self._queries.delete(self.sync.map_id(name))
         self.sync.delete(name)
@@ -236,7 +238,9 @@ class AsyncRecordings:
         return self._get(recording)
 
     def _commit(self, pending: PendingRecording, map_name: str, options: JobOptions) -> tuple[RecordingEntry, Job]:
-        """Store an uploaded recording and queue its job, or neither. Raises as :meth:`PendingRecording.commit`."""
+        """Store an uploaded recording and queue its job, or neither. Raises Conflict, InvalidRecording, StorageFull,
+        StorageUnavailable.
+        """
         entry = pending.commit()
         try:
             return entry, self._jobs.submit(entry.id, map_name, options)

@@ -47,7 +47,11 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
         data_dir: folder of the SQLite file.
         database_url: ``postgresql://…``, or None for the SQLite file.
 
-    Raises: as :func:`database_engine` and :func:`check_database`.
+    Raises:
+        StorageUnavailable: the database does not answer.
+        StorageFull: the disk is full.
+        InvalidInput: not a PostgreSQL URL, PostgreSQL refuses the connection, or SQLite is too old.
+        Conflict: the file is not an SQLite database, or its tables are of a later version.
     """
     engine = database_engine(data_dir, database_url)
     try:
@@ -166,7 +170,9 @@ class _Preparation:
 
 
 def _prepare_tables(url: sa.URL) -> None:
-    """Create or update the tables of a database, with a connection of its own. Raises as :func:`prepare_tables`."""
+    """Create or update the tables of a database, with a connection of its own. Raises Conflict, StorageUnavailable,
+    OperationalError, StorageFull.
+    """
     if url.get_backend_name() == "sqlite":
         with reporting_full_disk():
             Path(str(url.database)).parent.mkdir(parents=True, exist_ok=True)

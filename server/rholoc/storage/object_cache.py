@@ -46,7 +46,7 @@ class Copies:
         """Store a file's content as a new object; returns the object's name. The file becomes the copy.
 
         Raises:
-            StorageUnavailable, StorageFull: as :meth:`ObjectStorage.put`; the file stays where it is.
+            StorageUnavailable, StorageFull: nothing was stored; the file stays where it is.
         """
         blob = uuid.uuid4().hex
         self._objects.put(self._key(blob), file)
@@ -58,7 +58,8 @@ class Copies:
         """Path of an object's copy, fetched if it is missing.
 
         Raises:
-            MissingObject, StorageUnavailable, StorageFull: as :meth:`ObjectStorage.fetch`, or its size differs.
+            MissingObject: there is no such object. StorageUnavailable, StorageFull: it cannot be fetched, or its size
+                differs.
         """
         path = self._path(blob)
         with suppress(FileNotFoundError):
@@ -76,7 +77,9 @@ class Copies:
         return path
 
     def fetch(self, blob: str, size_bytes: int, target: Path) -> None:
-        """Copy an object to ``target``, outside the cache. Raises as :meth:`path`; then there is no file."""
+        """Copy an object to ``target``, outside the cache. Raises MissingObject, StorageUnavailable, StorageFull; then
+        there is no file.
+        """
         size = self._objects.fetch(self._key(blob), target)
         if size != size_bytes:
             target.unlink()

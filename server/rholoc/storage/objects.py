@@ -109,7 +109,7 @@ class ObjectStorage:
         files are copied.
 
         Raises:
-            StorageUnavailable, StorageFull: as :meth:`put`; the folder is not removed.
+            StorageUnavailable, StorageFull: not all files are stored; the folder is not removed.
         """
         if self._folder is None or not self._take_folder(self._folder / prefix, folder):
             for name in names:

@@ -96,8 +96,8 @@ class MappingPipeline:
 
         Reading the recording shows the required memory; if that is too much, the build ends.
 
-        Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map`, ``update_map``,
-            ``learn_from_queries`` or :func:`rholoc.worker.site_placing.write_links` do.
+        Raises what :func:`rholoc.recordings.read_recording` raises, and :func:`rholoc.mapping.build_map`,
+        ``update_map``, ``learn_from_queries`` or :func:`rholoc.worker.site_placing.write_links`.
         """
         if task.built_file.exists():
             return None
@@ -118,7 +118,7 @@ class MappingPipeline:
 
         Raises:
             Conflict: the map that was updated is no longer the one in the library.
-            InvalidName, InvalidMap, StorageFull, InvalidInput: as :meth:`rholoc.library.MapLibrary.put_file` does.
+            InvalidName, InvalidMap, StorageFull, InvalidInput: the map cannot be stored.
         """
         map_ = load_map(task.built_file)
         if _updates(task):
@@ -144,7 +144,7 @@ def write_room(task: MappingTask, target: Path, progress: ProgressListener) -> b
     """Write the task's built map with the surfaces of its room to ``target``. Returns False, without a file, if none
     are shown.
 
-    Raises as :func:`read_recording` and :func:`draw_room`.
+    Raises what :func:`read_recording` raises, and Cancelled.
     """
     map_ = load_map(task.built_file)
     drawn = draw_room(map_, [_recording_of(task)], progress)

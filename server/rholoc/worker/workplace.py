@@ -65,8 +65,8 @@ class Workplace:
         return self._folder(lease) / (_MAP_FILE if work.options.site is None else _LINKS_FILE)
 
     def library(self, note: ActOnPublishing) -> MapLibrary:
-        """The library to publish to, refreshed; ``note`` is as for :meth:`Stores.library_acting`. Raises
-        SQLAlchemyError.
+        """The library to publish to, refreshed. ``note`` is called in each transaction that publishes to shared
+        storage. Raises SQLAlchemyError.
         """
         self._stores.refresh()
         return self._stores.library_acting(note)
@@ -109,8 +109,8 @@ class Workplace:
         return self._stores.data_dir / _WORK / lease.run
 
     def _inputs(self, lease: Lease, work: JobWork) -> Path:
-        """Folder with the maps, the site, the camera and the queries that a job needs; raises as :meth:`task`. If the
-        job's file is built already, nothing is fetched.
+        """Folder with the maps, the site, the camera and the queries that a job needs; raises the errors of
+        :meth:`task`. If the job's file is built already, nothing is fetched.
         """
         self._stores.refresh()
         inputs = self._folder(lease) / _INPUTS

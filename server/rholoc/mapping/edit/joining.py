@@ -121,7 +121,9 @@ def _numbers(a: Map, same: IntArray) -> IntArray:
 
 
 def _joined(a: Map, b: Map, same: IntArray) -> Map:
-    """Map of the rows of both maps, ``a`` first, the landmarks' positions unchanged; ``same`` as for :func:`join`."""
+    """Map of the rows of both maps, ``a`` first, the landmarks' positions unchanged. ``same`` (F_b,): features of
+    ``a``, or -1 for new ones.
+    """
     numbers, views = _numbers(a, same).astype(np.int32), np.int32(len(a.views))
     of_b, first_source = check_memory(b, "The map"), np.int32(len(a.info.sources))
     descriptors = MapDescriptors.concat(

@@ -346,7 +346,7 @@ def _without_like_descriptors(map_: Map, metric: Metric) -> Map:
 
 
 def _source(map_: Map, camera: Camera) -> Source:
-    """The map's source for all queries of one camera."""
+    """A source for all queries of one camera; its id is a hash of the map's and the intrinsics."""
     digest = hashlib.blake2b(repr((map_.info.id, astuple(camera))).encode(), digest_size=8)
     return Source(name=QUERY_POSES, id=digest.hexdigest(), camera=camera, poses=QUERY_POSES)
 

@@ -182,7 +182,7 @@ def _aligned_walk(
     localizer: Localizer, recording: Recording, method: PoseMethod, pictures: bool, progress: ProgressListener
 ) -> _Walk:
     """The recording's own trajectory, aligned with those of at most 24 of its frames that can be localized. Raises
-    MappingFailed for fewer than five views, or as :func:`find_frames` and :func:`align_to_found`.
+    MappingFailed for fewer than five views or frames found, or if the two disagree; InvalidRecording.
     """
     frame_features = _frame_features(localizer, recording, pictures)
     trajectory = estimate_trajectory(recording, method, progress, frame_features.show)

@@ -62,7 +62,8 @@ def read(folder: Path, topics: Sequence[str] = ()) -> Recording:
     """Read the folder's bag.
 
     Raises:
-        InvalidRecording: there are several bags, or as for :func:`read_bag`.
+        InvalidRecording: there are several bags, or the bag is damaged, has no pictures, or lacks a topic.
+        InvalidCamera, InvalidTrajectory: its intrinsics are impossible, or its poses.
     """
     bags = _bags(folder)
     if len(bags) > 1:

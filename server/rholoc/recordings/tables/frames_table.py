@@ -20,7 +20,8 @@ def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
     """Frame numbers (N,) int64 and times (N,) [s], both increasing, under the header ``frame,timestamp``.
 
     Raises:
-        InvalidRecording: as :func:`read_frame_numbers`, or times do not increase or span more than two days.
+        InvalidRecording: a column is missing, there are no rows, a value is not finite, a frame number is not whole,
+            numbers or times do not increase, or times span more than two days.
     """
     numbers, times = read_frame_numbers(path)
     require_increasing(times, path)

@@ -74,7 +74,9 @@ class Answerer:
                 await self.lanes.files(self.library.stat, name)
 
     async def localizer(self, name: str) -> AnyLocalizer:
-        """The localizer of a map; fetches the map if necessary. Raises as :meth:`Localizers.get`."""
+        """The localizer of a map; fetches the map if necessary. Raises InvalidName, UnknownMap, InvalidMap,
+        StorageUnavailable, StorageFull.
+        """
         if not await self.lanes.files(self.library.is_here, name):
             await self.lanes.fetches(self.library.path, name)
         return await self.lanes.files(self.localizers.get, name)
@@ -89,7 +91,8 @@ class Answerer:
         It is counted, and shown live; of a ``private`` frame nothing is kept or learned.
 
         Raises:
-            RholocError: as :func:`rholoc.service.frames.single_frame.localize_frame`, and Busy.
+            Busy: too many frames wait. UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors,
+                InvalidInput: what was sent is not valid.
         """
         listener = None if private else self.learner.listener(ASKER.get())
         prior = frame.options.prior
@@ -107,11 +110,11 @@ class Answerer:
         return answer
 
     async def likeness(self, refusal: Refusal) -> LikenessOut:
-        """The view of its map that a refused picture resembles most. Raises Busy, and as :meth:`Localizers.get`."""
+        """The view of its map that a refused picture resembles most. Raises Busy, UnknownMap, InvalidMap."""
         return await self._compute(lambda localizers: likeness(localizers.get(refusal.map), refusal), Effort.LARGE)
 
     async def localize_together(self, frames: Frames, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
-        """The most confident answer of several maps for several frames; raises as :meth:`localize`."""
+        """The most confident answer of several maps for several frames; raises the errors of :meth:`localize`."""
         deadline_s = frame_deadline_s(frames.query.deadline_ms, self.settings)
         return await self._by_deadline(
             lambda localizers: localize_frames(frames, maps, localizers, self.settings, clock, deadline_s),
@@ -123,7 +126,9 @@ class Answerer:
         )
 
     async def places(self, frame: Frame, maps: MapChoice, clock: Stopwatch, most: int) -> PlacesOut:
-        """The views of maps that a frame resembles most, at most ``most``, best first; raises as :meth:`localize`."""
+        """The views of maps that a frame resembles most, at most ``most``, best first. Raises the errors of
+        :meth:`localize`.
+        """
         await self.check_known(maps.names if maps.named else ())
         return await self._compute(
             lambda localizers: likeliest_places(frame, maps, localizers, self.settings, clock, most),
@@ -132,7 +137,9 @@ class Answerer:
         )
 
     async def landscape(self, frame: Frame, name: str, clock: Stopwatch) -> LandscapeOut:
-        """Landscape of a map's densities around a frame's pose. Raises Busy, and as :func:`landscape_of`."""
+        """Landscape of a map's densities around a frame's pose. Raises Busy, DeadlineExceeded, and the
+        errors of :meth:`localize`.
+        """
         return await self._compute(
             lambda localizers: landscape_of(frame, name, localizers, self.settings, clock), Effort.LARGE
         )

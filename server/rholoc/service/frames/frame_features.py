@@ -60,7 +60,9 @@ class FrameFeatures:
         return camera.width, camera.height
 
     def by(self, extractor: Extractor) -> FeatureSet:
-        """The features by this extractor, once; or those sent. Raises InvalidDescriptors, and as :attr:`image`."""
+        """The features by this extractor, once; or those sent. Raises InvalidDescriptors if those do not fit it,
+        InvalidImage, DeadlineExceeded.
+        """
         if extractor not in self._extracted:
             if self.image is not None:
                 with self._clock.stage("extract"):
@@ -73,7 +75,7 @@ class FrameFeatures:
         return self._extracted[extractor]
 
     def by_quick(self, extractor: Extractor) -> FeatureSet:
-        """The features by the extractor's quick variant, as :meth:`by`."""
+        """The features by the extractor's quick variant, once; or those sent. Raises the errors of :meth:`by`."""
         return self.by(extractor.quick)
 
     def more_by(self, extractor: Extractor) -> Callable[[], FeatureSet] | None:

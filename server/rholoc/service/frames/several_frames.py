@@ -95,7 +95,8 @@ def localize_frames(
     Its pose is the first frame's; ``frames`` has each one's, None without a joint pose. At the deadline there is none.
 
     Raises:
-        As :func:`rholoc.service.frames.single_frame.localize_frame`.
+        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
+            valid; with several maps, only if none could be used.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     features = [FrameFeatures(frame, settings, clock, deadline_s) for frame in frames.frames]

@@ -74,7 +74,8 @@ def likeliest_places(
     """The views of some maps that a picture resembles most, the best first, at most ``most`` in all.
 
     Raises:
-        As :func:`localize_frame`.
+        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
+            valid; with several maps, only if none could be used.
     """
     features = FrameFeatures(frame, settings, clock, frame_deadline_s(frame.options.deadline_ms, settings))
     places: list[PlaceOut] = []

@@ -97,7 +97,9 @@ class HeldBodies:
 
 
 async def read_body(request: Request, max_bytes: int, on_piece: PieceListener = lambda _: None) -> bytes:
-    """The whole body; calls ``on_piece`` with each piece as it arrives. Raises as it and :func:`limited_stream` do."""
+    """The whole body; calls ``on_piece`` with each piece as it arrives. Raises what that raises, TooLarge
+    over ``max_bytes``, and ClientDisconnect.
+    """
     chunks = []
     async for chunk in limited_stream(request, max_bytes):
         on_piece(chunk)
@@ -118,7 +120,7 @@ async def saved_body(request: Request, folder: Path, max_bytes: int) -> AsyncIte
     """The body in a new file of a folder, made if missing; the file is removed at the end of the block.
 
     Raises:
-        TooLarge, ClientDisconnect: as :func:`limited_stream`.
+        TooLarge: it is longer than ``max_bytes``. ClientDisconnect: the sender broke off.
         OSError: it cannot be written.
     """
     path, size_bytes = folder / uuid4().hex, 0
@@ -240,8 +242,8 @@ async def read_multipart(
 
     Raises:
         InvalidRequest: the body is malformed, incomplete, or has over 100 text fields, or one over 64 KiB or not UTF-8.
-        TooLarge: it has more than ``max_files`` + 100 parts.
-        TooLarge, ClientDisconnect: as :func:`limited_stream` does.
+        TooLarge: it has more than ``max_files`` + 100 parts, or is longer than ``max_bytes``.
+        ClientDisconnect: the sender broke off.
     """
     _, options = parse_options_header(request.headers.get("content-type", ""))
     boundary = options.get(b"boundary", b"")

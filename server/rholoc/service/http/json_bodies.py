@@ -62,7 +62,7 @@ class JsonLimits:
         """A listener that measures a body piece by piece, to refuse it early, and passes the pieces to ``on_piece``.
 
         Raises:
-            TooLarge: from the listener, as :meth:`check` does.
+            TooLarge: from the listener, once a limit is exceeded.
         """
         length = values = members = 0
 
@@ -86,7 +86,7 @@ def check_json(body: bytes, limits: JsonLimits) -> None:
     """Refuse a body that is not plain JSON.
 
     Raises:
-        TooLarge: see :meth:`JsonLimits.check`.
+        TooLarge: it is longer than ``limits``, or holds more values or members.
         InvalidRequest: it is not JSON, has NaN or infinite numbers, or is refused by :func:`check_json_value`.
     """
     limits.check(body)

@@ -132,7 +132,7 @@ def list_of(library: MapLibrary) -> MapList:
 
 
 def versions_of(library: MapLibrary, name: str) -> MapVersions:
-    """The maps that a map replaced. Raises as :meth:`MapLibrary.stat`."""
+    """The maps that a map replaced. Raises InvalidName, UnknownMap."""
     library.stat(name)
     return MapVersions(versions=[_previous(number, info) for number, info in library.versions(name).items()])
 

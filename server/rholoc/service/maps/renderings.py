@@ -64,7 +64,7 @@ class Renderings:
         """The tag of a rendering, whether or not it has been made yet.
 
         Raises:
-            InvalidName, UnknownMap: as :meth:`rholoc.library.MapLibrary.stat`.
+            InvalidName, UnknownMap: there is no such map.
         """
         return etag_of(self._library.stat(name), kind)
 

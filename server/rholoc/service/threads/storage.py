@@ -57,7 +57,7 @@ class StorageThreads:
         raise _unavailable()
 
     def offload(self, call: Callable[P, T]) -> Callable[P, Coroutine[Any, Any, T]]:
-        """Coroutine function that runs ``call`` in these threads. Raises as :meth:`__call__`."""
+        """Coroutine function that runs ``call`` in these threads; it raises StorageUnavailable after too long."""
 
         async def offloaded(*args: P.args, **kwargs: P.kwargs) -> T:
             return await self(call, *args, **kwargs)

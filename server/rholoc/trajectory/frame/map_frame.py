@@ -215,7 +215,9 @@ def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
 
 
 def _scale_contradictions(ratio: float, others: Sequence[ScaleMeasurement], sigma: float = 0.0) -> list[str]:
-    """One line for each measurement that contradicts a scale of ``ratio`` m per unit with relative sigma ``sigma``."""
+    """One line for each measurement that contradicts a scale of ``ratio`` m per unit with relative sigma ``sigma``:
+    by more than 15 % and four sigmas.
+    """
     return [
         f"{one.source} {one.verb('says', 'say')} that the walk is {one.ratio / ratio:.2f} times as large."
         for one in others
