@@ -50,7 +50,7 @@ from fuzz_requests import (
     request,
 )
 from hostile import MOST_HEALTH_MS, MOST_MEMORY_MIB, Watched, shipped_service, watch
-from rholoc.maps.naming import is_name
+from rholoc.maps.name_rules import is_name
 from rholoc.service.access.keys import KeyStore, Scope
 
 BATCH = 20  # cases of one route in a row

@@ -32,7 +32,7 @@ from rholoc.localization import Localizer, Query
 from rholoc.mapping import DEFAULT_FEATURES, AnsweredQuery, learn_from_queries
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.pipeline import reconstruct
-from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Map, MapInfo, Source, map_to_bytes
 from rholoc.progress import silent

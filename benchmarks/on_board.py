@@ -2,10 +2,10 @@
 
     OMP_NUM_THREADS=1 python benchmarks/on_board.py [--write]
 
-poselib has no wheel for ARM64 Linux; `rholoc.geometry.sampling` takes its place there. The kitchen's frames are asked
-in the kitchen's map in one process with poselib and in another without, and pictures of other rooms, which must be
-refused. Disk is the size of the files in all wheels that `pip install rholoc` takes; memory is that of `rholoc track`
-at its peak. `--write` keeps the figures in `benchmarks/results/onboard.json`.
+poselib has no wheel for ARM64 Linux; `rholoc.geometry.opencv_ransac` takes its place there. The kitchen's frames are
+asked in the kitchen's map in one process with poselib and in another without, and pictures of other rooms, which must
+be refused. Disk is the size of the files in all wheels that `pip install rholoc` takes; memory is that of `rholoc
+track` at its peak. `--write` keeps the figures in `benchmarks/results/onboard.json`.
 """
 
 from __future__ import annotations

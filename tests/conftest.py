@@ -38,7 +38,7 @@ from rholoc.geometry import (
 )
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.landmarks import are_stable, triangulate
-from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.maps import (
     DensityKind,

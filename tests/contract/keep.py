@@ -29,7 +29,7 @@ from rholoc.service.access.audit import AuditLog, Change
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.operate.backup import back_up
 from rholoc.simulation import simulate_recording
-from rholoc.storage.holdings import Holding, Holdings, Kind
+from rholoc.storage.holdings_table import Holding, Holdings, Kind
 from synthetic_map import synthetic_map
 
 KEPT = Path(__file__).with_name("kept")

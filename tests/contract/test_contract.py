@@ -22,7 +22,7 @@ from rholoc.library.stores import CAMERAS, KEYS, SITES
 from rholoc.service.access.audit import AuditLog
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.operate.backup import restore
-from rholoc.storage.holdings import Holdings, Kind
+from rholoc.storage.holdings_table import Holdings, Kind
 
 VERSIONS = sorted(keep.KEPT.iterdir())
 

@@ -29,8 +29,8 @@ from rholoc.recordings.tables.logged_table import read_logged_table
 from rholoc.service import Settings
 from rholoc.worker import MappingTask
 from rholoc.worker.build_process import build_in_process, run_build
+from rholoc.worker.job_folders import JobFolders
 from rholoc.worker.pipeline import MappingPipeline
-from rholoc.worker.workplace import Workplace
 
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz\n"
 
@@ -137,9 +137,9 @@ def test_the_pixels_of_a_video_are_a_setting_of_the_service(tmp_path):
     writer.release()
     limits = Settings(max_video_pixels=1000).worker_setup.limits
     stores = Stores(tmp_path / "maps", tmp_path / "data")
-    workplace = Workplace(stores, limits.frame_pixels)
+    folders = JobFolders(stores, limits.frame_pixels)
     stored = stores.recordings.create([(path.name, [path.read_bytes()])]).id
-    task = workplace.task(Lease("0" * 32, "run", 1), JobWork(stored, "room", JobOptions()), math.inf)
+    task = folders.task(Lease("0" * 32, "run", 1), JobWork(stored, "room", JobOptions()), math.inf)
     with pytest.raises(InvalidRecording, match="at most 1,000"):
         MappingPipeline().build(task, lambda *_: None)
 

@@ -25,7 +25,7 @@ from rholoc.mapping import (
     set_wall,
 )
 from rholoc.mapping.build.density_fitting import fit_densities
-from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.edit.cutting import in_region
 from rholoc.mapping.edit.moving import move_map
 from rholoc.maps import DensityKind, MapNames, NamedArea, NamedPoint, map_to_bytes, without_memory

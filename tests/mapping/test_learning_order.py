@@ -15,10 +15,10 @@ from rholoc.features import FeatureSet, Metric
 from rholoc.geometry import Camera, FloatArray, IntArray, Pose, Similarity
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.landmarks import Landmarks
-from rholoc.mapping.build.remembered import with_landmarks
+from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.build.tracks import Views
-from rholoc.mapping.edit.joining import join, without_source
 from rholoc.mapping.edit.moving import move_map
+from rholoc.mapping.edit.sources import join, without_source
 from rholoc.maps import DensityKind, Map, MapInfo, Source, packed_pixels, unpacked_pixels
 from same_maps import assert_same_tables
 

@@ -18,7 +18,7 @@ from rholoc.mapping.build.view_covariance import (
     storable_covariances,
     uncertainty_in,
 )
-from rholoc.mapping.edit.joining import join, without_source
+from rholoc.mapping.edit.sources import join, without_source
 from rholoc.maps import Map
 
 

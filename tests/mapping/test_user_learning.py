@@ -16,7 +16,7 @@ from rholoc.errors import Conflict, InvalidInput, MappingFailed
 from rholoc.geometry import BoolArray, Camera, Pose
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import AnsweredQuery, forget_recording, learn_from_queries
-from rholoc.mapping.build.remembered import keep_features
+from rholoc.mapping.build.stored_observations import keep_features
 from rholoc.mapping.learn import from_queries as user_learning
 from rholoc.maps import Map, map_to_bytes, without_memory
 

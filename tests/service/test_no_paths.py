@@ -13,7 +13,7 @@ import rholoc
 from rholoc.disk import replace_file
 from rholoc.errors import InvalidInput, InvalidMap, RholocError, UnknownMap
 from rholoc.library import MapLibrary
-from rholoc.library.documents import FolderDocuments
+from rholoc.library.folder_documents import FolderDocuments
 from rholoc.maps import load_map
 from rholoc.recordings import read_recording
 

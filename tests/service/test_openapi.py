@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from pydantic import TypeAdapter
 
-from rholoc.maps.naming import is_name
+from rholoc.maps.name_rules import is_name
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.http.models import EXAMPLES, AnswerModel, RequestModel
 from rholoc.service.maps.corrections import CorrectionIn

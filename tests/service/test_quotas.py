@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
 from rholoc.service.settings import KeyPolicy
 from rholoc.storage.database import open_database
-from rholoc.storage.holdings import Holding, Holdings, Kind
+from rholoc.storage.holdings_table import Holding, Holdings, Kind
 
 VIDEO = b"\0\0\0\x18ftypmp42" + b"no frames" * 100
 TUS = {"Tus-Resumable": "1.0.0"}

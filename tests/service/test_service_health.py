@@ -8,7 +8,7 @@ import httpx
 import structlog
 
 from rholoc import __version__
-from rholoc.jobs.workers import WorkerTable
+from rholoc.jobs.workers_table import WorkerTable
 from rholoc.logs import configure_logs
 from rholoc.storage.database import open_database
 

@@ -13,7 +13,7 @@ import pytest
 
 from rholoc.jobs import JobQueue, JobState, Obstacle
 from rholoc.jobs.leases import Leases
-from rholoc.jobs.workers import WorkerTable, process_name
+from rholoc.jobs.workers_table import WorkerTable, process_name
 from rholoc.library import RecordingStore
 from rholoc.worker import EmbeddedWorker, WorkerSetup
 from rholoc.worker.embedded import reason_of_death

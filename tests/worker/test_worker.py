@@ -17,7 +17,7 @@ from fake_pipeline import BUILD_STAGES, TIMING, FakePipeline
 from rholoc.errors import Conflict
 from rholoc.jobs import JobOptions, JobState
 from rholoc.jobs.leases import Failure
-from rholoc.jobs.workers import WorkerTable
+from rholoc.jobs.workers_table import WorkerTable
 from rholoc.library import MapLibrary
 from rholoc.processes import Limits
 from rholoc.progress import Stage, silent

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from rholoc.jobs import JobState, Obstacle
-from rholoc.jobs.workers import WorkerTable
+from rholoc.jobs.workers_table import WorkerTable
 from waiting import until
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """Absolute pose from rays and points of which many do not belong together: LO-RANSAC, by poselib (Larsson and others).
 
-Where poselib is not installed, :mod:`rholoc.geometry.sampling` takes its place.
+Where poselib is not installed, :mod:`rholoc.geometry.opencv_ransac` takes its place.
 
 Rays of wide lenses have no place on one image plane. They are divided among the faces of a cube, which are pinhole
 cameras at one centre: a rig, for which poselib has a solver.
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rholoc.geometry import sampling
+from rholoc.geometry import opencv_ransac
 from rholoc.geometry.arrays import FloatArray, IntArray
 from rholoc.geometry.camera import on_plane
 from rholoc.geometry.pose import pose_matrix
@@ -64,7 +64,7 @@ def resected(
         T_map_rig (4, 4), not finite or arbitrary if none is found, and how many matches agree with it.
     """
     if poselib is None:
-        return sampling.sampled_pose(rays, points, T_rig_camera, focal_px, settings)
+        return opencv_ransac.sampled_pose(rays, points, T_rig_camera, focal_px, settings)
     seen = [
         (R_face_camera, T, on_plane(some[rows] @ R_face_camera.T) * focal_px, of[rows])
         for some, of, T in zip(rays, points, T_rig_camera, strict=True)
@@ -86,7 +86,7 @@ def resected(
 def three_point_poses(rays: FloatArray, points: FloatArray) -> FloatArray:
     """Poses (S, 4, 4) T_map_camera of N samples, none to four of each: unit rays (N, 3, 3) of points (N, 3, 3)."""
     if poselib is None:
-        return sampling.three_point_poses(rays, points)
+        return opencv_ransac.three_point_poses(rays, points)
     poses = [pose for three, seen in zip(rays, points, strict=True) for pose in poselib.p3p(three, seen)]
     if not poses:
         return np.zeros((0, 4, 4))

@@ -1,7 +1,7 @@
 """Mapping jobs, their queue, and the uploads that become jobs."""
 
-from rholoc.jobs.capacity import Capacity, MoreMemoryNeeded
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
+from rholoc.jobs.job_memory import Capacity, MoreMemoryNeeded
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.uploads import Upload, UploadStore
 

@@ -12,7 +12,7 @@ from rholoc.lazy import loader
 if TYPE_CHECKING:
     from rholoc.library.cameras import CameraLibrary, CameraProfile, check_camera_name
     from rholoc.library.data_import import ImportedData, import_data
-    from rholoc.library.documents import Documents, FolderDocuments
+    from rholoc.library.folder_documents import Documents, FolderDocuments
     from rholoc.library.maps import MapLibrary
     from rholoc.library.queries import KeptLimits, KeptQueries, QueryStore
     from rholoc.library.recording_notes import (
@@ -38,7 +38,7 @@ _MODULES = {
         "ImportedData",
         "import_data",
     ),
-    "documents": (
+    "folder_documents": (
         "Documents",
         "FolderDocuments",
     ),

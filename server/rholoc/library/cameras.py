@@ -8,8 +8,8 @@ from typing import Any
 
 from rholoc.errors import InvalidCamera, InvalidInput, UnknownCamera
 from rholoc.geometry import Camera, Lens
-from rholoc.library.documents import NamedDocuments
-from rholoc.maps.naming import check_name
+from rholoc.library.folder_documents import NamedDocuments
+from rholoc.maps.name_rules import check_name
 from rholoc.reports.json_values import check_json_value
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rholoc.errors import InvalidMap
-from rholoc.library.documents import Documents, FolderDocuments
+from rholoc.library.folder_documents import Documents, FolderDocuments
 from rholoc.library.maps import MapLibrary
 from rholoc.library.recordings import ENTRY_FILE, RecordingStore
 from rholoc.library.stores import CAMERAS, KEYS, SITES, Stores, folder_documents

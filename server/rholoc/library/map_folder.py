@@ -14,7 +14,7 @@ from rholoc.disk import link_file, locked_folder, make_folder, reporting_full_di
 from rholoc.library.map_catalogue import KEPT_VERSIONS, MapCatalogue, MapChange, MapFile
 from rholoc.maps.formats.rho_file import SUFFIX, MapOutline, load_outline
 from rholoc.maps.map import Map
-from rholoc.maps.naming import is_map_name
+from rholoc.maps.name_rules import is_map_name
 
 _PREVIOUS = ".previous"  # folder of replaced files
 _BEGUN, _DECIDED = ".change-begun", ".change-decided"  # folders with a change's links

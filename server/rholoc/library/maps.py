@@ -18,7 +18,7 @@ from rholoc.library.map_folder import MapFolder
 from rholoc.maps.formats.rho_file import SUFFIX, MapOutline, load_map, load_outline, map_to_bytes
 from rholoc.maps.info import MapInfo
 from rholoc.maps.map import Map
-from rholoc.maps.naming import check_map_name, some_of
+from rholoc.maps.name_rules import check_map_name, some_of
 
 _PIECE_BYTES = 2**20
 

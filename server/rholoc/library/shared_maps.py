@@ -14,7 +14,7 @@ from rholoc.disk import make_folder, temporary_folder
 from rholoc.library.map_catalogue import KEPT_VERSIONS, MapCatalogue, MapChange, MapFile
 from rholoc.maps import Map
 from rholoc.maps.formats.rho_file import LENGTH_BYTES, MapOutline, header_bytes, outline_of
-from rholoc.storage.object_cache import Copies
+from rholoc.storage.object_cache import ObjectCache
 from rholoc.storage.replica import Replica
 from rholoc.storage.tables import map_versions_table, maps_table
 
@@ -37,7 +37,7 @@ class StoredMaps(MapCatalogue):
 
     holds_only_maps = True
 
-    def __init__(self, replica: Replica, copies: Copies, act: ActOnPublishing | None = None) -> None:
+    def __init__(self, replica: Replica, copies: ObjectCache, act: ActOnPublishing | None = None) -> None:
         self._replica, self._copies, self._act = replica, copies, act
 
     @property

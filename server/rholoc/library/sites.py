@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rholoc.errors import Conflict, InvalidInput, UnknownSite
 from rholoc.lazy import lazy
-from rholoc.library.documents import Documents, NamedDocuments
+from rholoc.library.folder_documents import Documents, NamedDocuments
 from rholoc.maps.sites import Site, check_site
 from rholoc.reports import report_from_json, report_to_json
 

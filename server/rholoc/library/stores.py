@@ -7,14 +7,14 @@ from pathlib import Path
 
 from rholoc.disk import reporting_full_disk
 from rholoc.lazy import lazy
-from rholoc.library.documents import Documents, FolderDocuments
+from rholoc.library.folder_documents import Documents, FolderDocuments
 from rholoc.library.maps import MapLibrary
 from rholoc.library.recordings import RecordingStore
+from rholoc.library.shared_documents import StoredDocuments
 from rholoc.library.shared_maps import ActOnPublishing, StoredMaps
-from rholoc.library.stored_documents import StoredDocuments
 from rholoc.storage import ObjectStorage
 from rholoc.storage.database import check_database, database_engine, reporting_full_database
-from rholoc.storage.object_cache import Copies
+from rholoc.storage.object_cache import ObjectCache
 from rholoc.storage.replica import Replica
 
 ASKERS, CAMERAS, KEYS, SITES = "askers", "cameras", "keys", "sites"  # kinds of small files
@@ -68,12 +68,12 @@ class Stores:
         self.maps_dir, self.data_dir = Path(maps_dir), Path(data_dir)
         self.engine = database_engine(data_dir, database_url)
         self._replica: Replica | None = None
-        self.copies: Copies | None = None
+        self.copies: ObjectCache | None = None
         if storage_url is None:
             self.library = MapLibrary(self.maps_dir, cache_bytes)
         else:
             self.objects = ObjectStorage(storage_url)
-            self.copies = Copies(self.objects, _MAPS, self.data_dir / _COPIES, copies_bytes)
+            self.copies = ObjectCache(self.objects, _MAPS, self.data_dir / _COPIES, copies_bytes)
             self._replica = Replica(self.engine, self.copies.follow, self.copies.has_followed)
             self.library = MapLibrary(StoredMaps(self._replica, self.copies), cache_bytes)
 

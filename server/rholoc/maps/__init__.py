@@ -2,7 +2,7 @@
 
 from rholoc.density import DensityKind
 from rholoc.maps.cloud import Cloud
-from rholoc.maps.corrections import Correction, CorrectionKind
+from rholoc.maps.correction_record import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
 from rholoc.maps.formats.coefficient_reading import is_coefficient_table, read_coefficient_table
@@ -33,7 +33,9 @@ from rholoc.maps.kept_observations import (
 )
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
-from rholoc.maps.names import (
+from rholoc.maps.name_rules import check_map_name
+from rholoc.maps.part import MapPart, part_of
+from rholoc.maps.place_names import (
     MapLabels,
     MapNames,
     NamedArea,
@@ -45,8 +47,6 @@ from rholoc.maps.names import (
     points_near,
     within_outline,
 )
-from rholoc.maps.naming import check_map_name
-from rholoc.maps.part import MapPart, part_of
 from rholoc.maps.room import Room
 from rholoc.maps.sites import (
     MAX_MAPS,

@@ -11,7 +11,7 @@ import numpy as np
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray
 from rholoc.geometry.earth import EarthPlace, enu_of
-from rholoc.maps.names import FieldValue, MapNames, NamedArea, NamedPoint, check_names
+from rholoc.maps.place_names import FieldValue, MapNames, NamedArea, NamedPoint, check_names
 from rholoc.maps.sites import SiteOnEarth
 
 MAX_GEOJSON_BYTES = 8 * 2**20

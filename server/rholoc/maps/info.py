@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from rholoc.density import DensityKind
 from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.geometry import Camera
-from rholoc.maps.corrections import Correction
+from rholoc.maps.correction_record import Correction
 from rholoc.maps.floor_plan import FloorPlan
-from rholoc.maps.names import MapLabels, MapNames
+from rholoc.maps.place_names import MapLabels, MapNames
 from rholoc.maps.sites import SiteOnEarth, check_earth
 from rholoc.reports import MapReport, report_from_json, report_to_json
 

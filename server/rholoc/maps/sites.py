@@ -12,7 +12,7 @@ import numpy as np
 from rholoc.errors import InvalidInput
 from rholoc.geometry import UP, FloatArray, Pose, Similarity, angles_between, upright_umeyama
 from rholoc.geometry.earth import EarthPlace, R_enu_enu, enu_of, place_at
-from rholoc.maps.naming import check_map_name
+from rholoc.maps.name_rules import check_map_name
 
 MAX_MAPS = 2000
 """Of a site."""

@@ -78,7 +78,7 @@ from rholoc.service.settings import Settings
 from rholoc.service.state import Operation, State
 from rholoc.service.threads.compute import ComputePool
 from rholoc.service.threads.storage import StorageLanes
-from rholoc.storage.holdings import Holdings
+from rholoc.storage.holdings_table import Holdings
 from rholoc.worker import EmbeddedWorker
 
 _log = structlog.get_logger("rholoc.service")

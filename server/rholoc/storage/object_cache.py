@@ -24,7 +24,7 @@ _BROKEN_OFF_AFTER_S = 3600.0
 _FREE_SHARE, _MAX_FREE_BYTES = 0.1, 2**30  # of the disk to leave free for other files
 
 
-class Copies:
+class ObjectCache:
     """Copies of objects, fetched on first use. Safe to share between threads and processes.
 
     Args:

@@ -15,18 +15,18 @@ from sqlalchemy.exc import SQLAlchemyError
 from rholoc import telemetry
 from rholoc.disk import is_full, storage_full
 from rholoc.errors import Cancelled, RholocError, StorageUnavailable
-from rholoc.jobs.capacity import MoreMemoryNeeded
+from rholoc.jobs.job_memory import MoreMemoryNeeded
 from rholoc.jobs.leases import Claim, Failure, Lease, Leases
 from rholoc.jobs.table import JobWork
-from rholoc.jobs.workers import WorkerTable
+from rholoc.jobs.workers_table import WorkerTable
 from rholoc.maps import Map
 from rholoc.progress import Stage
 from rholoc.worker.build_process import BuildLimits, KilledForMemory, build_in_process, describe, unexpected
-from rholoc.worker.claims import Claims
+from rholoc.worker.job_folders import JobFolders
 from rholoc.worker.pipeline import MappingTask, Pipeline, doubts
+from rholoc.worker.running_jobs import RunningJobs
 from rholoc.worker.site_placing import store_links
 from rholoc.worker.timing import Timing
-from rholoc.worker.workplace import Workplace
 
 _log = logging.getLogger("rholoc.worker")
 
@@ -64,9 +64,9 @@ class JobRunner:
     Args:
         leases: on the jobs of the queue.
         workers: of the queue.
-        workplace: where inputs and built files are.
+        folders: where inputs and built files are.
         pipeline: how maps are built and published.
-        claims: jobs of this worker.
+        running: jobs of this worker.
         limits: limits of one build.
         timing: how quickly a cancellation is noticed.
         stopping: set when the worker stops.
@@ -76,16 +76,16 @@ class JobRunner:
         self,
         leases: Leases,
         workers: WorkerTable,
-        workplace: Workplace,
+        folders: JobFolders,
         pipeline: Pipeline,
-        claims: Claims,
+        running: RunningJobs,
         limits: BuildLimits,
         timing: Timing,
         stopping: threading.Event,
     ) -> None:
         self._leases, self._workers = leases, workers
-        self._workplace, self._pipeline = workplace, pipeline
-        self._claims, self._limits, self._timing, self._stopping = claims, limits, timing, stopping
+        self._folders, self._pipeline = folders, pipeline
+        self._running, self._limits, self._timing, self._stopping = running, limits, timing, stopping
 
     def run(self, claim: Claim) -> None:
         """Build and publish. Returns when the job has ended, was given to another worker, or this worker has lost it.
@@ -104,7 +104,7 @@ class JobRunner:
                 self._record(claim, self._outcome(claim), marks)
         except Cancelled:
             _log.info("job %s left: cancelled, or given to another worker", lease.job)
-            self._workplace.clear(self._leases.unfinished_runs)
+            self._folders.clear(self._leases.unfinished_runs)
 
     def _outcome(self, claim: Claim) -> tuple[str, ...] | Failure | MoreMemoryNeeded:
         """Build and publish. Returns reasons not to trust the map, or why there is none. After five dead workers the
@@ -145,13 +145,13 @@ class JobRunner:
         if ended:  # otherwise another worker has the job and needs the built map
             if isinstance(outcome, tuple):
                 self._furnish(claim)
-            self._workplace.remove(lease)
+            self._folders.remove(lease)
 
     def _build(self, lease: Lease, work: JobWork) -> Failure | MoreMemoryNeeded | None:
         """Build in a child process unless the file exists; store notes on the recording. Returns why nothing was built,
         or None. A build killed for its memory needs more if some worker has more. Raises Cancelled.
         """
-        if self._workplace.built_file(lease, work).exists():
+        if self._folders.built_file(lease, work).exists():
             return None
         stages = StageSpans()
 
@@ -162,7 +162,7 @@ class JobRunner:
         try:
             with telemetry.span("inputs"):
                 task = self._task(lease, work)
-            granted_bytes = self._claims.free_bytes(lease)
+            granted_bytes = self._running.free_bytes(lease)
             stopped = build_in_process(
                 self._pipeline,
                 task,
@@ -174,7 +174,7 @@ class JobRunner:
             )
         finally:
             stages.end()
-        self._workplace.store_notes(lease, work)
+        self._folders.store_notes(lease, work)
         if isinstance(stopped, KilledForMemory):
             more = MoreMemoryNeeded.after(stopped.held_bytes, granted_bytes, self._most_offered_bytes())
             return more or stopped.failure
@@ -183,7 +183,7 @@ class JobRunner:
     def _most_offered_bytes(self) -> float:
         """Memory for one job on the largest living worker [bytes]."""
         living = self._workers.living(self._timing.dead_after_s)
-        return max((worker.memory_bytes for worker in living), default=self._claims.offered_bytes)
+        return max((worker.memory_bytes for worker in living), default=self._running.offered_bytes)
 
     def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...]:
         """Publish the built file. Returns reasons not to trust it. Raises Cancelled if the lease was lost, and
@@ -202,14 +202,14 @@ class JobRunner:
         """
         lease, work = claim.lease, claim.work
         if work.options.kind.reads_recording:
-            limits = replace(self._limits, memory_bytes=self._claims.free_bytes(lease))
+            limits = replace(self._limits, memory_bytes=self._running.free_bytes(lease))
             try:
-                self._pipeline.furnish(self._task(lease, work), self._workplace.maps(), self._check_going_on, limits)
+                self._pipeline.furnish(self._task(lease, work), self._folders.maps(), self._check_going_on, limits)
             except Cancelled:
                 _log.info("the room of %s was not drawn: the worker stops", work.map_name)
             except Exception:
                 _log.warning("the room of %s could not be drawn", work.map_name, exc_info=True)
-        self._workplace.release(work)
+        self._folders.release(work)
 
     def _check_going_on(self) -> None:
         if self._stopping.is_set():
@@ -220,14 +220,14 @@ class JobRunner:
             if not self._leases.publish(lease, doubts(map_), connection):
                 raise Cancelled("This worker no longer has the job.")
 
-        library = self._workplace.library(note)
+        library = self._folders.library(note)
         if work.options.site is None:
             return self._pipeline.publish(task, library)
-        return store_links(task.built_file, work.options.site, self._workplace.sites(), library)
+        return store_links(task.built_file, work.options.site, self._folders.sites(), library)
 
     def _task(self, lease: Lease, work: JobWork) -> MappingTask:
-        memory_bytes = self._claims.granted_bytes(lease)
-        return self._patiently(lease, lambda: self._workplace.task(lease, work, memory_bytes))
+        memory_bytes = self._running.granted_bytes(lease)
+        return self._patiently(lease, lambda: self._folders.task(lease, work, memory_bytes))
 
     def _patiently(self, lease: Lease, act: Callable[[], _T]) -> _T:
         """Call ``act``, again and again for ten minutes while the storage does not answer.

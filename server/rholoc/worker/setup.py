@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from rholoc.jobs.capacity import Capacity
+from rholoc.jobs.job_memory import Capacity
 from rholoc.worker.build_process import BuildLimits
 
 

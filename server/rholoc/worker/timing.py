@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rholoc.jobs.workers import DEAD_AFTER_S
+from rholoc.jobs.workers_table import DEAD_AFTER_S
 
 
 @dataclass(frozen=True)

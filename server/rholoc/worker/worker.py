@@ -19,15 +19,15 @@ from sqlalchemy.exc import SQLAlchemyError
 from rholoc import telemetry
 from rholoc.errors import RholocError, StorageFull, StorageUnavailable
 from rholoc.jobs.leases import Claim, Leases
-from rholoc.jobs.workers import WorkerTable, process_name
+from rholoc.jobs.workers_table import WorkerTable, process_name
 from rholoc.library.stores import Stores
-from rholoc.worker.claims import Claims
 from rholoc.worker.heartbeat import Heartbeat
+from rholoc.worker.job_folders import JobFolders
 from rholoc.worker.job_runner import JobRunner
 from rholoc.worker.pipeline import MappingPipeline, Pipeline
+from rholoc.worker.running_jobs import RunningJobs
 from rholoc.worker.setup import WorkerSetup
 from rholoc.worker.timing import Timing
-from rholoc.worker.workplace import Workplace
 
 _log = logging.getLogger("rholoc.worker")
 
@@ -49,15 +49,15 @@ class Worker:
         self._stopping = threading.Event()
         self._stores = Stores(setup.maps_dir.resolve(), setup.data_dir.resolve(), setup.database_url, setup.storage_url)
         self._leases, workers = Leases(self._stores.engine), WorkerTable(self._stores.engine)
-        self._workplace = Workplace(self._stores, setup.limits.frame_pixels)
-        self._claims = Claims(setup.capacity, setup.limits.memory_bytes)
-        self._heartbeat = Heartbeat(self.id, self._leases, workers, self._claims, self._timing)
+        self._folders = JobFolders(self._stores, setup.limits.frame_pixels)
+        self._running = RunningJobs(setup.capacity, setup.limits.memory_bytes)
+        self._heartbeat = Heartbeat(self.id, self._leases, workers, self._running, self._timing)
         self._runner = JobRunner(
             self._leases,
             workers,
-            self._workplace,
+            self._folders,
             pipeline or MappingPipeline(),
-            self._claims,
+            self._running,
             setup.limits,
             self._timing,
             self._stopping,
@@ -78,7 +78,7 @@ class Worker:
         try:
             self._stores.open()
             self._heartbeat.beat()
-            self._workplace.clear(self._leases.unfinished_runs)
+            self._folders.clear(self._leases.unfinished_runs)
         except (StorageFull, StorageUnavailable, SQLAlchemyError) as error:
             _log.warning("the worker waits for its database: %s", error)
         for thread in self._threads:
@@ -93,9 +93,9 @@ class Worker:
         for thread in self._threads:
             thread.join()
         with suppress(SQLAlchemyError, RholocError):  # without a database the heartbeat's silence says it too
-            for lease in self._claims.leases:
+            for lease in self._running.leases:
                 self._leases.give_back(lease)
-            self._claims.wait_until_empty(self._timing.cancel_grace_s + _END_TAKES_S)
+            self._running.wait_until_empty(self._timing.cancel_grace_s + _END_TAKES_S)
             self._heartbeat.end()
         self._stores.close()
         _log.info("worker %s stopped", self.id)
@@ -126,12 +126,12 @@ class Worker:
         """Take a job and start it in a thread of its own. Returns False if the worker is full or stops, or there is no
         job.
         """
-        if self._claims.is_full or self._stopping.is_set():
+        if self._running.is_full or self._stopping.is_set():
             return False
-        claim = self._leases.take(self.id, self._claims.offered_bytes, self._claims.unused_bytes)
+        claim = self._leases.take(self.id, self._running.offered_bytes, self._running.unused_bytes)
         if claim is None:
             return False
-        self._claims.add(claim)
+        self._running.add(claim)
         threading.Thread(target=self._run, args=(claim,), name=f"rholoc-job-{claim.lease.job[:8]}", daemon=True).start()
         return True
 
@@ -141,7 +141,7 @@ class Worker:
         except Exception:  # the next heartbeats requeue the job
             _log.exception("the end of job %s could not be recorded", claim.lease.job)
         finally:
-            self._claims.drop(claim.lease)
+            self._running.drop(claim.lease)
 
 
 def run_worker(

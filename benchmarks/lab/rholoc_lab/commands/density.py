@@ -134,7 +134,7 @@ def _look(map_: Map, feature: int, view: int, pixel: str | None) -> Look:
 def _sharpening(map_: Map, feature: int) -> bytes:
     import numpy as np
 
-    from rholoc.mapping.build.remembered import observed_rays
+    from rholoc.mapping.build.stored_observations import observed_rays
     from rholoc_lab.pictures.density import sharpening_png
 
     rays = observed_rays(map_)

@@ -20,8 +20,8 @@ from rholoc.geometry import Camera, IntArray, Pose
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import DEFAULT_DEGREE, fit_densities, sightings_of
 from rholoc.mapping.build.pipeline import reconstruct
-from rholoc.mapping.build.remembered import with_landmarks
 from rholoc.mapping.build.self_report import HeldOut, map_report
+from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Map, MapInfo, ObservationTable, Source
 from rholoc.progress import ProgressListener, Stage, silent

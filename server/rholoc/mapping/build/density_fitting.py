@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rholoc.density import FORMS, DensityKind, RayDensities, Sightings
-from rholoc.mapping.build.remembered import observed_rays
+from rholoc.mapping.build.stored_observations import observed_rays
 from rholoc.maps import Map
 from rholoc.progress import ProgressListener, Stage, silent
 

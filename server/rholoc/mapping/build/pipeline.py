@@ -26,8 +26,8 @@ from rholoc.mapping.build.landmarks import (
     with_ranged,
 )
 from rholoc.mapping.build.reconstruction_cloud import cloud_of
-from rholoc.mapping.build.remembered import recording_id, with_landmarks
 from rholoc.mapping.build.self_report import HeldOut, map_report
+from rholoc.mapping.build.stored_observations import recording_id, with_landmarks
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.mapping.build.view_choice import choose_views
 from rholoc.mapping.build.view_covariance import storable_covariances

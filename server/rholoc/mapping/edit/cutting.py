@@ -9,7 +9,7 @@ import numpy as np
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.mapping.build.density_fitting import ray_form
-from rholoc.mapping.build.remembered import keep_features, keep_view_rows, with_landmarks
+from rholoc.mapping.build.stored_observations import keep_features, keep_view_rows, with_landmarks
 from rholoc.maps import Map, MapInfo, Source, check_outline, memory_of, within_outline
 
 _MIN_LEFT = 12  # landmarks; fewer than that no camera is localized by

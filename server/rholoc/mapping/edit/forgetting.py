@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.mapping.build.density_fitting import ray_form
-from rholoc.mapping.edit.joining import without_source
+from rholoc.mapping.edit.sources import without_source
 from rholoc.mapping.edit.versions import as_learned
 from rholoc.maps import Map, MapInfo, check_memory
 from rholoc.reports import LearningReport

@@ -16,11 +16,11 @@ from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.landmarks import Landmarks
-from rholoc.mapping.build.remembered import keep_features
+from rholoc.mapping.build.stored_observations import keep_features
 from rholoc.mapping.build.tracks import Views
 from rholoc.mapping.build.view_covariance import storable_covariances
 from rholoc.mapping.edit.cutting import keep_views
-from rholoc.mapping.edit.joining import join, with_sources_once
+from rholoc.mapping.edit.sources import join, with_sources_once
 from rholoc.mapping.edit.versions import as_learned
 from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.mapping.learn.camera_agreement import agreeing

@@ -19,11 +19,11 @@ from rholoc.mapping.build.job_advice import coach
 from rholoc.mapping.build.landmarks import Landmarks, are_stable, extend_and_merge, triangulate
 from rholoc.mapping.build.reconstruction_cloud import cloud_of
 from rholoc.mapping.build.recursive_densities import check_forgetting
-from rholoc.mapping.build.remembered import recording_id
+from rholoc.mapping.build.stored_observations import recording_id
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.mapping.build.view_choice import choose_views
 from rholoc.mapping.build.view_covariance import uncertainty_in
-from rholoc.mapping.edit.joining import join
+from rholoc.mapping.edit.sources import join
 from rholoc.mapping.edit.versions import as_learned
 from rholoc.mapping.learn.registration import (
     LEARNING_RECOGNIZED,

@@ -15,8 +15,8 @@ from rholoc.geometry import Camera, IntArray, patch_appearance
 from rholoc.localization import Localizer
 from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.view_covariance import uncertainty_in
-from rholoc.mapping.edit.joining import join, without_source
 from rholoc.mapping.edit.moving import move_map
+from rholoc.mapping.edit.sources import join, without_source
 from rholoc.mapping.edit.versions import as_learned
 from rholoc.mapping.learn.from_recordings import alignment_report
 from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_found, find_frames

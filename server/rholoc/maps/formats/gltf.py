@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rholoc.maps.info import MapWaypoint
 from rholoc.maps.map import Map
-from rholoc.maps.names import NamedPoint
+from rholoc.maps.place_names import NamedPoint
 
 _MAGIC, _VERSION = 0x46546C67, 2
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942

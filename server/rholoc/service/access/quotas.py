@@ -12,7 +12,7 @@ from rholoc.jobs import JobQueue, UploadStore
 from rholoc.library import MapLibrary, RecordingStore
 from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.errors import QuotaExceeded
-from rholoc.storage.holdings import Holding, Holdings, Kind
+from rholoc.storage.holdings_table import Holding, Holdings, Kind
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from rholoc.service.maps.job_events import JobOut, begun, job_out
 from rholoc.service.routes.intake import UPLOAD_FAILURES, RecordingFields, checked_options
 from rholoc.service.routes.uploads import begin_upload
 from rholoc.service.state import Service, State
-from rholoc.storage.holdings import Kind
+from rholoc.storage.holdings_table import Kind
 
 
 class RecordingContent(AnswerModel):

@@ -17,7 +17,7 @@ from rholoc.service.http.bodies import limited_stream, media_type, read_body
 from rholoc.service.http.openapi import BINARY, declared, request_body
 from rholoc.service.routes.intake import RecordingFields, checked_options
 from rholoc.service.state import Service, State
-from rholoc.storage.holdings import Kind
+from rholoc.storage.holdings_table import Kind
 
 router = APIRouter(prefix="/v1/recordings", tags=["recordings"])
 

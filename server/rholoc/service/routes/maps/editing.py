@@ -37,7 +37,7 @@ from rholoc.service.routes.maps.contents import NAMES_CONTENT
 from rholoc.service.routes.maps.library import _FAILURES
 from rholoc.service.state import Service
 from rholoc.service.threads.compute import Effort
-from rholoc.storage.holdings import Kind
+from rholoc.storage.holdings_table import Kind
 from rholoc.trajectory import PoseMethod
 
 router = APIRouter(prefix="/v1/maps", tags=["maps"])

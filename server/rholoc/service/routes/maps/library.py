@@ -33,7 +33,7 @@ from rholoc.service.maps.exports import ExportRequest, is_long
 from rholoc.service.maps.renderings import etag_of
 from rholoc.service.state import Service, State
 from rholoc.service.threads.compute import Effort
-from rholoc.storage.holdings import Kind
+from rholoc.storage.holdings_table import Kind
 
 
 class MapPatch(RequestModel):

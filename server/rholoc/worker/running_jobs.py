@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import threading
 
-from rholoc.jobs.capacity import Capacity
+from rholoc.jobs.job_memory import Capacity
 from rholoc.jobs.leases import Claim, Lease
 
 
-class Claims:
+class RunningJobs:
     """The jobs that one worker works on now. Safe to share between threads.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlalchemy as sa
 
-from rholoc.library.documents import Accepts, Documents
+from rholoc.library.folder_documents import Accepts, Documents
 from rholoc.storage.replica import Replica
 from rholoc.storage.tables import documents_table
 

@@ -21,7 +21,7 @@ from rholoc.worker.pipeline import MappingTask
 _WORK, _INPUTS, _NOTES, _MAP_FILE, _LINKS_FILE = "work", "inputs", "notes", "map.rho", "links.json"
 
 
-class Workplace:
+class JobFolders:
     """The folders of a worker's jobs, and the libraries that jobs read and publish to.
 
     Each run of a job has a folder for its built file, so that the next worker on the same machine need not build again.

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 
 from rholoc.disk import locked_folder, make_folder, replace_file
 from rholoc.errors import InvalidInput, NotFound
-from rholoc.maps.naming import check_name, is_name, some_of
+from rholoc.maps.name_rules import check_name, is_name, some_of
 
 _SUFFIX = ".json"
 _TICK_NS = 2 * 10**9  # a folder may change again within a tick of its clock without a new time of change

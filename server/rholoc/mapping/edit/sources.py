@@ -13,7 +13,7 @@ import numpy as np
 
 from rholoc.geometry import BoolArray, IntArray
 from rholoc.mapping.build.assembly import DESCRIPTORS_PER_FEATURE
-from rholoc.mapping.build.remembered import (
+from rholoc.mapping.build.stored_observations import (
     keep_features,
     keep_view_rows,
     observed_rays,
