@@ -127,7 +127,7 @@ class Leases:
         return self._running(jobs_table.c.worker == worker)
 
     def held_at(self, process: str) -> set[Lease]:
-        """Leases of the running jobs of a process's workers; named by :func:`rholoc.jobs.workers_table.process_name`."""
+        """Leases of a process's running jobs; :func:`rholoc.jobs.workers_table.process_name` names processes."""
         return self._running(jobs_table.c.worker.startswith(f"{process}-", autoescape=True))
 
     def take_back(self, living: Collection[str]) -> int:
