@@ -272,7 +272,8 @@ def _recorded(waypoint: WaypointIn) -> RecordedWaypoint:
 
 async def _receive(request: Request, pending: PendingRecording, service: State) -> tuple[RecordingFields, JobOptions]:
     """Stream the request's files into the pending recording; returns its fields, checked once everything has arrived.
-    Raises InvalidRequest, TooLarge, InvalidRecording, ValidationError, and as :func:`checked_options`.
+    Raises InvalidRequest, TooLarge, InvalidRecording, ValidationError, InvalidName, InvalidInput,
+    UnknownCamera, UnknownMap, InvalidMap.
     """
     starts: dict[str, bytes] = {}  # the first bytes of each file, as far as they have arrived
 

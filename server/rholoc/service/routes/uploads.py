@@ -36,8 +36,8 @@ async def begin_upload(request: Request, service: State) -> Response:
     """Create a resumable upload by the request's headers; the answer is 201 with its address.
 
     Raises:
-        InvalidRequest, TooLarge, QuotaExceeded: also as :func:`checked_options` and
-            :meth:`rholoc.jobs.UploadStore.create`.
+        InvalidRequest, TooLarge, QuotaExceeded: no length or a wrong one, or more than there is room for.
+        InvalidRecording, InvalidName, InvalidInput, UnknownCamera, UnknownMap, InvalidMap: the fields are not valid.
     """
     length = tus.number("Upload-Length", request.headers.get("upload-length"))
     limit = service.settings.max_upload_bytes

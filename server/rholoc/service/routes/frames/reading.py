@@ -162,7 +162,9 @@ async def read_frame(request: Request, options: OptionParameters, service: State
 
 @asynccontextmanager
 async def read_frames(request: Request, service: State) -> AsyncIterator[Frames]:
-    """Yield the frames of a request, sent as JSON or multipart. Raises as :func:`read_frame` and :meth:`Frames.of`."""
+    """Yield the frames of a request, sent as JSON or multipart. Raises InvalidRequest, ValidationError,
+    UnsupportedMediaType, TooLarge, InvalidImage, Busy, UnknownCamera, InvalidCamera.
+    """
     settings, kind = service.settings, media_type(request)
     limits = JsonLimits.of_features(settings.max_request_bytes, MAX_FRAMES * settings.max_features)
     images: dict[int, bytes] = {}

@@ -295,7 +295,7 @@ async def _made(
     request: Request, service: State, name: str, make: Callable[[Map], tuple[bytes, str]], *parts: object
 ) -> Response:
     """Response with the content and media type that ``make`` returns for a map; 304 if the browser has it. ``parts``
-    distinguish its ETag from those of other responses of the map. Raises as :meth:`AsyncMaps.get`.
+    distinguish its ETag from those of other responses of the map. Raises InvalidName, UnknownMap, InvalidMap.
     """
     etag = etag_of(await service.maps.stat(name), *parts)
     if is_kept(request, etag):
@@ -305,7 +305,9 @@ async def _made(
 
 
 async def _rendered(request: Request, service: State, name: str, kind: Rendering, media_type: str) -> Response:
-    """Response with a rendering of a map; 304 if the browser has it. Raises as :meth:`Renderings.get`."""
+    """Response with a rendering of a map; 304 if the browser has it. Raises InvalidName, UnknownMap, InvalidMap,
+    StorageFull, Busy.
+    """
     etag = etag_of(await service.maps.stat(name), kind)
     if is_kept(request, etag):
         return unchanged(etag)
