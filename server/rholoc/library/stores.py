@@ -23,7 +23,9 @@ _CATALOGUE = "catalogue.json"  # as it was last seen
 
 
 def documents_folder(kind: str, maps_dir: Path, data_dir: Path) -> Path:
-    """Folder of one server's small files of one kind (:data:`CAMERAS`, :data:`SITES`, :data:`KEYS`, :data:`ASKERS`)."""
+    """Folder of one server's small files of one kind: of :data:`CAMERAS` and :data:`SITES` that subfolder of
+    ``maps_dir``, of :data:`KEYS` that of ``data_dir``, of :data:`ASKERS` ``data_dir`` itself.
+    """
     folders = {
         CAMERAS: maps_dir / CAMERAS,
         SITES: maps_dir / SITES,
