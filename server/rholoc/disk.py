@@ -17,7 +17,7 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 
 def is_full(error: OSError) -> bool:
-    """Whether the error says that there is no space left."""
+    """Whether the error says that there is no space left, on the disk or in the quota."""
     return error.errno in _FULL
 
 
@@ -28,7 +28,7 @@ def storage_full() -> StorageFull:
 
 @contextmanager
 def reporting_full_disk() -> Iterator[None]:
-    """Turn the operating system's "no space left" into :class:`rholoc.errors.StorageFull`."""
+    """Within the block, turn the system's "no space left" into :class:`rholoc.errors.StorageFull`."""
     try:
         yield
     except OSError as error:
@@ -38,7 +38,7 @@ def reporting_full_disk() -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the folder's entries durable; file systems that cannot sync a folder do so by themselves."""
+    """Make the folder's entries durable, unless its file system cannot sync a folder. Raises OSError."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -100,7 +100,7 @@ def make_folder(folder: Path, mode: int = 0o777) -> None:
 
 
 def link_file(path: Path, other: Path) -> None:
-    """Give a file a second name. A file system without hard links gets a copy.
+    """Give a file the second name ``other``. A file system without hard links gets a copy.
 
     Raises:
         FileNotFoundError: there is no file ``path``.
@@ -117,9 +117,9 @@ def link_file(path: Path, other: Path) -> None:
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Exclude all threads and processes that lock the same folder; nobody where its file system has no locks.
+    """Exclude, within the block, all threads and processes that lock the same folder; waits for them.
 
-    A thread must not lock a folder twice.
+    Nobody is excluded if its file system has no locks. A thread must not lock a folder twice.
     """
     descriptor = os.open(folder, os.O_RDONLY)
     try:

@@ -33,7 +33,9 @@ else:
 
 
 def loader(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """``__getattr__`` of a package: each name is imported from its home, a module, when it is first asked for."""
+    """``__getattr__`` of a package: imports a name from its home, a module, when it is first asked for. Others:
+    AttributeError.
+    """
 
     def load(name: str) -> Any:
         if name not in homes:

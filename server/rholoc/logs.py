@@ -26,7 +26,9 @@ def configure_logs() -> None:
 
 
 def configure_process_logs() -> None:
-    """The same for all other loggers too, those of libraries included: for a process that is all ours."""
+    """Write the lines of all loggers (level INFO), those of libraries included, to standard error as JSON: for a
+    process that is all ours.
+    """
     configure_logs()
     handler = logging.StreamHandler()
     handler.name = _HANDLER

@@ -40,7 +40,7 @@ _tracing: _Tracing | None = None
 
 
 def wanted(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether the environment asks for traces."""
+    """Whether the environment names an OTLP endpoint, and does not switch tracing off."""
     off = (
         environment.get("OTEL_SDK_DISABLED", "").lower() == "true" or environment.get("OTEL_TRACES_EXPORTER") == "none"
     )
@@ -48,7 +48,8 @@ def wanted(environment: Mapping[str, str] = os.environ) -> bool:
 
 
 def begin(service: str) -> None:
-    """Trace this process from now on, if the environment asks for it.
+    """Trace this process from now on, if the environment asks for it; a warning is logged if the library is not
+    installed.
 
     Args:
         service: the name under which its spans are shown, unless the environment has another.
@@ -70,7 +71,7 @@ def begin(service: str) -> None:
 
 
 def use(provider: TracerProvider | None) -> None:
-    """Make spans by a provider; none at all where it is None."""
+    """Make spans by a provider from now on; none at all if it is None."""
     global _tracing
     _tracing = None if provider is None else _Tracing(provider)
 
@@ -89,17 +90,17 @@ class Marks:
         self._span = present
 
     def rename(self, name: str) -> None:
-        """Name it by what turned out to be done."""
+        """Rename the span."""
         if self._span is not None:
             self._span.update_name(name)
 
     def set(self, attributes: Mapping[str, Value]) -> None:
-        """Add attributes."""
+        """Add attributes to the span."""
         if self._span is not None:
             self._span.set_attributes(dict(attributes))
 
     def fail(self, why: str) -> None:
-        """Mark it as failed."""
+        """Mark the span as failed, for the reason ``why``."""
         if self._span is not None:
             from opentelemetry.trace import StatusCode
 
@@ -123,12 +124,12 @@ def request_span(name: str, headers: Mapping[str, str]) -> Iterator[Marks]:
 
 @contextmanager
 def job_span(name: str, attributes: Mapping[str, Value], asked_in: str | None) -> Iterator[Marks]:
-    """A span of work that was asked for earlier: a trace of its own, linked to the request's.
+    """Trace the block, work that was asked for earlier: a trace of its own, linked to the request's.
 
     Args:
         name: what is done.
         attributes: of the span.
-        asked_in: the request's span, as :func:`traceparent` gave it; None where it was not traced.
+        asked_in: the request's span, as :func:`traceparent` gave it; None if it was not traced.
     """
     if _tracing is None:
         yield _NOTHING
@@ -144,7 +145,7 @@ def job_span(name: str, attributes: Mapping[str, Value], asked_in: str | None) -
 
 @contextmanager
 def span(name: str, attributes: Mapping[str, Value] | None = None, *, of_others: bool = False) -> Iterator[Marks]:
-    """A span of a part of what is traced at present; none where nothing is.
+    """Trace the block as a part of what is traced at present; does nothing if nothing is.
 
     Args:
         name: what is done within.
@@ -162,7 +163,7 @@ def span(name: str, attributes: Mapping[str, Value] | None = None, *, of_others:
 
 
 def note(name: str, took_s: float, attributes: Mapping[str, Value] | None = None, *, of_others: bool = False) -> None:
-    """A span of what was done in the last ``took_s`` seconds, as a part of what is traced at present."""
+    """Add a span of what was done in the last ``took_s`` seconds to what is traced at present; if nothing is, none."""
     if _tracing is None or traceparent() is None:
         return
     from opentelemetry.trace import SpanKind
@@ -175,7 +176,7 @@ def note(name: str, took_s: float, attributes: Mapping[str, Value] | None = None
 
 
 def traceparent() -> str | None:
-    """The present span as a W3C ``traceparent``; None where there is none."""
+    """The present span as a W3C ``traceparent``; None if nothing is traced."""
     if _tracing is None:
         return None
     from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
@@ -191,7 +192,7 @@ def is_on() -> bool:
 
 
 def _context(headers: Mapping[str, str]) -> Context:
-    """The context that W3C headers name; one of its own where they name none."""
+    """The context that the W3C headers name; without any, one without a parent."""
     from opentelemetry.context import Context
     from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 

@@ -59,7 +59,7 @@ class Board:
         """From ``COLUMNSxROWS`` as boards are sold: inner corners of a checkerboard, squares of a ChArUco board.
 
         Raises:
-            InvalidInput: it is not that, or the square has no size.
+            InvalidInput: it is not that, a side is not 3 to 50, or a square not 0.1 to 10,000 mm.
         """
         match = re.fullmatch(r"(\d{1,3})[x×](\d{1,3})", size.strip().lower())
         if match is None or not all(int(side) in _SIDES for side in match.groups()):
@@ -74,13 +74,13 @@ class Board:
 
     @property
     def corners(self) -> FloatArray:
-        """(columns · rows, 3) metres."""
+        """Positions (columns · rows, 3) [m] of the inner corners, row by row."""
         rows, columns = np.divmod(np.arange(self.columns * self.rows), self.columns)
         return np.column_stack([columns, rows, np.zeros(len(rows))]) * self.square_m
 
     @property
     def outline(self) -> FloatArray:
-        """(4, 2) metres: the outermost corners, in turn around the board."""
+        """Outermost corners (4, 2) [m], in turn around the board."""
         x, y = (self.columns - 1) * self.square_m, (self.rows - 1) * self.square_m
         return np.array([[0, 0], [x, 0], [x, y], [0, y]], dtype=np.float64)
 
@@ -113,7 +113,9 @@ class BoardFinder:
         self.board = board
 
     def find(self, row: int, image: ByteArray) -> Sighting | None:
-        """The board in an image (H, W, 3) BGR or (H, W), or None."""
+        """The board in an image (H, W, 3) BGR or (H, W) of frame ``row``; None if not found (ChArUco: below 12 corners
+        or a quarter).
+        """
         gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
         shrink = min(1.0, _LONGER_SIDE_PX / max(gray.shape))
         small = gray if shrink == 1 else cv2.resize(gray, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
@@ -155,7 +157,7 @@ class BoardFinder:
         return detectors
 
     def _spacing_px(self, corners: IntArray, pixels: FloatArray) -> float:
-        """The shortest distance of neighbouring corners."""
+        """Shortest distance [px] of neighbouring corners; inf if none are neighbours."""
         grid = np.full((self.board.rows, self.board.columns, 2), np.nan)
         grid[np.divmod(corners, self.board.columns)] = pixels
         steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2) for axis in (0, 1)]
@@ -163,7 +165,9 @@ class BoardFinder:
 
 
 def _refined(gray: ByteArray, pixels: FloatArray, window_px: float) -> FloatArray:
-    """Corners to a fraction of a pixel: where the gradients around each are at right angles to the way to it."""
+    """Corners (C, 2) refined to a fraction of a pixel within ``window_px``: nearby gradients are across the way to
+    each.
+    """
     half = int(np.clip(window_px, 2, 12))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
     start = np.ascontiguousarray(pixels[:, None], dtype=np.float32)
@@ -172,7 +176,7 @@ def _refined(gray: ByteArray, pixels: FloatArray, window_px: float) -> FloatArra
 
 
 def _blur_px(gray: ByteArray, pixels: FloatArray, spacing_px: float) -> float:
-    """The width of edges between black and white: contrast over the steepest gradient, the median of all corners."""
+    """Width [px] of edges between black and white: contrast over steepest gradient, median of all corners (C, 2)."""
     half = max(2, int(0.3 * spacing_px))
     steepness = np.hypot(cv2.Sobel(gray, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(gray, cv2.CV_32F, 0, 1, scale=0.125))
     widths = []

@@ -72,7 +72,7 @@ class Calibration:
 
     @property
     def coverage(self) -> float:
-        """The share of the image's 8 × 6 cells that hold a corner."""
+        """Share 0 to 1 of the image's 8 × 6 cells that hold a corner."""
         return float(self.covered.mean())
 
     @property
@@ -84,7 +84,7 @@ class Calibration:
 
     @property
     def covered(self) -> BoolArray:
-        """(6, 8) whether a cell of the image holds a corner."""
+        """Mask (6, 8) of the image's cells that hold a corner."""
         pixels = np.concatenate([view.sighting.pixels for view in self.views])
         size = np.array([self.camera.height, self.camera.width])
         cells = np.floor((pixels[:, ::-1] + 0.5) / size * _CELLS).astype(int)
@@ -94,7 +94,9 @@ class Calibration:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Figures stored with the camera, JSON-serialisable."""
+        """Figures stored with the camera, JSON-serialisable: board, rms, sigmas, frames, views, coverage, tilt and
+        distances.
+        """
         depths = [view.T_camera_board[2, 3] for view in self.views]
         return {
             "board": str(self.board),
@@ -123,7 +125,8 @@ def calibrate(
 
     Raises:
         InvalidInput: a panorama, which has no intrinsics to be found.
-        InvalidRecording: the board is not seen, or not in enough different views to determine the intrinsics.
+        InvalidRecording: the board is not seen, in fewer than eight different views, tilted by less than 6°, or the
+            result is inexact.
     """
     if lens not in _PARAMETERS:
         raise InvalidInput("A panorama needs no calibration: its size says it all.", "Store it as equirectangular.")
@@ -191,7 +194,9 @@ def _solve(
 def _solve_pinhole(
     sightings: Sequence[Sighting], board: Board, size: tuple[int, int]
 ) -> tuple[Camera, list[FloatArray], FloatArray]:
-    """As :func:`solve_fisheye`: with radial terms of the second, fourth and, where significant, sixth order."""
+    """Camera, T_camera_board (4, 4) of each view and standard deviations, as of :func:`solve_fisheye`, for a pinhole.
+    k3 is kept if it is three standard deviations from zero. Raises InvalidCamera.
+    """
     solved = _calibrate_camera(sightings, board, size, 0)
     if abs(solved[2].ravel()[4]) < _SIGNIFICANT * solved[5].ravel()[8]:
         solved = _calibrate_camera(sightings, board, size, cv2.CALIB_FIX_K3)

@@ -34,12 +34,12 @@ class _Solution:
 
     @property
     def weights(self) -> FloatArray:
-        """(2N,) Cauchy's."""
+        """Cauchy's weights (2N,) of the residuals."""
         return np.asarray(1 / (1 + (self.residuals / _CAUCHY_PX) ** 2))
 
     @property
     def cost(self) -> float:
-        """Cauchy's."""
+        """Cauchy's loss, summed over the residuals."""
         return float(np.log1p((self.residuals / _CAUCHY_PX) ** 2).sum())
 
 
@@ -62,7 +62,7 @@ def solve_fisheye(
 
 
 def _starts(sightings: Sequence[Sighting], board: Board, size: tuple[int, int]) -> list[_Solution]:
-    """A camera and poses for each guess of the focal length with which every view has a pose."""
+    """A camera and poses for each guessed focal length (field of view 80° to 200°) with which every view has a pose."""
     starts = []
     for field_rad in _FIELDS_RAD:
         focal = size[0] / float(field_rad)
@@ -81,7 +81,9 @@ def _starts(sightings: Sequence[Sighting], board: Board, size: tuple[int, int]) 
 
 
 def _refined(found: _Solution, sightings: Sequence[Sighting], board: Board) -> _Solution:
-    """All intrinsics and poses together (Levenberg and Marquardt)."""
+    """The solution after refining all intrinsics and poses together (Levenberg and Marquardt); as it is if nothing
+    lowers its cost.
+    """
     damping, least, most = _DAMPING
     for _ in range(_STEPS):
         weighted = found.slopes * found.weights[:, None]
@@ -101,7 +103,7 @@ def _refined(found: _Solution, sightings: Sequence[Sighting], board: Board) -> _
 
 
 def _stepped(found: _Solution, step: FloatArray) -> tuple[Camera | None, FloatArray]:
-    """The camera, None where there is none, and the poses after a step (8 + 6 V,)."""
+    """Camera (None if it is impossible) and poses (V, 4, 4) after a step (8 + 6 V,)."""
     turn, shift = np.split(step[_INTRINSICS:].reshape(-1, 6), 2, axis=1)
     poses = found.poses.copy()
     poses[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix() @ poses[:, :3, :3]
@@ -120,7 +122,7 @@ def _changed(camera: Camera, by: FloatArray) -> Camera | None:
 def _evaluated(
     camera: Camera | None, poses: FloatArray, sightings: Sequence[Sighting], board: Board
 ) -> _Solution | None:
-    """Residuals and slopes; None where the lens does not show all corners."""
+    """Residuals and slopes of a camera and poses; None without a camera, or if the lens does not show all corners."""
     if camera is None:
         return None
     corners = [board.corners[sighting.corners] for sighting in sightings]

@@ -35,7 +35,7 @@ class BoardViews:
 
 
 def find_views(frames: FrameSource, board: Board, advance: Callable[[], None] = lambda: None) -> BoardViews:
-    """Look for the board in the sharpest frame of each stretch, and choose views.
+    """Look for the board in the sharpest frame of each of at most 160 stretches, and choose views.
 
     Args:
         frames: where from; all are decoded once.
@@ -52,7 +52,10 @@ def find_views(frames: FrameSource, board: Board, advance: Callable[[], None] = 
 
 
 def choose_views(found: Sequence[Sighting], board: Board, size: tuple[int, int]) -> tuple[Sighting, ...]:
-    """The sharp ones, and of these one after the other the one least like those before, as long as it differs."""
+    """At most 40 sharp and different views, the sharpest first, then always the one least like those before.
+
+    Sharp: blur up to 1.6 × the sharpest quarter's; different: outlines 3 % of the diagonal of ``size`` apart.
+    """
     if not found:
         return ()
     blur = np.array([sighting.blur_px for sighting in found])
@@ -70,7 +73,7 @@ def choose_views(found: Sequence[Sighting], board: Board, size: tuple[int, int])
 
 
 def outline(sighting: Sighting, board: Board) -> FloatArray:
-    """(4, 2) pixels: the board's outermost corners, whether they are in view or not."""
+    """Outermost corners (4, 2) [px] of the board by its homography, whether they are in view or not."""
     H, _ = cv2.findHomography(board.corners[sighting.corners, :2], sighting.pixels)
     return np.asarray(cv2.perspectiveTransform(board.outline[None], H)[0])
 
@@ -80,7 +83,7 @@ def _sharpest(
     advance: Callable[[], None],
     look: Callable[[int, ByteArray], Sighting | None],
 ) -> Iterator[Sighting | None]:
-    """Apply ``look`` to the sharpest frame of each of at most ``_SEARCHED`` equal parts of the recording."""
+    """Iterate over ``look`` of the sharpest frame of each of at most 160 equal parts of the recording."""
     count = len(frames.times)
     stretch = np.arange(count) * min(count, _SEARCHED) // count
     best: tuple[float, int, ByteArray] | None = None

@@ -66,7 +66,10 @@ def _root(
 
 
 def main() -> None:
-    """Run the command: exit status 0, 1 after an error, 2 after wrong usage, 130 after Ctrl-C."""
+    """Run the command: exit status 0, 1 after an error, 2 after wrong usage, 130 after Ctrl-C.
+
+    Errors become a line on standard error; only bugs are raised, and only if ``DEBUG_VARIABLE`` is set.
+    """
     try:
         app()
     except RholocError as error:
@@ -92,7 +95,7 @@ def main() -> None:
 
 
 def _missing(error: ModuleNotFoundError) -> tuple[str, str]:
-    """The error for a command of which a library is not installed: localizing alone takes few."""
+    """Message and hint for a command of which a library is not installed: the extra that has it."""
     extra = "mapping" if error.name in _OF_MAPPING else "server"
     return f"This command needs {error.name}, which is not installed.", f"pip install 'rholoc[{extra}]'."
 

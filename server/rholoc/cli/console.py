@@ -33,12 +33,12 @@ notices = Console(stderr=True, highlight=False)
 
 
 def print_json(values: Any) -> None:
-    """Print values as indented JSON, and nothing else, so that scripts can read it."""
+    """Print values as indented JSON on standard output, and nothing else, so that scripts can read it."""
     typer.echo(json.dumps(values, indent=2, ensure_ascii=False))
 
 
 def print_error(message: str, hint: str = "") -> None:
-    """Print one line that says what is wrong and what to do."""
+    """Print one line on standard error that says what is wrong and what to do."""
     print_notice(f"rholoc: {message} {hint}".strip())
 
 
@@ -48,7 +48,7 @@ def print_notice(text: str) -> None:
 
 
 def print_qr_code(text: str) -> None:
-    """Print a text as a QR code, if standard error is a terminal."""
+    """Print a text as a QR code on standard error, if that is a terminal."""
     if notices.is_terminal:
         import segno
 
@@ -56,7 +56,7 @@ def print_qr_code(text: str) -> None:
 
 
 def print_figures(title: str, figures: Mapping[str, str]) -> None:
-    """Print a title line and a two-column table of names and figures."""
+    """Print a title line and a two-column table of names and figures on standard output."""
     table = Table(show_header=False, box=None, pad_edge=False)
     table.add_column(style="dim")
     table.add_column()
@@ -68,7 +68,7 @@ def print_figures(title: str, figures: Mapping[str, str]) -> None:
 
 @contextmanager
 def stage_progress() -> Iterator[ProgressListener]:
-    """A bar that shows the stages of mapping; nothing if standard error is not a terminal."""
+    """Show a bar with the stages of mapping within the block, if standard error is a terminal; yields its listener."""
     with _progress("{task.fields[stage]:<12}") as progress:
         task = progress.add_task("", total=1.0, stage="", message="")
 
@@ -80,7 +80,7 @@ def stage_progress() -> Iterator[ProgressListener]:
 
 @contextmanager
 def job_progress() -> Iterator[Callable[[Job], None]]:
-    """A bar that shows the progress of a mapping job, and a line for each stage as it begins."""
+    """Show a bar with a mapping job's progress; yields a function that takes the job and prints new stages."""
     with _progress("mapping, {task.fields[stage]:<12}") as progress:
         task = progress.add_task("", total=1.0, stage="", message="")
         start_s = time.monotonic()
@@ -97,7 +97,7 @@ def job_progress() -> Iterator[Callable[[Job], None]]:
 
 @contextmanager
 def fraction_progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar for work that reports its fraction 0..1; nothing if standard error is not a terminal."""
+    """Show a bar for ``what``; yields a function that takes the fraction done, 0..1. Only on a terminal."""
     with _progress("{task.description}") as progress:
         task = progress.add_task(what, total=1.0, message="")
         yield lambda fraction: progress.update(task, completed=fraction)
@@ -105,7 +105,7 @@ def fraction_progress(what: str) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def frame_progress(what: str, total: int | None) -> Iterator[Callable[[], None]]:
-    """A bar that counts frames, one per call, of ``total`` if that is known; only on a terminal."""
+    """Show a bar that counts frames, of ``total`` if known; yields a function that counts one. Only on a terminal."""
     with _progress("{task.description}", MofNCompleteColumn()) as progress:
         task = progress.add_task(what, total=total, message="")
         yield lambda: progress.advance(task)

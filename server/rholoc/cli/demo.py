@@ -52,7 +52,7 @@ class _Files:
 
     @property
     def truth(self) -> Path:
-        """The true poses, kept apart from the recordings: uploads hold none."""
+        """Folder of the true poses, kept apart from the recordings: uploads hold none."""
         return self.folder / "truth"
 
     @property
@@ -76,7 +76,7 @@ class _Files:
         return self.folder / "top_view.png"
 
     def clear(self) -> None:
-        """Remove what an earlier demo left, and nothing else."""
+        """Remove the demo's own files and folders, and make the folders anew, empty; others in its folder stay."""
         for folder in (self.recordings, self.truth, self.maps, self.data):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
@@ -136,13 +136,15 @@ def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool,
 
 
 def _put_truth_apart(recording: Path, files: _Files) -> None:
-    """Move the true poses out of a recording, so that they are not uploaded."""
+    """Move the true poses out of a recording, so that they are not uploaded, and print that it is simulated."""
     (recording / "truth.csv").rename(files.truth / f"{recording.name}.csv")
     print_notice(f"simulated {recording.name}: video, IMU, waypoints")
 
 
 def _map(client: Client, recording: Path) -> Job:
-    """Upload a recording and wait until its map is published."""
+    """Upload a recording and wait until its map is published. Raises RholocClientError, or RholocError if
+    workers fail.
+    """
     job = client.upload_recording(recording, MAP_NAME)
     with job_progress() as progress:
 
@@ -224,7 +226,7 @@ class DemoFigures:
 
 
 def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation:
-    """Compare with the truth, and write the trajectory and the top view."""
+    """Compare the trajectory ``table`` of each ``every``-th frame with the truth; writes it and a top view to files."""
     from rholoc.evaluation import evaluate, pair_poses, read_frame_poses, trajectory_errors
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.pictures.trajectories import plot_top_view, save_figure
@@ -251,7 +253,7 @@ def _print(figures: DemoFigures, files: _Files, as_json: bool) -> None:
 
 
 def _stay(server: RunningServer) -> None:
-    """Leave the server running until Ctrl-C."""
+    """Print the server's address, open it in a browser, and wait for Ctrl-C."""
     print_notice(f"The server stays at {server.url} (the API: {server.url}/docs). Ctrl-C ends it.")
     webbrowser.open(f"{server.url}/docs")
     with suppress(KeyboardInterrupt):

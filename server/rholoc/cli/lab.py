@@ -24,7 +24,7 @@ class CommandsOfTheLab(TyperGroup):
     """A group that says how to install a command of rholoc-lab that is missing."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """As of every group.
+        """Return the name, command and remaining arguments of ``args``, as every group does.
 
         Raises:
             InvalidInput: the command is one of rholoc-lab, which is not installed.

@@ -115,7 +115,7 @@ def localize(
 
 
 def _guessed(recording: Recording) -> Camera:
-    """Nominal camera of the frames' size, for an unknown focal length."""
+    """Nominal camera for an unknown focal length: the longer side of the frames, the centre, no distortion."""
     from rholoc.geometry import Camera
 
     width, height = recording.frames.size
@@ -123,12 +123,16 @@ def _guessed(recording: Recording) -> Camera:
 
 
 def recording_camera(recording: Recording, info: MapInfo) -> Camera:
-    """The frames' camera: given, the recording's own, or the map's if the frames have the same size."""
+    """The frames' camera: the recording's, or the map's (with a notice) if the frames have its size; else raises
+    InvalidCamera.
+    """
     return camera_of(recording.camera, recording.frames.size, info)
 
 
 def camera_of(camera: Camera | None, size: tuple[int, int], info: MapInfo) -> Camera:
-    """The camera of frames of ``size`` pixels: the known one, or the map's if the frames have the same size."""
+    """``camera``, or the map's (with a notice) if that is None and the frames have its size [px]; else raises
+    InvalidCamera.
+    """
     if camera is not None:
         return camera
     if size != (info.camera.width, info.camera.height):
@@ -140,8 +144,7 @@ def camera_of(camera: Camera | None, size: tuple[int, int], info: MapInfo) -> Ca
 def _localize_frames(
     localizer: AnyLocalizer, frames: FrameSource, camera: Camera, asked: Mapping[str, Any]
 ) -> Iterator[tuple[Localization, float]]:
-    """The answers for all frames in order, and the seconds that each took, including its features.
-
+    """Iterate over the answers for all frames in order, and the seconds that each took, including its features.
     ``asked``: further attributes of each :class:`Query`.
     """
     from rholoc.localization import Query
@@ -158,7 +161,7 @@ def _localize_frames(
 
 
 def _write_bag(path: Path, times: FloatArray, answers: Sequence[Localization], T_base_camera: FloatArray) -> None:
-    """Write the answers to a bag of ROS 2."""
+    """Write the answers to a bag of ROS 2: beliefs of all frames, poses of those that were localized."""
     from rholoc.tracking import PoseBag
 
     with PoseBag(path, T_base_camera) as bag:
@@ -169,7 +172,7 @@ def _write_bag(path: Path, times: FloatArray, answers: Sequence[Localization], T
 
 
 def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | int]]:
-    """Causes of failures with counts and hints, the most frequent first."""
+    """Causes of failures, their frames, message and hint (of the first frame), the most frequent first."""
     found = [answer.diagnosis for answer in answers if answer.diagnosis is not None]
     counts = Counter(diagnosis.cause for diagnosis in found)
     example = {diagnosis.cause: diagnosis for diagnosis in reversed(found)}
@@ -182,7 +185,7 @@ def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | 
 def trajectory_table(
     frames: FrameSource, rows: Sequence[int], answers: Sequence[Localization | rholoc_client.Localization]
 ) -> TrajectoryTable:
-    """Table 6 of the answers with a pose; ``rows`` are the answers' frames."""
+    """Table 6 of the answers with a pose; ``rows`` are the answers' frames, of the same number."""
     from rholoc.maps import TrajectoryTable
 
     placed = [(row, answer, answer.pose) for row, answer in zip(rows, answers, strict=True) if answer.localized]

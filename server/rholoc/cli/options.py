@@ -89,7 +89,10 @@ def named_camera(text: str | None) -> GeometryCamera | str | None:
 
 
 def mounting(text: str) -> FloatArray:
-    """T_base_camera (4, 4) that ``--mount`` says."""
+    """T_base_camera (4, 4) that ``--mount`` says: metres and degrees, the base x forward, the camera z forward.
+
+    Raises typer.BadParameter for another text than six finite numbers.
+    """
     import numpy as np
     from scipy.spatial.transform import Rotation
 
@@ -106,7 +109,7 @@ def mounting(text: str) -> FloatArray:
 
 
 def dof(text: str) -> Dof:
-    """The degrees of freedom that ``--dof`` names."""
+    """The degrees of freedom that ``--dof`` names. Raises typer.BadParameter."""
     from rholoc.localization import Dof
 
     named = {str(one.value): one for one in Dof}
@@ -116,7 +119,7 @@ def dof(text: str) -> Dof:
 
 
 def choice(kind: type[_Choice], text: str, option: str) -> _Choice:
-    """The member of an enum that an option names.
+    """The member of an enum that an option names. Raises typer.BadParameter.
 
     Options are strings up to here, so that the enums' packages, and what these need, are only loaded for commands that
     use them: ``rholoc --help`` stays fast.
@@ -128,5 +131,5 @@ def choice(kind: type[_Choice], text: str, option: str) -> _Choice:
 
 
 def data_folder(given: Path | None) -> Path:
-    """The data folder that is named, by the command or the environment, or the default one."""
+    """The data folder: given by the command, else by RHOLOC_DATA_DIR, else the default one."""
     return given or Path(os.environ.get(DATA_VARIABLE, DEFAULT_DATA))

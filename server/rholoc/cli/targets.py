@@ -27,7 +27,7 @@ def is_bag_target(path: Path) -> bool:
     """Whether poses that are written to a path are a bag of ROS 2 (``.mcap``), not a table, after checking the path.
 
     Raises:
-        InvalidInput: as :func:`check_target`, or it is a bag of another kind.
+        InvalidInput: it cannot be written there, or is a bag of another kind.
     """
     check_target(path, "the poses")
     suffix = path.suffix.lower()

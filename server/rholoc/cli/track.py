@@ -148,7 +148,9 @@ def _live(live: LiveCamera, camera: str | None, info: MapInfo) -> _Followed:
 
 
 def _hand_out(steps: Iterable[Step], users: list[StepUser], advance: Callable[[], None]) -> None:
-    """Give every step to every user, until the steps end, or Ctrl-C or SIGTERM end them."""
+    """Give every step to every user, and call ``advance``, until the steps end, or Ctrl-C or SIGTERM end them with a
+    notice.
+    """
     try:
         with interruptible():
             for step in steps:

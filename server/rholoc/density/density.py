@@ -122,11 +122,11 @@ class Densities(Protocol):
         ...
 
     def problem(self, features: int) -> str:
-        """Why these cannot be the densities of a map of so many ``features``; empty where they can."""
+        """Why these cannot be the densities of a map of ``features`` features, as "it has …"; empty if they can."""
         ...
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
-        """All densities, of landmarks with ``variances`` (F,), m²."""
+        """All densities as rows, of landmarks with ``variances`` (F,) [m²], sorted by feature."""
         ...
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
@@ -173,10 +173,14 @@ class Densities(Protocol):
         ...
 
     def moved(self, similarity: Similarity) -> Self:
-        """The densities of the same features in another frame, which ``similarity`` takes points to."""
+        """The densities of the same features in the frame that ``similarity`` leads to."""
         ...
 
     @classmethod
     def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> Self:
-        """The densities of landmarks that were seen; ``progress`` is called with the share done and a line about it."""
+        """Fit the densities of landmarks that were seen, of degree P = ``degree``.
+
+        ``progress`` is called with the share done and a line about it. Raises ValueError if ``observed`` ones lack
+        bearings.
+        """
         ...

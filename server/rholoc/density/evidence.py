@@ -44,7 +44,9 @@ class Evidence:
         chances: FloatArray,
         focal_px: float,
     ) -> Evidence:
-        """From features (M,), rays (M, 3), landmarks (M, 3), covariances (M, 3, 3) and chances (M,) of being true."""
+        """From features (M,), unit rays (M, 3), landmarks (M, 3), covariances (M, 3, 3) and chances (M,) in (0, 1] of
+        being true.
+        """
         epsilon = _FALSE_DENSITY * (1 - chances) / chances
         return cls(features, rays, basis_across(rays), landmarks, covariances, epsilon, focal_px)
 
@@ -53,12 +55,12 @@ class Evidence:
 
     @property
     def chances(self) -> FloatArray:
-        """(M,) probability that each match is true, by descriptors alone."""
+        """Probability (M,) that each match is true, by descriptors alone."""
         return _FALSE_DENSITY / (_FALSE_DENSITY + self.epsilon)
 
     @lazy
     def variances(self) -> FloatArray:
-        """(M,) m², of each landmark along an axis, the mean over all axes."""
+        """Variance (M,) [m²] of each landmark along an axis, the mean over all axes."""
         return np.asarray(np.trace(self.covariances, axis1=1, axis2=2) / 3)
 
     def refocused(self, scale: float) -> Evidence:
@@ -68,7 +70,7 @@ class Evidence:
         return replace(self, rays=rays, across=basis_across(rays), focal_px=self.focal_px * scale)
 
     def take(self, index: IntArray) -> Evidence:
-        """The evidence of some of the matches."""
+        """The evidence of the matches in rows ``index`` (K,), in that order."""
         return Evidence(
             self.features[index],
             self.rays[index],

@@ -39,8 +39,8 @@ class Places:
     def of(cls, sightings: Sightings) -> Places:
         """Gather each feature's views into places; from one place it is seen from one side and at similar distances.
 
-        If there would be too many, each feature keeps its first place, and of the others those with the most views
-        stay. Positions and radii are rounded to float32, as files keep them.
+        Above 20,000 places, each feature keeps its first place, and of the others those with the most views stay.
+        Positions and radii are rounded to float32, as files keep them.
         """
         order = np.argsort(sightings.features, kind="stable")
         bounds = np.searchsorted(sightings.features[order], np.arange(len(sightings.landmarks) + 1))
@@ -66,9 +66,10 @@ class Places:
 
 
 def gather_places(landmark: FloatArray, seen_from: FloatArray) -> list[IntArray]:
-    """The views, rows of the positions ``seen_from`` (N, 3), of each place that a landmark (3,) was seen from.
+    """Views of each place that a landmark (3,) was seen from, as rows of the positions ``seen_from`` (N, 3).
 
-    The place with most views first.
+    At most four places, most views first: within 20° and a ratio of distances of 1.7 of one view. All but the first
+    have at least two views; other views are left out.
     """
     away = seen_from - landmark
     distance = np.linalg.norm(away, axis=1)
@@ -89,7 +90,9 @@ def gather_places(landmark: FloatArray, seen_from: FloatArray) -> list[IntArray]
 
 
 def _place(landmark: FloatArray, positions: FloatArray) -> tuple[FloatArray, float]:
-    """The middle (3,) of a place's views and the radius around it that its density is to be valid in."""
+    """The middle (3,) of a place's views and the radius [m] around it in which its density is to be valid. It is 1.2 ×
+    the views' reach, 0.6 to 0.95 × the distance of the landmark.
+    """
     middle = positions.mean(axis=0)
     distance = float(np.linalg.norm(landmark - middle))
     reach = _RADIUS_MARGIN * float(np.linalg.norm(positions - middle, axis=1).max())

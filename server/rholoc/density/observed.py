@@ -84,11 +84,11 @@ class ObservedDensities(TensorDensities):
 
     @lazy
     def directions(self) -> FloatArray:
-        """(T, 3) as ``middles``: an ``observed`` density does not know its landmark."""
+        """Unit vectors (T, 3), the same as ``middles``: an ``observed`` density does not know its landmark."""
         return self.middles
 
     def target_radii(self, distances: FloatArray) -> FloatArray:
-        """(T,) metres at ``distances`` (T,): r is an angle."""
+        """Radii (T,) [m] at which the fit's target is 0, for cameras at ``distances`` (T,): a fixed angle."""
         return np.asarray(TARGET_RADIUS * distances)
 
     def problem(self, features: int) -> str:
@@ -206,7 +206,7 @@ class ObservedDensities(TensorDensities):
         return replace(moved, coefficients=coefficients, moments=np.swapaxes(back, 0, 1) @ self.moments @ back)
 
     def _samples(self, density: int, R_map_other: FloatArray, of_position: FloatArray) -> FloatArray:
-        """The values (A, B, C) of a density at another frame's layout; of positions, the monomials (B, X)."""
+        """Values (A, B, C) of a density at another frame's layout; ``of_position`` (B, X): the positions' monomials."""
         layout = _layout(self.degree)
         plane_powers, _, heading_powers = kept_powers(self.degree)
         axes = layout.axes @ R_map_other.T @ self.R_local_map[density].T  # rows: the cameras' axes in this frame
@@ -271,7 +271,7 @@ _ARRAYS: dict[str, tuple[type, int]] = {  # of a file, beside those of a tensor:
 def fit_observed(
     sightings: Sightings, degree: int, progress: Callable[[float, str], None] = lambda done, text: None
 ) -> ObservedDensities:
-    """The loss (5) over all pixels of the views that saw a feature, minimized.
+    """Densities that minimize the loss (5) over all pixels of the views that saw a feature, one for each place.
 
     Raises:
         ValueError: the bearings at which the features were seen were not kept.
@@ -288,7 +288,8 @@ def fit_observed(
 def fit_seen(
     sightings: Sightings, degree: int, progress: Callable[[float, str], None] = lambda done, text: None
 ) -> ObservedDensities:
-    """The loss (5) as it is printed: over the points where a feature was seen, and those that symmetry injects.
+    """Densities that minimize the loss (5) as printed: over the points where a feature was seen, and those that
+    symmetry injects.
 
     Of the polynomials that minimize it, the one with the smallest coefficients. It has hardly any peaks.
 
@@ -316,7 +317,6 @@ def _fitted(
     progress: Callable[[float, str], None],
 ) -> ObservedDensities:
     """A density for each place; ``fit`` takes bearings (n, 3) in its frame, positions (n, 3) in radii, and the radius.
-
     Fitted to what is stored, so that a map read back is the one that was fitted.
     """
     if sightings.bearings is None:
@@ -387,7 +387,9 @@ class SeenPoints:
 
     @classmethod
     def of(cls, bearings: FloatArray, positions: FloatArray, degree: int) -> SeenPoints:
-        """From bearings (n, 3) and positions (n, 3), for headings for which the pixel is within the viewport."""
+        """From bearings (n, 3) in the density's frame and positions (n, 3) in radii, for every twelfth heading that
+        shows the pixel.
+        """
         axes = _layout(degree).axes[::_INJECTED]
         x, y, z = np.einsum("ni,cki->knc", bearings, axes)
         plane = np.stack([x, y], axis=-1) / np.maximum(z, 1e-6)[..., None]
@@ -404,7 +406,7 @@ class SeenPoints:
         )
 
     def kernel(self, degree: int) -> FloatArray:
-        """(N, N) products of the points' monomials, summed: a product of three small sums (the kernel trick)."""
+        """Sums (N, N) of products of the points' monomials: a product of three small sums (the kernel trick)."""
         plane, position, heading = self.factors(degree)
         return np.asarray((plane @ plane.T) * (position @ position.T) * (heading @ heading.T))
 
@@ -434,13 +436,15 @@ class Loss:
 
     @classmethod
     def of(cls, counts: FloatArray, values: FloatArray) -> Loss:
-        """From n(s) and q(s) = N_f w ρ(s) at all points."""
+        """From n(s) and q(s) = N_f w ρ(s) at all points, arrays of one shape."""
         n = counts.ravel()
         return cls(n.size, float(n @ n), float(((n - n.mean()) ** 2).sum()), float(((n - values.ravel()) ** 2).sum()))
 
 
 def observed_loss(densities: ObservedDensities, density: int, bearings: FloatArray, positions: FloatArray) -> Loss:
-    """(5) of a density over all pixels of the views that saw its feature at bearings (N, 3) from positions (N, 3)."""
+    """Loss (5) of the density in row ``density`` over all pixels of the views at bearings (N, 3) from positions (N, 3),
+    map frame.
+    """
     layout, degree = _layout(densities.degree), densities.degree
     plane, _, heading = kept_powers(degree)
     phi = densities.position_monomials(density, positions)
@@ -456,7 +460,9 @@ def observed_loss(densities: ObservedDensities, density: int, bearings: FloatArr
 
 
 def seen_loss(densities: ObservedDensities, density: int, bearings: FloatArray, positions: FloatArray) -> Loss:
-    """(5) as printed, over the points where the feature was seen at bearings (N, 3) from positions (N, 3)."""
+    """Loss (5) as printed of the density in row ``density``, over the points seen at bearings (N, 3) from positions (N,
+    3).
+    """
     s = (positions - densities.places[density]) / densities.radii[density]
     points = SeenPoints.of(bearings @ densities.R_local_map[density].T, s, densities.degree)
     coefficients = densities.coefficients[density].astype(np.float64)

@@ -37,7 +37,7 @@ def monomial_derivatives(powers: IntArray, s: FloatArray) -> FloatArray:
 
 
 def power_factors(powers: IntArray, s: FloatArray, order: int) -> list[FloatArray]:
-    """For each of n variables the derivative of ``order`` of s_d^{p_d} (..., C)."""
+    """The derivative of ``order`` of s_d^{p_d} for each variable (..., C), for ``powers`` (C, n) at ``s`` (..., n)."""
     table = [np.ones(s.shape)]
     for _ in range(int(powers.max(initial=0))):
         table.append(table[-1] * s)

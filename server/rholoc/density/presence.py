@@ -56,20 +56,23 @@ class Presence:
 
     @property
     def half_angle(self) -> FloatArray:
-        """(F,) radians, of the cone about ``direction`` from which a feature may be seen."""
+        """Half angle (F,) [rad] of the cone about ``direction`` from which a feature may be seen."""
         return np.arctan2(np.sqrt(np.maximum(1 - self.cosine_limit**2, 0)), self.cosine_limit)
 
     @property
     def reach(self) -> tuple[FloatArray, FloatArray]:
-        """(F,) and (F,) metres: between these distances it may be."""
+        """Least and greatest distance (F,) [m] from which a feature may be seen: half and twice those observed."""
         return self.nearest / _DISTANCE_RATIO, self.farthest * _DISTANCE_RATIO
 
     def take(self, rows: IntArray | slice) -> Presence:
-        """Of the features at ``rows`` only."""
+        """Presence of the features in ``rows`` only."""
         return Presence(self.direction[rows], self.cosine_limit[rows], self.nearest[rows], self.farthest[rows])
 
     def allows(self, landmarks: FloatArray, position: FloatArray) -> BoolArray:
-        """Which features (F,), at ``landmarks`` (F, 3), may be seen from ``position`` (3,)."""
+        """Mask (F,) of the features at ``landmarks`` (F, 3) that may be seen from ``position`` (3,).
+
+        Within the cone of observed directions widened by 35°, and between half and twice the observed distances.
+        """
         away = position - landmarks
         distance = np.linalg.norm(away, axis=1)
         least, most = self.reach

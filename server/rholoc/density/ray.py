@@ -105,21 +105,21 @@ def _density(along: FloatArray, aside: FloatArray, squared_tolerances: FloatArra
 
 
 def ray_densities(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
-    """ρ (H, M) of all matches at poses (H, 4, 4)."""
+    """ρ (H, M) of all matches at poses (H, 4, 4), for a pixel tolerance plus each landmark's variance."""
     bearings = evidence.rays @ T_map_camera[:, :3, :3].transpose(0, 2, 1)
     along, aside = _along_and_aside(evidence.landmarks, bearings, T_map_camera[:, None, :3, 3])
     return _density(along, aside, _squared_tolerances(evidence, along, tolerance_px))
 
 
 def squared_tolerances(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
-    """r² (M,) of all matches at a pose (4, 4), m²."""
+    """r² (M,) [m²] of all matches at a pose (4, 4): (tolerance in metres at the landmark's depth)² + its variance."""
     bearings = evidence.rays @ T_map_camera[:3, :3].T
     along = np.einsum("mi,mi->m", bearings, evidence.landmarks - T_map_camera[:3, 3])
     return _squared_tolerances(evidence, along, tolerance_px)
 
 
 def _squared_tolerances(evidence: Evidence, along: FloatArray, tolerance_px: float) -> FloatArray:
-    """r² (..., M), m²: the pixel tolerance at the landmark's distance, and the landmark's own variance."""
+    """r² (..., M) [m²]: (tolerance in metres at the distances ``along`` (..., M))² + the landmarks' variances."""
     return np.asarray((tolerance_px / evidence.focal_px * along) ** 2 + evidence.variances)
 
 
@@ -137,7 +137,7 @@ class RayOffsets:
 
     @classmethod
     def of(cls, evidence: Evidence, T_map_camera: FloatArray) -> RayOffsets:
-        """Of evidence at a pose (4, 4)."""
+        """Offsets of evidence at a pose (4, 4)."""
         return cls.between(evidence.landmarks, evidence.across, T_map_camera)
 
     @classmethod
@@ -181,7 +181,7 @@ class RayDensities:
 
     @property
     def degree(self) -> int:
-        """2, whatever the landmarks."""
+        """Always 2."""
         return 2
 
     def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalRayDensities:
@@ -189,11 +189,13 @@ class RayDensities:
         return LocalRayDensities(evidence)
 
     def problem(self, features: int) -> str:
-        """None."""
+        """Always empty: any map can have them."""
         return ""
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
-        """One a feature, with the tolerance r of 60 px at the mean distance that it was seen from."""
+        """A row for each feature, with r (1,) [m]: 60 px at its views' mean distance (1 m without views), and its
+        variance.
+        """
         count = len(sightings.landmarks)
         away = np.linalg.norm(sightings.positions - sightings.landmarks[sightings.features], axis=1)
         seen = np.bincount(sightings.features, minlength=count)
@@ -203,7 +205,9 @@ class RayDensities:
         return DensityRows(np.arange(count), tolerances[:, None].astype(np.float32))
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
-        """All 729 of the density of a landmark (3,) with the tolerance in ``domain`` (1,)."""
+        """All 729 coefficients of the density of a landmark (3,) with the tolerance in ``domain`` (1,); ``row`` is not
+        used.
+        """
         return np.asarray(ray_coefficients(landmark[None].astype(np.float64), domain.astype(np.float64))[0])
 
     @classmethod
@@ -226,7 +230,7 @@ class RayDensities:
     def from_rows(
         cls, degree: int, rows: DensityRows, landmarks: FloatArray, kept: Sequence[FloatArray]
     ) -> RayDensities:
-        """The densities, which the landmarks determine."""
+        """The densities. Nothing is read from the arguments: landmarks determine the densities."""
         return cls()
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -239,12 +243,12 @@ class RayDensities:
         return cls()
 
     def moved(self, similarity: Similarity) -> RayDensities:
-        """The densities; they move with the landmarks."""
+        """These densities; they move with the landmarks."""
         return self
 
     @classmethod
     def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> RayDensities:
-        """The densities; there is nothing to fit."""
+        """Densities without data; there is nothing to fit."""
         return cls()
 
 
@@ -256,7 +260,7 @@ class LocalRayDensities:
 
     @property
     def matches(self) -> IntArray:
-        """(M,) all of them."""
+        """Rows (M,) of all matches."""
         return np.arange(len(self.evidence))
 
     def at(self, T_map_camera: FloatArray, tolerance_px: float) -> Slopes:

@@ -33,11 +33,11 @@ class RecursiveFit:
 
     @classmethod
     def empty(cls, monomials: int, values: int, ridge: float) -> RecursiveFit:
-        """Before the first observation."""
+        """Initial state for ``monomials`` X and ``values`` K: coefficients 0, covariance I / ``ridge``."""
         return cls(np.zeros((monomials, values)), np.eye(monomials) / ridge)
 
     def observe(self, phi: FloatArray, value: FloatArray, forgetting: float = 1.0) -> RecursiveFit:
-        """After one more observation.
+        """The state after one more observation; this one stays as it is.
 
         Args:
             phi: (X,) the monomials where it was made.

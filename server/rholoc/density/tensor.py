@@ -93,17 +93,17 @@ class TensorDensities:
 
     @lazy
     def distances(self) -> FloatArray:
-        """D (T,) metres, from place to landmark."""
+        """Distances D (T,) [m] from place to landmark."""
         return np.asarray(np.linalg.norm(self.landmarks - self.places, axis=1))
 
     @lazy
     def directions(self) -> FloatArray:
-        """(T, 3) unit vectors from place to landmark: the middle of the headings that a density is valid for."""
+        """Unit vectors (T, 3) from place to landmark: the middle of the headings that a density is valid for."""
         return np.asarray((self.landmarks - self.places) / self.distances[:, None])
 
     @lazy
     def R_local_map(self) -> FloatArray:
-        """(T, 3, 3): turns the direction into the diagonal (1, 1, 0) / √2, upright."""
+        """Rotations (T, 3, 3) that turn the direction into the diagonal (1, 1, 0) / √2, upright."""
         return local_frames(self.directions)
 
     def take(self, rows: IntArray) -> Self:
@@ -170,7 +170,9 @@ class TensorDensities:
         return DensityRows(self.features, np.column_stack([self.places, self.radii]).astype(np.float32))
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
-        """All (P + 1)⁸ of the density at ``row``."""
+        """All (P + 1)⁸ coefficients of the density at ``row``, in Table 5's order; ``landmark`` and ``domain`` are not
+        used.
+        """
         return np.asarray(self.all_coefficients(np.array([row]))[0])
 
     @classmethod
@@ -270,11 +272,13 @@ class TensorDensities:
         return cls(degree, np.concatenate(parts), places.features, landmarks, places.positions, places.radii)
 
     def target_radii(self, distances: FloatArray) -> FloatArray:
-        """(T,) metres: where the fit's target is 0, for cameras at ``distances`` (T,) from the landmarks."""
+        """Radii (T,) [m] where the fit's target is 0; ``distances`` (T,) are not used: they are from the places."""
         return np.asarray(TARGET_RADIUS * self.distances)
 
     def valid_at(self, position: FloatArray, heading: FloatArray, rows: IntArray) -> BoolArray:
-        """Which of the densities at ``rows`` (N,) are valid at a position (3,) and heading (3,): their domain."""
+        """Mask (N,) of the densities in ``rows`` (N,) that are valid at a position (3,), within the radius, and heading
+        (3,), within 50°.
+        """
         near = np.linalg.norm(position - self.places[rows], axis=1) <= self.radii[rows]
         return np.asarray(near & (self.directions[rows] @ heading >= math.cos(HEADING_LIMIT_RAD)))
 
@@ -395,7 +399,7 @@ def coefficient_columns(degree: int) -> IntArray:
 
 
 def local_frames(directions: FloatArray) -> FloatArray:
-    """R_local_map (T, 3, 3) for unit ``directions`` (T, 3): each on the diagonal (1, 1, 0) / √2, the frame upright."""
+    """R_local_map (T, 3, 3) that takes each unit direction (T, 3) to the diagonal (1, 1, 0) / √2, the frame upright."""
     c = math.sqrt(0.5)
     turn = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
     right, down, ahead = np.moveaxis(upright_axes(directions), -2, 0)
@@ -404,7 +408,9 @@ def local_frames(directions: FloatArray) -> FloatArray:
 
 
 def scaled_heading(headings: FloatArray) -> FloatArray:
-    """The heading's variables (..., 3) of unit headings (..., 3) in the density's frame."""
+    """Heading's variables (..., 3) of unit headings (..., 3) in the density's frame: offset from (1, 1, 0) / √2 over
+    sin 50°.
+    """
     return np.asarray((headings - _DIAGONAL) / _HEADING_SCALE)
 
 
@@ -472,7 +478,9 @@ class Layout:
         return len(self.plane) * len(self.position) * len(self.axes)
 
     def fit(self, R_local_map: FloatArray, to_landmark: FloatArray, radii: FloatArray) -> FloatArray:
-        """Coefficients (t, U, X, H) of landmarks ``to_landmark`` (t, 3) from their places."""
+        """Coefficients (t, U, X, H) float32 of landmarks ``to_landmark`` (t, 3) from their places, with frames (t, 3,
+        3) and radii (t,).
+        """
         distances = np.linalg.norm(to_landmark, axis=1)
         offsets = to_landmark[:, None] - radii[:, None, None] * self.position  # (t, B, 3), map frame
         local = np.einsum("tij,tbj->tbi", R_local_map, offsets)

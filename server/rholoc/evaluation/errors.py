@@ -30,11 +30,11 @@ class PoseErrors:
 
     @property
     def localized(self) -> BoolArray:
-        """(N,) bool, frames with a pose."""
+        """Mask (N,) of the frames with a pose."""
         return np.isfinite(self.position_m)
 
     def within(self, position_m: float, rotation_deg: float) -> BoolArray:
-        """(N,) bool, frames with both errors at most these."""
+        """Mask (N,) of the frames with both errors at most these [m, °]."""
         return (self.position_m <= position_m) & (self.rotation_rad <= math.radians(rotation_deg))
 
 
@@ -64,11 +64,11 @@ class Evaluation:
     recall_25cm_10deg: float
 
     def as_dict(self) -> dict[str, float | int | None]:
-        """The figures by name, JSON-serialisable."""
+        """The figures by attribute, JSON-serialisable; None if infinite."""
         return asdict(self)
 
     def rows(self) -> dict[str, str]:
-        """The figures for people: texts with units, by name."""
+        """The figures for people: texts with units, by name; "–" if infinite."""
         return {
             "frames": str(self.n),
             "localized": f"{self.localized} ({_percent(self.localized / self.n if self.n else 0)})",
@@ -83,7 +83,7 @@ class Evaluation:
 def trajectory_errors(estimated: FloatArray, truth: FloatArray) -> PoseErrors:
     """Errors of ``estimated`` (N, 4, 4) against ``truth`` (N, 4, 4), both T_map_camera in one map frame, metres.
 
-    NaN in an estimated pose means that there is none.
+    NaN in an estimated pose means that there is none: its errors are infinite.
     """
     known = np.isfinite(estimated).all(axis=(1, 2))
     position_m = np.full(len(estimated), np.inf)
@@ -94,7 +94,7 @@ def trajectory_errors(estimated: FloatArray, truth: FloatArray) -> PoseErrors:
 
 
 def evaluate(errors: PoseErrors) -> Evaluation:
-    """The figures of a trajectory's errors."""
+    """Medians, 90th percentiles and recalls of a trajectory's errors; None where infinite or without frames."""
     recalls = [_fraction(errors.within(*threshold)) for threshold in RECALL_THRESHOLDS]
     rotation_deg = np.degrees(errors.rotation_rad)
     return Evaluation(
@@ -125,8 +125,8 @@ def quantile(values: FloatArray, q: float) -> float | None:
 def rigid_alignment(estimated: FloatArray, truth: FloatArray) -> FloatArray:
     """The T_truth_estimated (4, 4) that brings the camera centres of ``estimated`` (N, 4, 4) nearest to ``truth``'s.
 
-    Rotation and translation, no scale (Kabsch). For trajectories in different map frames; at least three poses that
-    do not lie on a line fix it. NaN poses are left out.
+    Rotation and translation, no scale (Kabsch). For trajectories in different map frames; at least three poses that do
+    not lie on a line fix it. NaN poses of ``estimated`` are left out.
     """
     known = np.isfinite(estimated).all(axis=(1, 2))
     aligned = kabsch(estimated[known, :3, 3], truth[known, :3, 3])

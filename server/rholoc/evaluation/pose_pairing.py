@@ -31,7 +31,7 @@ class FramePoses:
         return len(self.T_map_camera)
 
     def known(self) -> FramePoses:
-        """The frames that have a pose."""
+        """Only the frames that have a pose."""
         rows = np.isfinite(self.T_map_camera).all(axis=(1, 2))
         return FramePoses(
             self.T_map_camera[rows],
@@ -66,7 +66,7 @@ def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = 
     """Pair poses by frame number if both tables have numbers, else by time.
 
     By number, every true frame (in ``frames``, if given) is paired; one missing in ``estimated`` has no pose. By time,
-    only estimated poses near a true one are paired, so failures do not show.
+    only estimated poses within ``MATCH_TOLERANCE_S`` of a true one are paired, so failures do not show.
 
     Raises:
         InvalidTrajectory: the tables share neither frame numbers nor times, ``frames`` is given without numbers, or
@@ -94,7 +94,7 @@ def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = 
 
 
 def in_range(numbers: IntArray, frames: slice) -> BoolArray:
-    """(N,) bool, increasing frame numbers (N,) in the slice ``frames``; a step counts from its start."""
+    """Mask (N,) of the increasing frame numbers (N,) in the slice ``frames``; steps from its start, else the first."""
     start = (numbers[0] if len(numbers) else 0) if frames.start is None else frames.start
     stop = np.inf if frames.stop is None else frames.stop
     return np.asarray((numbers >= start) & (numbers < stop) & ((numbers - start) % (frames.step or 1) == 0))

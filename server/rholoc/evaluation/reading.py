@@ -15,9 +15,9 @@ _LARGEST_KEY = 2.0**63
 
 
 def read_frame_poses(path: Path) -> FramePoses:
-    """Read Table 6 (CSV with the column ``timestamp``) or ``poses.txt``.
+    """Read Table 6 (CSV with the column ``timestamp``), without frame numbers if one is negative; or ``poses.txt``.
 
-    The keys of ``poses.txt`` are frame numbers if all of them are whole, else times.
+    The keys of ``poses.txt`` are frame numbers if all of them are whole, else times [s].
 
     Raises:
         InvalidTrajectory: the file is neither, or is broken.

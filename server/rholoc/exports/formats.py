@@ -55,7 +55,7 @@ class ExportFormat(StrEnum):
 
     @property
     def ending(self) -> str:
-        """The end of a file's name: ``.csv``, ``-observations.csv``."""
+        """The end of a file's name after the map's: ``.csv``, ``-observations.csv``."""
         match self:
             case ExportFormat.OBSERVATIONS | ExportFormat.TRAJECTORY:
                 return f"-{self.value}.csv"
@@ -98,12 +98,13 @@ def export_map(
     Args:
         map_: the map.
         to: the format.
-        title: the picture's title.
+        title: the title of a ``PNG``.
         degree: for CSV: P of the ``tensor`` densities, equation (3), fitted for the export; None: the map's own.
         features: for surfaces: the features; None: the 500 that were seen most often.
 
     Raises:
-        InvalidInput: an option is out of range or for another format, or the map does not remember its observations.
+        InvalidInput: an option is out of range or for another format, the map does not remember its observations, or
+            the format cannot hold its camera.
         InvalidMap: the map is inconsistent.
     """
     if degree is not None and to is not ExportFormat.CSV:
@@ -141,7 +142,7 @@ def export_map(
 
 
 def parse_features(text: str) -> list[int]:
-    """``3,17,40:60``: features by number, and ranges of them as Python's slices are written.
+    """Features of ``3,17,40:60``: numbers, and ranges as Python's slices are written, cut after ``MAX_SURFACES`` + 1.
 
     Raises:
         InvalidInput: the text is something else.
@@ -172,7 +173,7 @@ def _most_seen(map_: Map) -> list[int]:
 
 
 def _pieces(lines: Iterator[str]) -> Iterator[bytes]:
-    """Join lines to larger pieces. Makes the first piece immediately, to raise errors before anything is written."""
+    """Join lines to pieces of 256 KiB. Makes the first line immediately, to raise errors before any is written."""
     return _joined(chain([next(lines)], lines))
 
 

@@ -18,7 +18,7 @@ REFUSED = 3  # exit status
 
 
 def main() -> int:
-    """Write the export that is asked for; the exit status."""
+    """Write the export that standard input asks for to standard output; returns the exit status, 0 or ``REFUSED``."""
     wanted = json.loads(sys.stdin.buffer.readline())
     try:
         map_ = load_map(Path(wanted["source"]), wanted["title"])

@@ -46,7 +46,7 @@ def nerfstudio_transforms(map_: Map) -> str:
     """The content of ``transforms.json``: intrinsics and pose of every view.
 
     Raises:
-        InvalidInput: a camera's distortion has no counterpart in nerfstudio.
+        InvalidInput: the lenses are of several kinds, or one has a distortion without counterpart in nerfstudio.
     """
     used = source_cameras(map_.info)
     model, *others = sorted({_NERFSTUDIO_MODELS[camera.lens] for camera in used})
@@ -66,7 +66,7 @@ def _name(view: int) -> str:
 
 
 def _sources(map_: Map) -> list[int]:
-    """The source (K) of each view; 0 for all if the map does not keep them."""
+    """The source (K) of each view, as a row of the map's sources; 0 for all if the map does not keep them."""
     sources = map_.views.sources
     return [0] * len(map_.views) if sources is None else sources.tolist()
 
@@ -81,7 +81,7 @@ def _nerfstudio_camera(camera: Camera) -> dict[str, Any]:
 
 
 def _cameras(map_: Map) -> Iterator[str]:
-    """One camera for each source, numbered from 1."""
+    """Yield the lines of ``cameras.txt``: a camera for each source, numbered from 1. Raises InvalidInput."""
     yield "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]"
     for number, camera in enumerate(source_cameras(map_.info), 1):
         model, values = _colmap_camera(camera)
@@ -89,7 +89,7 @@ def _cameras(map_: Map) -> Iterator[str]:
 
 
 def _colmap_camera(camera: Camera) -> tuple[str, tuple[float, ...]]:
-    """A camera's model as COLMAP calls it, and its parameters."""
+    """A camera's model as COLMAP calls it, and its parameters [px]. Raises InvalidInput for part of a panorama."""
     if camera.lens is Lens.EQUIRECTANGULAR:
         if camera != Camera.panorama(camera.width, camera.height):
             raise InvalidInput("COLMAP has no panorama that is not whole.", "Export the map as ply.")
@@ -104,7 +104,7 @@ def _colmap_camera(camera: Camera) -> tuple[str, tuple[float, ...]]:
 
 
 def _images(map_: Map) -> Iterator[str]:
-    """Each view's pose T_camera_map, and pixel and landmark of its observations."""
+    """Yield the lines of ``images.txt``: each view's T_camera_map, and pixel and landmark of its observations."""
     yield "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME"
     yield "# POINTS2D[] as (X, Y, POINT3D_ID)"
     seen, offsets = map_.observations, map_.view_offsets
@@ -121,7 +121,9 @@ def _images(map_: Map) -> Iterator[str]:
 
 
 def _points(map_: Map) -> Iterator[str]:
-    """The landmarks that two views or more see, each with its colour, reprojection error and views."""
+    """Yield the lines of ``points3D.txt``: each landmark that two views or more see, its colour, mean error [px] and
+    views.
+    """
     yield "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"
     seen, numbers, errors = map_.observations, _point_numbers(map_), reprojection_errors_px(map_)
     places = np.arange(len(seen)) - map_.view_offsets[seen.views]

@@ -80,7 +80,7 @@ class FeatureSet:
 
     @lazy
     def sample(self) -> IntArray:
-        """Evenly spaced rows, enough to localize most frames; all rows if there are few."""
+        """250 evenly spaced rows, enough to localize most frames; all rows if there are fewer than 375."""
         count = len(self)
         if count < _WORTH_SAMPLING * _SAMPLED:
             return np.arange(count)
@@ -98,7 +98,7 @@ class FeatureSet:
         )
 
     def coloured(self, image: ByteArray) -> FeatureSet:
-        """The same features with their colours in an image (H, W, 3), BGR: the mean of a few pixels."""
+        """The same features with their colours in an image (H, W, 3) BGR: the mean of 5 × 5 pixels."""
         height, width = image.shape[:2]
         u, v = np.round(self.pixels).astype(np.int64).T
         mean = cv2.blur(image, (_COLOUR_PX, _COLOUR_PX))

@@ -71,9 +71,10 @@ class DescriptorIndex:
             self._indices[int(channel)] = make(descriptors[rows], metric)
 
     def nearest(self, features: FeatureSet, k: int) -> tuple[FloatArray, IntArray]:
-        """The ``k`` nearest descriptors of every feature (N): distances (N, k) and rows (N, k).
+        """The ``k`` nearest descriptors of its channel of every feature (N): distances (N, k), ascending, and rows (N,
+        k).
 
-        Where there are fewer than ``k``, the distance is inf and the row -1.
+        If there are fewer than ``k``, the distance is inf and the row -1.
         """
         distances = np.full((len(features), k), _NEVER, dtype=np.float32)
         rows = np.full((len(features), k), -1, dtype=np.int64)
@@ -101,7 +102,7 @@ def descriptor_distances(a: ByteArray, b: ByteArray, metric: Metric) -> FloatArr
 
 
 def mutual_matches(a: FeatureSet, b: FeatureSet, metric: Metric, limit: float) -> IntArray:
-    """Pairs (M, 2) of rows of ``a`` and ``b`` that are each other's nearest, no further apart than ``limit``."""
+    """Pairs (M, 2) of rows of ``a`` and ``b`` of one channel that are each other's nearest, at most ``limit`` apart."""
     if len(a) == 0 or len(b) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     distances, to_b = DescriptorIndex(b.descriptors, b.channels, metric).nearest(a, 1)
@@ -124,7 +125,7 @@ def _flat_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | faiss.I
 
 
 def _inverted_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | faiss.IndexBinary:
-    """Descriptors (D, B) byte by byte in about 2 √D lists."""
+    """Inverted file of descriptors (D, B), byte by byte in about 2 √D lists; an exhaustive index if too few."""
     count, size = descriptors.shape
     lists = 2 ** max(0, round(math.log2(2 * math.sqrt(count))))
     if count < _MIN_PER_LIST * lists:

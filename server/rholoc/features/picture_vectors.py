@@ -38,7 +38,7 @@ class PictureVectors:
 
     @classmethod
     def learned(cls, pictures: Sequence[ByteArray], metric: Metric) -> PictureVectors:
-        """From the descriptors (N, B) of each of some pictures, a thousand or so; one of them has some."""
+        """Learn an encoder from the descriptors (N, B) of each of a thousand pictures or so; one must have some."""
         training = [_numbers(picture, metric) for picture in pictures]
         vlad = Vlad(training)
         whole = vlad.vectors(training)
@@ -60,11 +60,11 @@ class PictureVectors:
         return cls(Vlad.of_words(words), mean, components, metric)
 
     def arrays(self) -> dict[str, FloatArray]:
-        """All that there is to keep."""
+        """Arrays by name from which :meth:`of_arrays` makes the encoder again."""
         return {"words": self._vlad.words, "mean": self._mean, "components": self._components}
 
     def vectors(self, pictures: Sequence[ByteArray]) -> FloatArray:
-        """(P, ``DIMENSIONS``) float32 of the descriptors (N, B) of P pictures; zeros where N is 0."""
+        """Unit vectors (P, ``DIMENSIONS``) float32 of the descriptors (N, B) of P pictures; zeros if N is 0."""
         parts = [np.zeros((0, DIMENSIONS), np.float32)]
         for start in range(0, len(pictures), _PICTURES_AT_A_TIME):
             some = [_numbers(picture, self._metric) for picture in pictures[start : start + _PICTURES_AT_A_TIME]]
@@ -75,15 +75,14 @@ class PictureVectors:
 
 
 def _numbers(descriptors: ByteArray, metric: Metric) -> ByteArray:
-    """Descriptors as numbers whose differences mean something: binary ones bit by bit."""
+    """Descriptors as numbers whose differences mean something: the bits (N, 8 B) of binary ones, others unchanged."""
     return np.unpackbits(descriptors, axis=1) if metric is Metric.HAMMING else descriptors
 
 
 def _components(centred: FloatArray) -> FloatArray:
-    """(D, ``DIMENSIONS``) the principal components of rows (N, D), each divided by a power of its spread.
-
-    Where few rows have fewer components, random directions across them take the rest: what comes later may
-    differ there.
+    """Principal components (D, ``DIMENSIONS``) float32 of centred rows (N, D), each divided by the root of its singular
+    value. Components below 1/1000 of the largest are dropped; random directions across the others, weighted by the
+    median, take the rest.
     """
     values, vectors = np.linalg.eigh(centred @ centred.T)  # N is far below D
     spread = np.sqrt(np.maximum(values, 0))

@@ -52,14 +52,14 @@ class Vlad:
         self._index.add(words)
 
     def vector(self, descriptors: ByteArray) -> FloatArray:
-        """(W · D,) of a picture's descriptors (N, D), of unit length; zeros where there are none.
+        """Vector (W · D,) of a picture's descriptors (N, D), of unit length; zeros if there are none.
 
         The scalar product of two pictures' vectors is their similarity.
         """
         return np.asarray(self.vectors([descriptors])[0])
 
     def vectors(self, descriptors: Sequence[ByteArray]) -> FloatArray:
-        """(P, W · D): :meth:`vector` of each of P pictures."""
+        """Vectors (P, W · D) as of :meth:`vector` of each of P pictures."""
         starts = range(0, len(descriptors), _PICTURES_AT_A_TIME)
         parts = [self._vectors(descriptors[start : start + _PICTURES_AT_A_TIME]) for start in starts]
         return np.concatenate([np.zeros((0, self.words.size), np.float32), *parts])

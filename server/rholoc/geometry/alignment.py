@@ -19,7 +19,7 @@ class Similarity:
     translation: FloatArray
 
     def points(self, points: FloatArray) -> FloatArray:
-        """Points (N, 3) → points (N, 3)."""
+        """Points (N, 3) in the source frame → points (N, 3) in the target frame."""
         return np.asarray(self.scale * points @ self.rotation.T + self.translation)
 
     def poses(self, T_source_camera: FloatArray) -> FloatArray:
@@ -83,10 +83,11 @@ def kabsch(source: FloatArray, target: FloatArray) -> Similarity:
 def posed_alignment(
     source: FloatArray, target: FloatArray, weights: FloatArray, fixed_scale: bool, min_spread_m: float = 0.0
 ) -> Similarity:
-    """The similarity between poses (N, 4, 4) of the same cameras, whose rotations say how the frames are turned.
+    """Similarity from poses ``source`` (N, 4, 4) to poses ``target`` (N, 4, 4) of the same cameras; rotations fix its
+    rotation.
 
-    So a walk along a line, or on the spot, is aligned as well. The scale stays 1 where it is fixed, or where the
-    target's positions are within ``min_spread_m`` of each other: they show no scale. ``weights`` (N,) are relative.
+    So a walk along a line, or on the spot, is aligned as well. The scale stays 1 if it is fixed, if the positions
+    disagree, or if the target's spread is at most ``min_spread_m``. ``weights`` (N,) are relative.
     """
     w = _normalized(weights, len(source))
     R, _ = _nearest_rotation(np.einsum("l,lij,lkj->ik", w, target[:, :3, :3], source[:, :3, :3]))
@@ -104,7 +105,7 @@ def _normalized(weights: FloatArray | None, count: int) -> FloatArray:
 
 
 def align_poses(source: FloatArray, target: FloatArray, rounds: int = 5) -> Similarity:
-    """The robust similarity between two pose lists (N, 4, 4) of the same cameras.
+    """Robust similarity from poses ``source`` (N, 4, 4) to poses ``target`` (N, 4, 4) of the same cameras.
 
     Uses camera centres only, reweighted so that a minority of wrong ones is ignored (Cauchy weights at their median).
     """

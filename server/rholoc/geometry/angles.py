@@ -31,6 +31,6 @@ def direction_angles(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def pose_distances(T_a: FloatArray, T_b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Metres (...) and radians (...) between poses (..., 4, 4) of two arrays."""
+    """Distances (...) [m] and angles (...) [rad] between poses (..., 4, 4) of two arrays, pair by pair."""
     apart = np.linalg.norm(T_a[..., :3, 3] - T_b[..., :3, 3], axis=-1)
     return np.asarray(apart), rotation_angles(T_a[..., :3, :3], T_b[..., :3, :3])

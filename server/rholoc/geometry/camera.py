@@ -165,7 +165,7 @@ class Camera:
 
     @property
     def matrix(self) -> FloatArray:
-        """K, (3, 3)."""
+        """Intrinsic matrix K (3, 3), without distortion."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
 
     @property
@@ -202,10 +202,10 @@ class Camera:
         return replace(self, fx=self.fx * scale, fy=self.fy * scale)
 
     def fitted(self, width: int, height: int) -> Camera:
-        """The camera for images of ``width`` × ``height``: resized, if they are of the same shape.
+        """The camera for images of ``width`` × ``height``: resized, if their aspect ratio is the same within 1 %.
 
         Raises:
-            InvalidCamera: they are of another shape.
+            InvalidCamera: it is another.
         """
         if abs(width * self.height / (height * self.width) - 1) >= _SHAPE_TOLERANCE:
             raise InvalidCamera(
@@ -275,7 +275,7 @@ class Camera:
 
     @lazy
     def _field(self) -> FloatArray:
-        """(2, 2) the least and the greatest x and y that a pinhole's edges reach on the plane z = 1."""
+        """Bounds (2, 2) of what a pinhole shows on the plane z = 1: the least x and y, the greatest x and y."""
         right, bottom = self.width - 0.5, self.height - 0.5
         edges = np.array([[-0.5, self.cy], [self.cx, -0.5], [right, self.cy], [self.cx, bottom]])
         (left, _), (_, top), (right, _), (_, bottom) = on_plane(self.rays(edges))

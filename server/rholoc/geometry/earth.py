@@ -31,7 +31,7 @@ class EarthPlace:
 
 
 def enu_of(place: EarthPlace, origin: EarthPlace) -> FloatArray:
-    """(3,) metres to the east, to the north and up that a place lies from an origin, in the origin's tangent frame."""
+    """Metres (3,) east, north and up of ``place`` from ``origin``, in the origin's tangent frame."""
     return np.asarray(_R_ecef_enu(origin).T @ (_ecef(place) - _ecef(origin)))
 
 
@@ -54,12 +54,12 @@ def R_enu_enu(place: EarthPlace, origin: EarthPlace) -> FloatArray:
 
 
 def _normal_m(latitude: float) -> float:
-    """The length of the ellipsoid's normal down to its axis."""
+    """Length [m] of the ellipsoid's normal at a latitude [rad] down to its axis."""
     return _A_M / math.sqrt(1 - _E2 * math.sin(latitude) ** 2)
 
 
 def _ecef(place: EarthPlace) -> FloatArray:
-    """(3,) metres, Earth-centred and Earth-fixed."""
+    """Position (3,) [m] in the Earth-centred, Earth-fixed frame."""
     latitude, longitude = math.radians(place.latitude_deg), math.radians(place.longitude_deg)
     normal = _normal_m(latitude)
     across = (normal + place.height_m) * math.cos(latitude)
@@ -68,7 +68,7 @@ def _ecef(place: EarthPlace) -> FloatArray:
 
 
 def _R_ecef_enu(origin: EarthPlace) -> FloatArray:
-    """(3, 3), whose columns are east, north and up."""
+    """Rotation (3, 3) whose columns are east, north and up in the Earth-centred frame."""
     latitude, longitude = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)
     sin_lat, cos_lat, sin_lon, cos_lon = (
         math.sin(latitude),

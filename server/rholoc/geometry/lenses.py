@@ -107,13 +107,13 @@ def slopes_of(lens: Lens, points: FloatArray, distortion: tuple[float, ...]) -> 
 
 
 def field_of_view_rad(lens: Lens, share: float) -> float:
-    """The angle that an image covers whose length is ``share`` times the focal length, distortion left out."""
+    """Angle [rad] covered by an image whose length is ``share`` × the focal length, distortion left out."""
     return 2 * math.atan(share / 2) if lens is Lens.PINHOLE else share
 
 
 @lru_cache(64)
 def widest_angle(distortion: tuple[float, ...]) -> float:
-    """The angle off the axis up to which a fisheye's radius grows, at most π."""
+    """Angle [rad] off the axis up to which a fisheye's radius grows, at most π. ``distortion`` is empty or k1 to k4."""
     if not distortion:
         return math.pi
     k1, k2, k3, k4 = distortion
@@ -160,7 +160,7 @@ def _bent(angle: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
 
 
 def _bending(angle: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """The radius's derivative (N,) by the angle (N,)."""
+    """Derivative (N,) of the fisheye's radius by the angle, at angles (N,) [rad]."""
     if not distortion:
         return np.ones_like(angle)
     k1, k2, k3, k4 = distortion

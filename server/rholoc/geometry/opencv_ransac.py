@@ -27,7 +27,7 @@ _REFINEMENTS, _SETTLED = 10, 1e-7
 
 
 def three_point_poses(rays: FloatArray, points: FloatArray) -> FloatArray:
-    """Poses (S, 4, 4) T_map_camera, at most four of each sample: unit rays (N, 3, 3) of points (N, 3, 3)."""
+    """Poses (S, 4, 4) T_map_camera of N samples, none to four of each: unit rays (N, 3, 3) of points (N, 3, 3)."""
     middles = rays.sum(axis=1)
     middles /= np.maximum(np.linalg.norm(middles, axis=1, keepdims=True), 1e-12)
     frontal = np.flatnonzero(np.einsum("nki,ni->nk", rays, middles).min(axis=1) > _MIN_COSINE)
@@ -83,7 +83,9 @@ class _Problem:
         return np.asarray(np.minimum(self.errors(T_map_rig) / self.tolerance**2, 1.0).sum(axis=1))
 
     def refined(self, T_map_rig: FloatArray) -> FloatArray:
-        """Pose (4, 4) after Gauss–Newton over the inliers, weighted down towards the tolerance."""
+        """Pose (4, 4) after Gauss–Newton over the inliers, weighted down towards the tolerance. Unchanged with fewer
+        than four inliers.
+        """
         T = T_map_rig
         for _ in range(_REFINEMENTS):
             R_rig_map = T[:3, :3].T
@@ -121,7 +123,9 @@ def sampled_pose(
     focal_px: float,
     settings: dict[str, Any],
 ) -> tuple[FloatArray, int]:
-    """As :func:`rholoc.geometry.resection.resected`, with poselib's settings for RANSAC."""
+    """T_map_rig (4, 4), NaN if none is found, and its number of inliers; arguments as
+    :func:`rholoc.geometry.resection.resected`.
+    """
     R = T_rig_camera[:, :3, :3]
     turned = [some @ R_one.T for some, R_one in zip(rays, R, strict=True)]
     of_camera = np.repeat(np.arange(len(rays)), [len(some) for some in rays])
@@ -170,7 +174,10 @@ def _rig_poses(problem: _Problem, triples: IntArray) -> FloatArray:
 def _triples(
     rng: np.random.Generator, of_camera: IntArray, count: int, most: int, size: int, is_progressive: bool
 ) -> IntArray:
-    """Random samples (N, 3) of different matches of one camera; at first among the likeliest, which come first."""
+    """At most ``size`` random samples (N, 3) of different matches of one camera, likeliest first in ``of_camera`` (M,).
+    If progressive, only among the likeliest at first, and among all after a quarter of ``most`` samples (``count``
+    drawn).
+    """
     total = len(of_camera)
     share = min(1.0, (count + size) / (most / 4)) if is_progressive else 1.0
     pool = max(min(total, 12), math.ceil(total * share))
@@ -181,6 +188,8 @@ def _triples(
 
 
 def _enough(share: float, success: float) -> int:
-    """Number of samples after which a better one was missed with a probability of 1 − ``success``."""
+    """Number of samples of three after which one of inliers alone, if these are ``share``, was drawn with chance
+    ``success``.
+    """
     hit = share**3
     return 1 if hit >= 1 else math.ceil(math.log(1 - success) / math.log1p(-max(hit, 1e-12)))

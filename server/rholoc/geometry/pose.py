@@ -42,13 +42,16 @@ def rows_from_poses(T_map_camera: FloatArray) -> FloatArray:
 
 
 def interpolated_poses(times: FloatArray, T: FloatArray, at: FloatArray) -> FloatArray:
-    """Poses (M, 4, 4) at the times ``at`` (M,), between poses ``T`` (N, 4, 4) at increasing ``times`` (N,), N ≥ 2."""
+    """Poses (M, 4, 4) at the times ``at`` (M,), between poses ``T`` (N, 4, 4) at increasing ``times`` (N,), N ≥ 2.
+
+    Raises ValueError for a time outside.
+    """
     R = Slerp(times, Rotation.from_matrix(T[:, :3, :3]))(at).as_matrix()
     return pose_matrix(R, np.column_stack([np.interp(at, times, axis) for axis in T[:, :3, 3].T]))
 
 
 def is_rotation(R: FloatArray, tolerance: float = 1e-3) -> bool:
-    """Whether an array is a rotation matrix (3, 3), no entry of R Rᵀ further than ``tolerance`` from the identity's."""
+    """Whether an array is a rotation matrix (3, 3): R Rᵀ = I within ``tolerance``, and a positive determinant."""
     if R.shape != (3, 3) or not np.all(np.abs(R) <= 1 + tolerance):
         return False
     return np.allclose(R @ R.T, np.eye(3), rtol=0, atol=tolerance) and float(np.linalg.det(R)) > 0
@@ -96,13 +99,15 @@ class Pose:
 
     @classmethod
     def from_quaternion(cls, position: FloatArray, quaternion_xyzw: FloatArray) -> Pose:
-        """From a position (3,) in metres and a quaternion (4,) in the order x, y, z, w."""
+        """From a position (3,) in metres and a quaternion (4,) in the order x, y, z, w, of any length but 0
+        (ValueError).
+        """
         R = Rotation.from_quat(np.asarray(quaternion_xyzw, dtype=np.float64)).as_matrix()
         return cls(pose_matrix(R, np.asarray(position, dtype=np.float64)))
 
     @classmethod
     def from_heading(cls, position: FloatArray, heading: FloatArray, roll: float = 0.0) -> Pose:
-        """From a position (3,) in metres, a heading (3,) and a roll in radians."""
+        """From a position (3,) in metres, a heading (3,) of any length but 0, and a roll in radians."""
         return cls(pose_matrix(rotation_from_heading(np.asarray(heading), roll), np.asarray(position)))
 
     @property
@@ -122,7 +127,11 @@ class Pose:
 
     @property
     def roll(self) -> float:
-        """The rotation about the heading against the upright camera, radians in (-π, π]."""
+        """Rotation about the heading from the upright camera [rad, in (-π, π]], positive if x turns towards the upright
+        y (down).
+
+        For a vertical heading the upright camera's x axis is the map's.
+        """
         upright = rotation_from_heading(self.heading)
         right = self.R_map_camera[:, 0]
         return math.atan2(float(upright[:, 1] @ right), float(upright[:, 0] @ right))
@@ -134,6 +143,6 @@ class Pose:
         return np.asarray(-quaternion if quaternion[3] < 0 else quaternion)
 
     def inverse(self) -> FloatArray:
-        """T_camera_map, (4, 4)."""
+        """T_camera_map (4, 4)."""
         R = self.R_map_camera.T
         return pose_matrix(R, -R @ self.position)

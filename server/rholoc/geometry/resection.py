@@ -61,7 +61,7 @@ def resected(
         settings: poselib's for RANSAC.
 
     Returns:
-        T_map_rig (4, 4) and how many matches agree with it.
+        T_map_rig (4, 4), not finite or arbitrary if none is found, and how many matches agree with it.
     """
     if poselib is None:
         return opencv_ransac.sampled_pose(rays, points, T_rig_camera, focal_px, settings)
@@ -84,7 +84,7 @@ def resected(
 
 
 def three_point_poses(rays: FloatArray, points: FloatArray) -> FloatArray:
-    """Poses (S, 4, 4) T_map_camera, at most four of each sample: unit rays (N, 3, 3) of points (N, 3, 3)."""
+    """Poses (S, 4, 4) T_map_camera of N samples, none to four of each: unit rays (N, 3, 3) of points (N, 3, 3)."""
     if poselib is None:
         return opencv_ransac.three_point_poses(rays, points)
     poses = [pose for three, seen in zip(rays, points, strict=True) for pose in poselib.p3p(three, seen)]
@@ -96,7 +96,9 @@ def three_point_poses(rays: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _faces(rays: FloatArray) -> Iterator[tuple[FloatArray, IntArray]]:
-    """R_face_camera (3, 3) of the pinhole cameras that unit rays (N, 3) are divided among, and the rows of each's."""
+    """Iterate over R_face_camera (3, 3) of the pinholes that unit rays (N, 3) are divided among, and the rows of each
+    one's rays.
+    """
     if is_narrow(rays):
         yield _FACES[0], np.arange(len(rays))
         return
@@ -106,7 +108,7 @@ def _faces(rays: FloatArray) -> Iterator[tuple[FloatArray, IntArray]]:
 
 
 def _mounted(R_face_camera: FloatArray, T_rig_camera: FloatArray) -> FloatArray:
-    """T_face_rig (4, 4)."""
+    """T_face_rig (4, 4) of a cube's face in a camera mounted at T_rig_camera."""
     R_face_rig = R_face_camera @ T_rig_camera[:3, :3].T
     return pose_matrix(R_face_rig, -R_face_rig @ T_rig_camera[:3, 3])
 

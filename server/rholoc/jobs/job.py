@@ -150,6 +150,6 @@ class Job:
 
     @property
     def trusted(self) -> bool | None:
-        """Whether its published map is to be trusted; None if it has published none."""
+        """Whether its published map has no warnings; None if it has published none."""
         has_map = self.state is JobState.PUBLISHED and self.kind is not JobKind.PLACE
         return not self.warnings if has_map else None

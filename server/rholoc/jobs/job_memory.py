@@ -42,7 +42,10 @@ class MoreMemoryNeeded:
 
     @classmethod
     def after(cls, held_bytes: float, granted_bytes: float, most_bytes: float) -> MoreMemoryNeeded | None:
-        """Estimated need of a job killed for its memory; None if no worker has more than it had.
+        """Estimated need of a job killed for its memory: 1.5 × ``held_bytes``, more than ``granted_bytes``, at most
+        ``most_bytes``.
+
+        None if the largest worker has no more than was granted.
 
         Args:
             held_bytes: measured memory before it was killed.
@@ -55,12 +58,12 @@ class MoreMemoryNeeded:
 
 
 def memory_for(recording: Recording) -> int:
-    """Estimated memory for mapping a recording [bytes]."""
+    """Estimated memory for mapping a recording [bytes]; frames without times count as a second each."""
     times, (width, height) = recording.frames.times, recording.frames.size
     length_s = float(times[-1] - times[0]) if recording.frames.timed else len(times) * SECONDS_PER_PICTURE
     return memory_for_walk(length_s, width * height)
 
 
 def memory_for_walk(length_s: float, frame_pixels: int) -> int:
-    """Estimated memory for mapping a walk of ``length_s`` with frames of ``frame_pixels`` pixels [bytes]."""
+    """Estimated memory for mapping a walk [bytes]: 1 GB, 5 MB per second of ``length_s``, 60 bytes per pixel."""
     return int(_BASE_BYTES + _BYTES_PER_SECOND * length_s + _BYTES_PER_PIXEL * frame_pixels)

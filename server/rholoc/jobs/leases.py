@@ -123,20 +123,20 @@ class Leases:
         return Claim(lease, work, row["memory_bytes"] or 0, row["deaths"])
 
     def held_by(self, worker: str) -> set[Lease]:
-        """The jobs that a worker has."""
+        """Leases of a worker's running jobs."""
         return self._running(jobs_table.c.worker == worker)
 
     def held_at(self, process: str) -> set[Lease]:
-        """The jobs of a process's workers. :func:`rholoc.jobs.workers_table.process_name` names processes."""
+        """Leases of a process's running jobs; :func:`rholoc.jobs.workers_table.process_name` names processes."""
         return self._running(jobs_table.c.worker.startswith(f"{process}-", autoescape=True))
 
     def take_back(self, living: Collection[str]) -> int:
-        """Requeue jobs whose worker is not in ``living``. Returns their number."""
+        """Requeue running jobs whose worker is not in ``living``, counting the death. Returns their number."""
         dead = jobs_table.c.worker.not_in(list(living))
         return sum(self.lose(lease, "its worker died") for lease in self._running(dead))
 
     def lose(self, lease: Lease, why: str) -> bool:
-        """Requeue a job after its worker's death. Returns False if the lease was lost before."""
+        """Requeue a job after its worker's death, counted and logged. False if the lease was lost before."""
         message = shortened(f"waiting for another worker: {why}")
         with self._engine.begin() as connection:
             row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
@@ -158,7 +158,9 @@ class Leases:
             return connection.execute(sa.select(jobs_table.c.id).where(*_held(lease))).first() is not None
 
     def note(self, lease: Lease, stage: Stage, fraction: float, message: str) -> None:
-        """Record progress; a new stage or message is added to the log."""
+        """Record progress, which never decreases; a new stage or message is added to the log. A lost lease records
+        nothing.
+        """
         message = shortened(message)
         with self._engine.begin() as connection:
             row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
@@ -183,15 +185,15 @@ class Leases:
             return set(connection.execute(sa.select(jobs_table.c.run).where(unfinished)).scalars())
 
     def give_back(self, lease: Lease) -> None:
-        """Requeue the job of a worker that stops."""
+        """Requeue the job of a worker that stops, without counting a death; does nothing if the lease is lost."""
         self._update(lease, **_GIVEN_BACK)
 
     def hand_on(self, lease: Lease, memory_bytes: int) -> bool:
-        """Requeue the job for a worker with ``memory_bytes``. Returns False if the lease was lost before."""
+        """Requeue the job for a worker with at least ``memory_bytes``. Returns False if the lease was lost before."""
         return self._update(lease, **_GIVEN_BACK, memory_bytes=memory_bytes)
 
     def begin_publishing(self, lease: Lease) -> bool:
-        """Make the job uncancellable. Returns False if the lease was lost before."""
+        """Set the job's stage to published, in which it cannot be cancelled. False if the lease was lost before."""
         return self._update(lease, stage=Stage.PUBLISHED, message="publishing")
 
     def publish(self, lease: Lease, warnings: Sequence[str], connection: sa.Connection | None = None) -> bool:
@@ -217,7 +219,7 @@ class Leases:
             return connection.execute(found).first() is not None
 
     def fail(self, lease: Lease, failure: Failure) -> bool:
-        """Record why the job failed. Returns as :meth:`publish` does."""
+        """Record why the job failed. Returns False, and records nothing, if the lease was lost before."""
         message = shortened(failure.message)
         return self._end(
             lease,
@@ -253,13 +255,15 @@ class Leases:
 
 
 def shortened(text: str) -> str:
-    """A job's message, cut to the length that is kept and made well-formed UTF-8."""
+    """A job's message, cut to 500 characters and made well-formed UTF-8."""
     line = text if len(text) <= MAX_LINE_LENGTH else f"{text[: MAX_LINE_LENGTH - 1]}…"
     return line.encode("utf-8", "replace").decode()
 
 
 def overall(stage: Stage, fraction: float) -> float:
-    """The progress 0..1 over all stages, of ``fraction`` within ``stage``."""
+    """The progress 0..1 over all stages, of ``fraction`` (clipped to 0..1) within ``stage``; links are a job of their
+    own.
+    """
     within = min(1.0, max(0.0, fraction))
     if stage is Stage.LINKS:
         return within

@@ -41,7 +41,7 @@ class JobQueue:
         self._trouble: str | None = None
 
     def check(self) -> None:
-        """Connect once. Raises as :func:`rholoc.storage.database.check_database` does."""
+        """Connect to the database once. Raises StorageUnavailable, StorageFull, InvalidInput or Conflict."""
         check_database(self._engine)
 
     def submit(
@@ -86,7 +86,7 @@ class JobQueue:
         return self.get(job_id)
 
     def get(self, job_id: str) -> Job:
-        """The job.
+        """The job; a queued one with its obstacle.
 
         Raises:
             UnknownJob: no job has this id.
@@ -188,9 +188,9 @@ class JobQueue:
         self._recordings.delete(recording_id)
 
     def delete_mapped_recordings(self, retention_s: float) -> None:
-        """Delete the recordings whose maps were published more than ``retention_s`` ago.
+        """Delete the recordings of which all jobs published their maps more than ``retention_s`` [s] ago.
 
-        Recordings that a later job failed on, or still needs, are kept.
+        Recordings that another job failed on, or still needs, are kept.
         """
         for recording_id in self._jobs.mapped_before(time.time() - retention_s):
             with suppress(UnknownRecording):  # it was deleted before
@@ -202,11 +202,11 @@ class JobQueue:
         return self._engine
 
     def has_worker(self) -> bool:
-        """Whether any worker's last heartbeat is recent."""
+        """Whether any worker's last heartbeat is younger than 15 s."""
         return bool(self._workers.living())
 
     def requeue_jobs_of(self, pid: int, error: str) -> None:
-        """Requeue the jobs of a worker of this machine that has died.
+        """Requeue the jobs of the workers of a process of this machine that has died, and forget the workers.
 
         Args:
             pid: its process id.
@@ -228,7 +228,7 @@ class JobQueue:
                 self._workers.report(self._starter, shortened(trouble))
 
     def worker_trouble(self) -> str | None:
-        """Recently reported reason why workers die when started, or None."""
+        """Reason why workers die when started, of this process or reported within ten minutes; None without one."""
         return self._trouble or self._workers.error()
 
     def close(self) -> None:
@@ -236,10 +236,8 @@ class JobQueue:
         self._engine.dispose()
 
     def _size_of(self, recording_id: str, options: JobOptions) -> tuple[float, int | None]:
-        """Estimated length of a job's walk [s], and memory [bytes]; None until a job has read the recording.
-
-        Raises:
-            UnknownRecording: there is no such recording.
+        """Estimated length of a job's walk [s], and memory [bytes]; None until a job has read the recording. Raises
+        UnknownRecording: there is no such recording.
         """
         if not recording_id:
             return 0.0, memory_for_walk(0.0, 0)
@@ -251,7 +249,7 @@ class JobQueue:
         return length_s, memory_for_walk(length_s, notes.width * notes.height)
 
     def _explained(self, jobs: Sequence[Job]) -> Sequence[Job]:
-        """The jobs, queued ones with their obstacle."""
+        """The jobs, queued ones with their obstacle and a message about it."""
         if not any(job.state is JobState.QUEUED for job in jobs):
             return jobs
         workers = self._workers.living()
@@ -260,7 +258,7 @@ class JobQueue:
 
 
 def _explained(job: Job, workers: Sequence[WorkerOffer], trouble: str | None) -> Job:
-    """A queued job with its obstacle."""
+    """A queued job with its obstacle: ``trouble`` if given, no workers, or too little memory; unchanged without one."""
     if trouble is not None:
         return replace(job, obstacle=Obstacle.WORKER_FAILS, message=f"waiting for a worker: {trouble}")
     if not workers:

@@ -33,8 +33,8 @@ class JobWork:
 def turn_of(submitted_s: float, priority: JobPriority, length_s: float) -> float:
     """Sort key of the queue [s]: the job with the smallest turn is taken first.
 
-    Shorter walks and higher priorities overtake jobs submitted at about the same time. Since a turn does not change,
-    no job waits for ever.
+    It is the time of submission, minus or plus a day by priority, plus ten times the walk's length. Since a turn does
+    not change, no job waits for ever.
 
     Args:
         submitted_s: seconds since the epoch.
@@ -98,11 +98,11 @@ class JobTable:
             return connection.execute(found).first() is not None
 
     def learning(self, map_name: str) -> Job | None:
-        """The queued or running job by which a map learns from its queries."""
+        """The queued or running job by which a map learns from its queries; None if there is none."""
         return self._unfinished(JobKind.LEARN, jobs_table.c.map_name == map_name)
 
     def placing(self, site: str) -> Job | None:
-        """The queued or running job by which the maps of a site are placed."""
+        """The queued or running job by which the maps of a site are placed; None if there is none."""
         return self._unfinished(JobKind.PLACE, jobs_table.c.options["site"].as_string() == site)
 
     def _unfinished(self, kind: JobKind, of: sa.ColumnElement[bool]) -> Job | None:
@@ -113,7 +113,7 @@ class JobTable:
         return None if row is None else _job(row)
 
     def last_learning(self, map_name: str) -> Job | None:
-        """The last published or failed job by which a map learns from its queries."""
+        """The last ended of the published or failed jobs by which a map learns from its queries; None without any."""
         found = (
             sa.select(jobs_table)
             .where(
@@ -162,7 +162,7 @@ class JobTable:
             connection.execute(jobs_table.insert().values(**values, **_QUEUED))
 
     def requeue(self, job_id: str, length_s: float, asked_in: str | None = None) -> None:
-        """Queue a failed or cancelled job again, as if it were submitted now. Raises UnknownJob, Conflict."""
+        """Queue a failed or cancelled job again, as if submitted now. Raises UnknownJob; Conflict for another state."""
         turn = turn_of(time.time(), self.get(job_id).priority, length_s)
         values = {"run": _new_run(job_id), "turn": turn, "asked_in": asked_in, **_QUEUED}
         with self._engine.begin() as connection:
@@ -175,7 +175,7 @@ class JobTable:
             raise Conflict("Only a job that failed or was cancelled can be retried.", "Submit a new one.")
 
     def prioritize(self, job_id: str, priority: JobPriority) -> None:
-        """Change the priority of a queued job. Raises UnknownJob, Conflict."""
+        """Change the priority, and so the turn, of a queued job. Raises UnknownJob; Conflict if it is not queued."""
         with self._engine.begin() as connection:
             row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().first()
             if row is None:
@@ -190,7 +190,9 @@ class JobTable:
             raise Conflict("The job no longer waits for a worker.", "Only a queued job's priority can be changed.")
 
     def cancel(self, job_id: str) -> None:
-        """End a queued or running job, unless its map is being published. Raises Conflict."""
+        """Set a queued or running job to cancelled. Raises Conflict if it has ended, is unknown, or its map is being
+        published.
+        """
         with self._engine.begin() as connection:
             changed = connection.execute(
                 jobs_table.update()
@@ -205,7 +207,7 @@ class JobTable:
             raise Conflict("The job has ended, or its map is being published.", "Retry it, or submit a new one.")
 
     def delete(self, job_id: str) -> None:
-        """Remove a job that has ended. Raises Conflict."""
+        """Remove a job that has ended. Raises Conflict if it has not, or is unknown."""
         ended = [state for state in JobState if state.ended]
         with self._engine.begin() as connection:
             removed = connection.execute(
@@ -235,7 +237,7 @@ _kind_of_row = jobs_table.c.options["kind"].as_string()
 
 
 def _new_run(job_id: str) -> str:
-    """Id of a new run of a job, so that a retry does not find the previous run's files."""
+    """New id of a run of a job, so that a retry does not find the previous run's files."""
     return f"{job_id}-{uuid.uuid4().hex[:8]}"
 
 

@@ -159,7 +159,7 @@ class UploadStore:
             UnknownRecording: there is no upload with this id, or it expired.
             Conflict: ``offset`` is not the upload's.
             TooLarge: more bytes than were declared.
-            InvalidRecording, TooLarge: the content is not a recording's. The upload is removed.
+            InvalidRecording, TooLarge: the first bytes or the whole are not a recording's. The upload is removed.
             StorageFull: the disk is full. What was stored before is kept.
         """
         standing = self.get(upload_id)
@@ -178,17 +178,19 @@ class UploadStore:
         return self.get(upload_id)
 
     def delete(self, upload_id: str) -> None:
-        """Forget an unfinished upload.
+        """Remove an unfinished upload and its pieces.
 
         Raises:
-            UnknownRecording: no recording has this id.
+            UnknownRecording: no unfinished upload has this id.
         """
         if self._plan(upload_id) is None:
             raise unknown_recording(upload_id)
         self._forget(upload_id)
 
     def sweep(self) -> None:
-        """Remove expired uploads, and queue the jobs of complete uploads without one."""
+        """Remove expired uploads and their pieces, and queue the jobs of complete uploads without one. Raises
+        StorageUnavailable.
+        """
         with self._engine.connect() as connection:
             ids = connection.execute(sa.select(uploads_table.c.id)).scalars().all()
         for upload_id in ids:
@@ -206,7 +208,7 @@ class UploadStore:
             return {row.id: row.map_name for row in rows}
 
     def _check_room(self) -> None:
-        """Refuse an upload beyond the limit of unfinished ones; expired ones do not count."""
+        """Raise Busy at the limit of unfinished uploads, after expired ones were removed."""
         if self._unfinished() < self._max_unfinished:
             return
         self.sweep()
@@ -226,7 +228,7 @@ class UploadStore:
         return None if row is None else _Plan(**{**row, "options": JobOptions.from_json(row["options"])})
 
     def _recorded(self, upload_id: str) -> Upload:
-        """An upload that has become a recording. Raises UnknownRecording."""
+        """State of an upload that has become a recording, with its job if it has one. Raises UnknownRecording."""
         entry = self._recordings.get(upload_id)
         try:
             job = self._jobs.get(upload_id)
@@ -235,7 +237,7 @@ class UploadStore:
         return Upload(upload_id, entry.size_bytes, entry.size_bytes, job=job)
 
     def _take(self, upload_id: str, piece: _Piece) -> bool:
-        """Advance the upload by a piece, if the piece begins at its offset. Returns whether it did."""
+        """Advance the upload by a piece, if the piece begins at its offset. Whether it did. Raises StorageFull."""
         stands = sa.and_(uploads_table.c.id == upload_id, uploads_table.c.offset == piece.start)
         values = {"offset": piece.start + piece.size_bytes, "touched": time.time()}
         with reporting_full_database(), self._engine.begin() as connection:
@@ -287,7 +289,7 @@ class UploadStore:
             raise
 
     def _forget(self, upload_id: str) -> None:
-        """Remove an upload and its pieces."""
+        """Remove an upload and its pieces; pieces that the storage does not delete are left to :meth:`sweep`."""
         pieces = self._pieces(upload_id)
         with self._engine.begin() as connection:
             connection.execute(upload_pieces_table.delete().where(upload_pieces_table.c.upload == upload_id))
@@ -298,10 +300,8 @@ class UploadStore:
 
 
 def _plain_file_name(file_name: str, length: int) -> str:
-    """The sanitized name of an uploaded file of ``length`` bytes.
-
-    Raises:
-        InvalidRecording: it is no recording's, or the file is empty.
+    """The sanitized name of an uploaded file of ``length`` bytes. Raises InvalidRecording: its suffix is no
+    recording's, or the file is empty.
     """
     safe = sanitized(file_name).rsplit("/", 1)[-1]
     check_file_name(safe)
@@ -311,7 +311,7 @@ def _plain_file_name(file_name: str, length: int) -> str:
 
 
 def _check_room_for_bytes(standing: Upload, offset: int, count: int) -> None:
-    """Refuse more bytes than were declared. Raises TooLarge."""
+    """Raise TooLarge if ``count`` bytes at ``offset`` exceed the upload's declared length."""
     if offset + count > standing.length:
         raise TooLarge(
             f"More than the declared {standing.length} bytes.", "Start an upload that declares the whole size."
@@ -319,7 +319,7 @@ def _check_room_for_bytes(standing: Upload, offset: int, count: int) -> None:
 
 
 def _check_offset(stands_at: int, offset: int) -> None:
-    """Raise Conflict unless bytes at ``offset`` continue an upload."""
+    """Raise Conflict unless ``offset`` is where the upload stands."""
     if stands_at != offset:
         raise Conflict(
             f"The upload is at byte {stands_at}, not at {offset}.",

@@ -45,7 +45,7 @@ class WorkerTable:
         self._put(worker, int(memory_bytes) if math.isfinite(memory_bytes) else None, None)
 
     def report(self, starter: str, error: str) -> None:
-        """Record why workers started by ``starter`` die."""
+        """Record why workers started by the process ``starter`` die."""
         self._put(starter, None, error)
 
     def remove(self, worker: str) -> None:
@@ -54,7 +54,7 @@ class WorkerTable:
             connection.execute(workers_table.delete().where(workers_table.c.id == worker))
 
     def remove_all(self, process: str) -> None:
-        """Forget the workers that ran as a process, named as :func:`process_name` does."""
+        """Remove the workers that ran as a process, named as :func:`process_name` does."""
         with self._engine.begin() as connection:
             of_process = workers_table.c.id.startswith(f"{process}-", autoescape=True)
             connection.execute(workers_table.delete().where(of_process))
@@ -76,7 +76,7 @@ class WorkerTable:
             return connection.execute(reported.order_by(workers_table.c.heartbeat.desc()).limit(1)).scalar()
 
     def forget(self, dead_after_s: float) -> None:
-        """Remove workers with a heartbeat older than ``dead_after_s``, and old errors."""
+        """Remove workers with a heartbeat older than ``dead_after_s``, and errors older than ten minutes too."""
         now, heartbeat, error = time.time(), workers_table.c.heartbeat, workers_table.c.error
         old = sa.or_(
             sa.and_(error.is_(None), heartbeat < now - dead_after_s),

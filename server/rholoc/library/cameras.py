@@ -37,7 +37,7 @@ class CameraLibrary(NamedDocuments[CameraProfile]):
         """Store a camera under a name, replacing any of that name.
 
         Raises:
-            InvalidName, StorageFull, InvalidInput: nothing was replaced.
+            InvalidName, StorageFull, InvalidInput, SQLAlchemyError: nothing was replaced.
         """
         file_name = self._file_name(name)
         try:
@@ -49,10 +49,11 @@ class CameraLibrary(NamedDocuments[CameraProfile]):
         self._files.write(file_name, f"{text}\n".encode(), called=file_name)
 
     def named_in(self, text: str | None) -> Camera | str | None:
-        """The stored camera called ``text``; text for :meth:`Camera.parse` is returned unchanged.
+        """The stored camera called ``text``. None, and text for :meth:`Camera.parse` (numbers, or a panorama), are
+        returned unchanged.
 
         Raises:
-            InvalidName, UnknownCamera, InvalidCamera: as :meth:`get` does.
+            InvalidName, UnknownCamera: no camera is called this. InvalidCamera: its file is damaged.
         """
         if text is None or "," in text or text == Lens.EQUIRECTANGULAR:
             return text

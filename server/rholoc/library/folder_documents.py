@@ -31,13 +31,12 @@ class Documents(ABC):
 
     @abstractmethod
     def stamp(self) -> object:
-        """Value that changes when any file changes; None if it is too early to tell."""
+        """Value that changes when any file changes; None if it is too early to tell, or files cannot be seen."""
 
     @abstractmethod
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
-        """Store a file, or remove it if ``content`` is None. Returns False if refused, or already missing.
-
-        ``accepts``, if given, must return True for the present content, which is None if the file is missing.
+        """Store a file, or remove it if ``content`` is None. Returns False if refused, or already missing. ``accepts``,
+        if given, must return True for the present content, which is None if the file is missing.
         """
 
     def write(self, name: str, content: bytes, called: str = "") -> None:
@@ -57,7 +56,7 @@ class Documents(ABC):
         return self._set(name, content, called, lambda present: present == before)
 
     def delete(self, name: str) -> None:
-        """Remove a file. Raises FileNotFoundError."""
+        """Remove a file. Raises FileNotFoundError if there is none; StorageFull, InvalidInput, SQLAlchemyError."""
         if not self._set(name, None, ""):
             raise FileNotFoundError(name)
 
@@ -119,7 +118,7 @@ class NamedDocuments(ABC, Generic[Document]):
         self._files = FolderDocuments(files / self._folder) if isinstance(files, Path) else files
 
     def names(self) -> list[str]:
-        """The names of all documents, sorted."""
+        """The names of all documents, sorted; files with invalid names are left out."""
         names = [file.removesuffix(_SUFFIX) for file in self._files.names() if file.endswith(_SUFFIX)]
         return sorted(name for name in names if is_name(name))
 
@@ -139,7 +138,9 @@ class NamedDocuments(ABC, Generic[Document]):
             raise self._unreadable(name) from error
 
     def delete(self, name: str) -> None:
-        """Delete a document. Raises InvalidName and NotFound as :meth:`get` does."""
+        """Delete a document. Raises InvalidName, NotFound if there is none; StorageFull, InvalidInput,
+        SQLAlchemyError.
+        """
         try:
             self._files.delete(self._file_name(name))
         except FileNotFoundError as error:
@@ -147,7 +148,7 @@ class NamedDocuments(ABC, Generic[Document]):
 
     @abstractmethod
     def _parsed(self, name: str, content: bytes) -> Document:
-        """The document in a file. Raises InvalidInput if there is none."""
+        """The document in a file's content. Raises InvalidInput, which calls it ``name``, if it holds none."""
 
     @abstractmethod
     def _unreadable(self, name: str) -> InvalidInput:

@@ -35,7 +35,7 @@ class MapCache:
         self._lock = threading.Lock()
 
     def get(self, name: str, signature: Signature) -> Map | None:
-        """The map of that name, if it is cached and its file has that signature."""
+        """The map of that name, which becomes the last used; None unless it is cached with that signature."""
         with self._lock:
             entry = self._entries.get(name)
             if entry is None or entry.signature != signature:
@@ -44,7 +44,9 @@ class MapCache:
             return entry.map
 
     def put(self, name: str, signature: Signature, map_: Map) -> None:
-        """Add a map, evicting others to make room."""
+        """Add a map as the last used one, evicting others, the least recently used first, to make room; it always
+        stays.
+        """
         with self._lock:
             self._entries[name] = _Entry(signature, map_, memory_bytes(map_))
             self._entries.move_to_end(name)

@@ -84,7 +84,7 @@ class MapCatalogue(ABC):
         """Value that changes with every publication, renaming or deletion by any process; None if unknown."""
 
     def refresh(self) -> None:
-        """Load other processes' changes, if possible now."""
+        """Load other processes' changes; does nothing if the database does not answer."""
         return
 
     def look_again(self) -> None:

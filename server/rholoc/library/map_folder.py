@@ -54,7 +54,7 @@ class MapFolder(MapCatalogue):
         return [file for file in found if file is not None]
 
     def at(self, place: str) -> MapFile | None:
-        """The file at a place below the folder; None if there is none."""
+        """The file at a place below the folder; None if there is none, or it is no regular file."""
         try:
             status = (self.folder / place).stat()
         except FileNotFoundError:
@@ -136,9 +136,8 @@ class MapFolder(MapCatalogue):
         sync_folder(self.folder)
 
     def _complete(self, is_new: bool = False) -> None:
-        """Apply a committed change, if there is one.
-
-        If the first link of a new change cannot be put in its place, the change is rolled back.
+        """Apply a committed change, if there is one. If the first link of a new change cannot be put in its place, the
+        change is rolled back. Raises OSError.
         """
         decided = self.folder / _DECIDED
         if not decided.exists():

@@ -51,7 +51,9 @@ class MapLibrary:
         return self._catalogue.names()
 
     def readable(self) -> list[str]:
-        """Names of the readable maps, sorted; reads each unchecked file once."""
+        """Names of the readable maps, sorted; reads each unchecked file once. Raises StorageUnavailable,
+        StorageFull.
+        """
         names = self.names()
         return names if self._catalogue.holds_only_maps else [name for name in names if self._is_readable(name)]
 
@@ -66,7 +68,7 @@ class MapLibrary:
         return True
 
     def stat(self, name: str) -> MapFile:
-        """Size, time and signature of a map's file."""
+        """Size, time and signature of a map's present file. Raises InvalidName, UnknownMap."""
         check_map_name(name)
         file = self._catalogue.find(name)
         if file is None:
@@ -80,6 +82,7 @@ class MapLibrary:
         """A map's file on this machine, fetched if necessary.
 
         Raises:
+            InvalidName, UnknownMap: there is no such map.
             StorageUnavailable, StorageFull: it cannot be fetched.
         """
         try:
@@ -89,13 +92,16 @@ class MapLibrary:
             return self._catalogue.local(self.stat(name))
 
     def map_id(self, name: str) -> str:
-        """The id of a map, which all its versions have. Raises as :meth:`outline`."""
+        """The id of a map, which all its versions have. Raises InvalidName, UnknownMap, InvalidMap,
+        StorageUnavailable.
+        """
         return self.stat(name).map_id or self.outline(name).info.id
 
     def outline(self, name: str) -> MapOutline:
         """Description and size of a map, from the header of its file.
 
         Raises:
+            InvalidName, UnknownMap: there is no such map.
             InvalidMap: its file is not a map.
             StorageUnavailable: the header cannot be fetched.
         """
@@ -106,13 +112,14 @@ class MapLibrary:
         return known[1]
 
     def stamp(self) -> int | None:
-        """Changes whenever a map is published, renamed or deleted, by any process; None where that is not known."""
+        """Value that changes whenever a map is published, renamed or deleted, by any process; None if unknown."""
         return self._catalogue.stamp()
 
     def get(self, name: str) -> Map:
         """A map, cached until it is replaced. Reading one does not block others.
 
         Raises:
+            InvalidName, UnknownMap: there is no such map.
             InvalidMap: its file is not a map.
             StorageUnavailable, StorageFull: it cannot be fetched.
         """
@@ -140,11 +147,11 @@ class MapLibrary:
             raise self._unknown(name) from error
 
     def is_known(self, name: str) -> bool:
-        """Whether memory knows of a map of this name; accesses neither disk nor database."""
+        """Whether a map of this name is in the memory cache; accesses neither disk nor database."""
         return self._cache.has(name)
 
     def is_here(self, name: str) -> bool:
-        """Whether :meth:`get` needs no fetch."""
+        """Whether :meth:`get` needs no fetch; False for an unknown name."""
         file = self._catalogue.find(name)
         if file is None:
             return False
@@ -183,11 +190,11 @@ class MapLibrary:
         return self._put(name, source if isinstance(source, bytes) else _pieces(source), read)
 
     def replace(self, name: str, next_version: Map) -> None:
-        """Publish the next version of a map; idempotent.
+        """Publish the next version of a map, with its number plus one; does nothing if it is published already.
 
         Raises:
-            Conflict: the map has changed since; nothing was replaced.
-            InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
+            Conflict, UnknownMap: the map has changed since, or is gone; nothing was replaced.
+            InvalidName, InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
         """
         self._catalogue.refresh()
         file, present = self.stat(name), self.get(name).info
@@ -219,14 +226,18 @@ class MapLibrary:
         instead_of: MapFile | None = None,
         keeps_replaced: bool = True,
     ) -> Map:
-        """Publish a file under a name, after ``read`` has parsed it.
+        """Publish a file under a name, after ``read`` has parsed it; the map's present content again changes nothing.
 
         Args:
             name: the map's.
             data: the file's content.
-            read: returns the map in a file.
+            read: returns the map in a file, or raises.
             instead_of: the file that it must replace; None for any.
             keeps_replaced: whether the replaced file is kept as a version.
+
+        Raises:
+            Conflict: the present file is not ``instead_of``.
+            InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
         """
         called = check_map_name(name) + SUFFIX
         self._catalogue.make_room()
@@ -247,7 +258,10 @@ class MapLibrary:
         return map_
 
     def holds(self, name: str, file: Path) -> bool:
-        """Whether a map has the same content as a file. Raises StorageUnavailable, StorageFull."""
+        """Whether a map has the same content as a file, by their checksums; False if no map has the name.
+
+        Raises InvalidName, StorageUnavailable, StorageFull, and InvalidMap if ``file`` is none.
+        """
         try:
             return self.outline(name).checksum == load_outline(file).checksum
         except UnknownMap:
@@ -256,12 +270,16 @@ class MapLibrary:
             return filecmp.cmp(self.path(name), file, shallow=False)
 
     def previous(self, name: str) -> MapInfo | None:
-        """Description of a name's last replaced map; None if there is none to restore."""
+        """Description of the last map replaced under a name; None if none is kept or it cannot be read. Raises
+        InvalidName.
+        """
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name)[:1]).get(1)
 
     def versions(self, name: str) -> dict[int, MapInfo]:
-        """Descriptions of a name's replaced maps by number; 1 was replaced last."""
+        """Descriptions of the maps replaced under a name by number, 1 the last; unreadable ones are left out. Raises
+        InvalidName.
+        """
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name))
 
@@ -273,7 +291,7 @@ class MapLibrary:
         return found
 
     def version_path(self, name: str, number: int) -> Path:
-        """Local file of a name's replaced map, by its number in :meth:`versions`.
+        """File, on this machine, of a map replaced under a name, by its number in :meth:`versions`.
 
         Raises:
             Conflict: it is not kept.
@@ -287,7 +305,7 @@ class MapLibrary:
         The present map becomes a version: restoring number 1 twice changes nothing.
 
         Raises:
-            Conflict: none was replaced, or it is no longer kept.
+            InvalidName, UnknownMap, Conflict: there is no such map, it replaced none, or that is no longer kept.
             InvalidMap: the one that was replaced cannot be read; nothing was changed.
             StorageUnavailable, StorageFull: nothing was changed.
         """
@@ -303,7 +321,12 @@ class MapLibrary:
             change.arrange(name, wanted, [present, *(file for file in kept if file != wanted)])
 
     def delete(self, name: str) -> None:
-        """Delete a map and its versions. Raises StorageUnavailable, StorageFull: nothing was deleted."""
+        """Delete a map and its versions.
+
+        Raises:
+            InvalidName, UnknownMap: there is no such map.
+            StorageUnavailable, StorageFull: nothing was deleted.
+        """
         self.stat(name)
         with self._catalogue.changing() as change:
             if change.present(name) is None:
@@ -315,8 +338,8 @@ class MapLibrary:
         """Rename a map and its versions.
 
         Raises:
-            Conflict: a map has the new name.
-            StorageUnavailable, StorageFull: nothing was renamed.
+            InvalidName, UnknownMap: a name is not valid, or there is no such map.
+            Conflict, StorageUnavailable, StorageFull: a map has the new name, or it fails; nothing was renamed.
         """
         check_map_name(new_name)
         self.stat(name)
@@ -331,11 +354,15 @@ class MapLibrary:
         self._cache.drop(name)
 
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
-        """Consistent snapshot of all maps' files; see :meth:`MapCatalogue.snapshot`."""
+        """Consistent snapshot of all maps' files, earlier versions included, see :meth:`MapCatalogue.snapshot`. Raises
+        MissingObject, StorageUnavailable, StorageFull.
+        """
         return self._catalogue.snapshot()
 
     def sweep(self) -> None:
-        """Sweep the catalogue; see :meth:`MapCatalogue.sweep`."""
+        """Remove files without a name, and complete a change interrupted by a crash. Raises StorageUnavailable,
+        SQLAlchemyError.
+        """
         self._catalogue.sweep()
 
     def _version(self, name: str, number: int, versions: Sequence[MapFile]) -> MapFile:
@@ -359,7 +386,7 @@ def _changed(name: str) -> Conflict:
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
-    """A file's content in pieces."""
+    """Iterate over a file's content in pieces of 1 MiB. Raises InvalidMap if it cannot be read."""
     try:
         with path.open("rb") as file:
             while piece := file.read(_PIECE_BYTES):

@@ -115,7 +115,8 @@ class QueryStore:
         self._heard: dict[_Heard, float] = {}
 
     def wants(self, map_id: str, T_map_camera: FloatArray, asker: str, time_s: float) -> bool:
-        """Whether a query would be kept: at most one for each asker and place in ``apart_s``.
+        """Whether a query at ``time_s`` [s since the epoch] would be kept: at most one for each asker and place in
+        ``apart_s``.
 
         Raises:
             StorageUnavailable: the storage does not answer.
@@ -157,7 +158,7 @@ class QueryStore:
         return sum(one.time_s > time_s for one in self._entries(map_id))
 
     def load(self, map_id: str) -> list[AnsweredQuery]:
-        """All kept queries of a map, the oldest first. Deletes unreadable ones.
+        """All kept queries of a map, the oldest first. Unreadable ones are deleted and left out.
 
         Raises:
             StorageUnavailable, StorageFull: they cannot be fetched.
@@ -223,7 +224,7 @@ class QueryStore:
         self._heard[heard] = time_s
 
     def _entries(self, map_id: str) -> list[_Entry]:
-        """A map's queries, the oldest first."""
+        """Entries of a map's queries, the oldest first. Raises StorageUnavailable."""
         return sorted(_queries(self._objects.list(_folder(map_id))), key=lambda one: one.key)
 
     def _make_room(self, map_id: str, place: str) -> None:
@@ -264,7 +265,9 @@ def _gives_way(entries: Sequence[_Entry]) -> _Entry:
 
 
 def place_of(T_map_camera: FloatArray) -> str:
-    """Cell of half a metre and an eighth of a turn that contains a pose, as 8 hex digits."""
+    """Cell of half a metre and an eighth of a turn (of the heading seen from above) that contains a pose (4, 4), as 8
+    hex digits.
+    """
     x, y, z = np.floor(T_map_camera[:3, 3] / _CELL_M)
     turn = np.floor(np.arctan2(T_map_camera[1, 2], T_map_camera[0, 2]) / _CELL_RAD)
     cell = f"{x:.0f},{y:.0f},{z:.0f},{turn:.0f}"

@@ -75,7 +75,9 @@ class RecordingNotes:
 
 
 def notes_of(recording: Recording) -> dict[str, bytes]:
-    """Files with notes on a recording and a small picture of it, by name."""
+    """Files with notes on a recording and a small picture of its first second, by name; without the picture if it is
+    damaged.
+    """
     times, (width, height) = recording.frames.times, recording.frames.size
     notes = RecordingNotes(
         first_s=float(times[0]) if recording.frames.timed else None,
@@ -112,7 +114,7 @@ def notes_in(folder: Path) -> dict[str, bytes]:
 
 
 def read_notes(files: Mapping[str, bytes]) -> RecordingNotes | None:
-    """Notes that a job made on a recording; None if no job has read it yet."""
+    """Notes that a job made on a recording; None if no job has read it yet, or the notes are broken."""
     try:
         return report_from_json(RecordingNotes, json.loads(files[_NOTES_FILE]))
     except (KeyError, ValueError):
@@ -127,7 +129,10 @@ def read_thumbnail(files: Mapping[str, bytes]) -> bytes | None:
 def corrected_waypoints(
     files: Mapping[str, bytes], notes: RecordingNotes | None
 ) -> tuple[RecordedWaypoint, ...] | None:
-    """The waypoints that replace the recording's own; None if they were not corrected."""
+    """The corrected waypoints in ``files``, which replace the recording's own; None if ``files`` has none.
+
+    ``notes`` give the recording's time span, against which they are checked (None: unchecked). Raises InvalidWaypoints.
+    """
     if WAYPOINTS_FILE not in files:
         return None
     with tempfile.TemporaryDirectory() as folder:
@@ -140,7 +145,7 @@ def waypoints_file(waypoints: Sequence[RecordedWaypoint], notes: RecordingNotes 
     """Content of the file (CSV) with waypoints that replace a recording's own.
 
     Raises:
-        InvalidWaypoints: they cannot be used.
+        InvalidWaypoints: they cannot be used, or are outside the time span that ``notes`` give (None: unchecked).
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / WAYPOINTS_FILE

@@ -97,8 +97,10 @@ class PendingRecording:
         become ``_``; parts such as ``..`` are dropped.
 
         Raises:
+            Conflict: the upload was committed or aborted.
             TooLarge: the recording exceeds its limit.
-            InvalidRecording: the name has no usable character, or two files would get the same one.
+            InvalidRecording: the name has no usable character, two files would get the same one, or a file's name is a
+                folder's.
             StorageFull: the disk is full.
         """
         if self._ended:
@@ -128,11 +130,12 @@ class PendingRecording:
         return self._folder / sanitized(name)
 
     def commit(self) -> RecordingEntry:
-        """Make the recording durable and visible, atomically.
+        """Make the recording durable and visible, atomically. Any failure but Conflict discards what was written.
 
         Raises:
+            Conflict: it was committed or aborted before.
             InvalidRecording: no file was written.
-            StorageFull: the disk is full; nothing is left behind.
+            StorageFull, StorageUnavailable: it cannot be stored.
         """
         if self._ended:
             raise Conflict("The upload has ended.", "Start a new one.")
@@ -217,7 +220,7 @@ class RecordingStore:
     def create(self, files: Iterable[tuple[str, Iterable[bytes]]], max_bytes: int | None = None) -> RecordingEntry:
         """Store files, each a name and its chunks. After an error, nothing is left behind.
 
-        Raises: as :meth:`PendingRecording.write` and :meth:`PendingRecording.commit` do, and what ``files`` raises.
+        Raises Conflict, TooLarge, InvalidRecording, StorageFull, StorageUnavailable, and what ``files`` raises.
         """
         with self.begin(max_bytes) as pending:
             for name, chunks in files:
@@ -243,7 +246,7 @@ class RecordingStore:
         return entry
 
     def take_in(self, folder: Path, entry: RecordingEntry) -> None:
-        """Store a copy of a recording from a folder elsewhere.
+        """Store a copy of a recording from a folder elsewhere, which stays; does nothing to a recording that is stored.
 
         Raises:
             StorageUnavailable, StorageFull: it is not stored.
@@ -307,7 +310,7 @@ class RecordingStore:
             return {row["file"]: bytes(row["content"]) for row in connection.execute(wanted).mappings()}
 
     def note(self, recording_id: str, files: Mapping[str, bytes | None]) -> None:
-        """Store a recording's notes by file name. None deletes a file."""
+        """Store a recording's notes by file name, replacing these files; None deletes one. Raises StorageFull."""
         table = recording_notes_table
         with reporting_full_database(), self.engine.begin() as connection:
             for name, content in files.items():
@@ -334,7 +337,7 @@ class RecordingStore:
                 self.objects.delete(_key(recording_id, name))
 
     def release(self, recording_id: str) -> None:
-        """Remove the copies of the recording's files here, if they can be fetched again."""
+        """Remove the copies of the recording's files in ``data_dir``, if they can be fetched again from the storage."""
         folder = self.root / recording_id
         is_copy = (
             not self.in_place and not (folder / ENTRY_FILE).exists()
@@ -388,7 +391,7 @@ class RecordingStore:
             self.note(entry.id, notes_in(folder))
 
     def _publish(self, folder: Path, entry: RecordingEntry) -> None:
-        """Move a folder's files to the storage and register them as a recording."""
+        """Move a folder's files to the storage, and register them. Raises StorageUnavailable, StorageFull."""
         self.objects.put_folder(f"{_PREFIX}/{entry.id}", folder, entry.files)
         try:
             self._register(entry)
@@ -398,9 +401,8 @@ class RecordingStore:
             raise
 
     def _register(self, entry: RecordingEntry) -> None:
-        """Add a recording whose files are stored, unless another process has done so.
-
-        The row is written before the entry, so that :meth:`recover` cannot restore an upload reported as failed.
+        """Add a recording whose files are stored, unless another process has done so. Raises StorageFull. The row is
+        written before the entry, so that :meth:`recover` cannot restore an upload reported as failed.
         """
         with reporting_full_database(), suppress(IntegrityError), self.engine.begin() as connection:
             connection.execute(recordings_table.insert().values(**asdict(entry)))
@@ -422,7 +424,7 @@ class RecordingStore:
 
 
 def entry_in(folder: Path) -> RecordingEntry:
-    """The entry in a recording's folder."""
+    """The entry in a recording's folder. Raises OSError, ValueError or KeyError if there is no valid one."""
     fields = json.loads((folder / ENTRY_FILE).read_text(encoding="utf-8"))
     return RecordingEntry(**{**fields, "files": tuple(fields["files"])})
 
@@ -446,15 +448,17 @@ def _key(recording_id: str, name: str) -> str:
 
 
 def is_recording_id(text: str) -> bool:
-    """Whether the text could be a recording's id."""
+    """Whether the text could be a recording's id: 32 hex digits."""
     return _ID.fullmatch(text) is not None
 
 
 def sanitized(name: str) -> str:
-    """A relative path of plain, visible parts.
+    """A name as a relative path of plain, visible parts: other characters become "_", leading dots and empty parts go.
+
+    Of a part the last 100 characters are kept.
 
     Raises:
-        InvalidRecording: nothing usable is left of the name, or it is too deep.
+        InvalidRecording: nothing usable is left of the name, or it has more than four parts.
     """
     parts = (_UNSAFE.sub("_", part).lstrip(".")[-_MAX_NAME_LENGTH:] for part in name.replace("\\", "/").split("/"))
     kept = [part for part in parts if part.strip("_")]

@@ -26,7 +26,7 @@ class _AllSites:
 
     @lazy
     def site_by_map(self) -> dict[str, str]:
-        """The name of the first site in which each map has a pose."""
+        """Map name → name of the first site in which the map has a pose."""
         found: dict[str, str] = {}
         for name, site in self.sites.items():
             for one in site.maps:
@@ -36,7 +36,7 @@ class _AllSites:
 
 
 def _with_renamed(site: Site, name: str, new_name: str) -> Site:
-    """The site with a map under a new name."""
+    """The site with the map ``name`` called ``new_name``, in its links too."""
 
     def now(one: str) -> str:
         return new_name if one == name else one
@@ -85,7 +85,9 @@ class SiteLibrary(NamedDocuments[Site]):
                 return site
 
     def _stored(self, name: str) -> tuple[bytes | None, int]:
-        """Content of a site's file (None if missing), and its version (0 if it holds no site)."""
+        """Content of a site's file (None if missing), and its version (0 if it holds no site). Raises InvalidInput if
+        unreadable.
+        """
         try:
             content = self._files.read(self._file_name(name))
         except FileNotFoundError:
@@ -102,7 +104,7 @@ class SiteLibrary(NamedDocuments[Site]):
         return dict(self._present().sites)
 
     def site_of(self, map_name: str) -> str | None:
-        """Name of the first site in which a map has a pose, or None."""
+        """Name of the first site in which a map has a pose; None if there is none."""
         return self._present().site_by_map.get(map_name)
 
     def rename_map(self, name: str, new_name: str) -> None:

@@ -23,7 +23,9 @@ _CATALOGUE = "catalogue.json"  # as it was last seen
 
 
 def documents_folder(kind: str, maps_dir: Path, data_dir: Path) -> Path:
-    """Folder of a single server's small files of one kind."""
+    """Folder of one server's small files of one kind: of :data:`CAMERAS` and :data:`SITES` that subfolder of
+    ``maps_dir``, of :data:`KEYS` that of ``data_dir``, of :data:`ASKERS` ``data_dir`` itself.
+    """
     folders = {
         CAMERAS: maps_dir / CAMERAS,
         SITES: maps_dir / SITES,
@@ -79,17 +81,17 @@ class Stores:
 
     @property
     def are_shared(self) -> bool:
-        """Whether other machines may share them."""
+        """Whether maps and small files are in storage and database that other machines may share."""
         return self._replica is not None
 
     @lazy
     def objects(self) -> ObjectStorage:
-        """The storage of everything but maps and small files."""
+        """The storage of recordings, uploads and queries; that of maps too if it is shared."""
         return ObjectStorage(self.data_dir)
 
     @lazy
     def recordings(self) -> RecordingStore:
-        """The recordings."""
+        """The store of recordings, opened on first use. Raises StorageFull."""
         return RecordingStore(self.data_dir, self.objects, self.engine)
 
     def documents(self, kind: str) -> Documents:
@@ -129,12 +131,12 @@ class Stores:
             self.follow()
 
     def recall(self) -> None:
-        """Use the catalogue's last saved state until :meth:`open` succeeds."""
+        """Use the catalogue's last saved state until :meth:`open` succeeds; does nothing without shared storage."""
         if self._replica is not None and self.copies is not None:
             self._replica.recall(self.copies.folder / _CATALOGUE)
 
     def follow(self) -> None:
-        """Refresh continually in a thread, until :meth:`close`."""
+        """Refresh continually in a thread, until :meth:`close`; does nothing without shared storage."""
         if self._replica is not None:
             self._replica.follow()
 

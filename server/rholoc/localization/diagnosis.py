@@ -103,7 +103,7 @@ class Sight:
 
 
 def sight_of(image: ByteArray) -> Sight:
-    """Measure brightness, tint and sharpness of an image (H, W, 3) BGR or (H, W) grey."""
+    """Measure brightness, tint (0 for grey) and sharpness of an image (H, W, 3) BGR or (H, W), at most 640 px wide."""
     height, width = image.shape[:2]
     if width > _WORK_WIDTH_PX:
         size = (_WORK_WIDTH_PX, max(1, round(height * _WORK_WIDTH_PX / width)))
@@ -119,13 +119,14 @@ def sight_of(image: ByteArray) -> Sight:
 
 
 def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: int, agreement: Agreement) -> Diagnosis:
-    """Likeliest cause of a refusal, as far as the picture shows it. The default is an unknown place.
+    """Likeliest cause of a refusal: darkness, blur and unusual light in the picture first, then too few features.
+    Otherwise an unknown place.
 
     Args:
         image: the picture; None if only its features were sent.
         map_: the map in which it was localized.
         features: number of features in the picture.
-        fewest: minimum number of features.
+        fewest: fewer features than this count as too little texture.
         agreement: agreement with the best pose found.
     """
     if image is not None and (found := _from_sight(sight_of(image), map_, agreement)) is not None:
@@ -144,7 +145,9 @@ def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: 
 
 
 def too_inexact(sigma_m: float, sigma_rad: float, max_sigma_m: float, max_sigma_rad: float) -> Diagnosis:
-    """Diagnosis of a pose with larger standard deviations [m, rad] than the query allows."""
+    """Diagnosis of a pose whose standard deviations [m, rad] exceed the query's limits; names the position if that
+    exceeds its limit.
+    """
     if sigma_m > max_sigma_m:
         known, wanted, option = f"{sigma_m:.2g} m", f"{max_sigma_m:.2g} m", "max_sigma_m"
     else:
@@ -198,9 +201,9 @@ def _brightness_of(map_: Map) -> float:
 
 
 def _sharpness(grey: NDArray[np.float32]) -> float:
-    """Fine contrast divided by coarse contrast, in the blurrier of the two directions (motion blurs along one).
-
-    A direction without coarse contrast, as of a bare wall, counts as sharp.
+    """Fine contrast divided by coarse contrast, in the blurrier of the two directions (motion blurs along one). A
+    direction with a coarse contrast of at most one grey level, as of a bare wall, is left out. Returns 1.0 if both are
+    left out, or if a side is 8 px or shorter.
     """
     if min(grey.shape) <= _COARSE_PX:
         return 1.0

@@ -71,15 +71,20 @@ class PlaceIndex:
         self._first_view, self._views = seen_by.indptr, seen_by.indices.astype(np.int32)
 
     def nearest(self, features: FeatureSet, some: IntArray | None = None) -> NearestLandmarks:
-        """Approximate nearest landmarks in the whole map for a picture's features, or for the rows ``some`` (N,) of
-        them.
+        """Approximately the four nearest landmarks of the whole map for each of a picture's features, or for the rows
+        ``some`` (N,).
+
+        Compares with the first descriptor of each landmark only.
         """
         detections = np.arange(len(features)) if some is None else some
         distances, landmarks = self._descriptors.nearest(features.take(detections), _CANDIDATES)
         return NearestLandmarks(detections, landmarks, distances, self.metric)
 
     def votes(self, matches: Matches) -> FloatArray:
-        """(K,) votes as in :func:`rholoc.localization.pose.seeds.view_votes`."""
+        """Votes (K,) of the matches for each view: the sum of their probabilities (at most 1 per landmark) over the
+        view's landmarks, divided by the square root of the view's size, as in
+        :func:`rholoc.localization.pose.seeds.view_votes`.
+        """
         landmarks, own = np.unique(matches.landmarks, return_inverse=True)
         belief = np.minimum(np.bincount(own, weights=matches.chances, minlength=len(landmarks)), 1.0)
         votes = self._sums(landmarks, belief)
@@ -172,11 +177,14 @@ class LargeMapLocalizer:
 
     @property
     def extractor(self) -> Extractor:
-        """Extractor of the map's features."""
+        """Extractor of the map's features. Raises NotInstalled, or InvalidInput if it is unknown."""
         return get_extractor(self.map.info.features)
 
     def localize(self, query: Query) -> Localization:
-        """As :meth:`Localizer.localize`.
+        """Localize one frame, as :meth:`Localizer.localize`, in the parts of the map that it may show.
+
+        First the part near the prior, if there is one, then that of a sample of the features, then that of all
+        features.
 
         Raises:
             InvalidDescriptors: the features are not of the map's kind.
@@ -202,19 +210,21 @@ class LargeMapLocalizer:
         return clock.answered(answer, part)
 
     def _where(self, query: Query, some: IntArray, size: _Size) -> tuple[MapPart, Localizer]:
-        """Cut out the part of the map that the rows ``some`` (N,) of a query's features vote for, and make its
-        localizer.
+        """Cut out the part of the map that the rows ``some`` (N,) of a query's features vote for, at most of ``size``,
+        and make its localizer.
         """
         nearest = self.index.nearest(query.features, some)
         part = self._part([nearest], query.prior, size)
         return part, self._localizer(part, _PartIndex(part, self._chance, self.index, (query.features, nearest)))
 
     def view_votes(self, features: FeatureSet) -> FloatArray:
-        """(K,) as :meth:`Localizer.view_votes`."""
+        """Votes (K,) of a picture's features for each view of the map; see :meth:`PlaceIndex.votes`."""
         return self.index.votes(self.index.nearest(features).matches())
 
     def around(self, frames: Sequence[FeatureSet]) -> tuple[MapPart, Localizer]:
-        """Cut out the part of the map for frames taken at one place, and make its localizer."""
+        """Cut out the part of the map that the frames' features vote for together, and make its localizer. For frames
+        taken at one place.
+        """
         part = self._part([self.index.nearest(features) for features in frames], None, _CLOSELY)
         return part, self._localizer(part, MapIndex(part.map, self._chance))
 
@@ -222,7 +232,13 @@ class LargeMapLocalizer:
         return Localizer(part.map, self.min_recognized, self.options, index)
 
     def _part(self, found: Sequence[NearestLandmarks], prior: Prior | None, size: _Size) -> MapPart:
-        """Cut out the part of the map that features vote for, with the places that may be confused with it."""
+        """Cut out the part of the map that features vote for, with the places that may be confused with it.
+
+        Args:
+            found: nearest landmarks of each frame's features, whose votes are added.
+            prior: adds the views near it; None for none.
+            size: upper bounds of the part.
+        """
         surely = np.sum([self.index.votes(nearest.matches()) for nearest in found], axis=0)
         perhaps = np.sum([self.index.votes(nearest.pairs()) for nearest in found], axis=0)
         views = [*self._places(surely, size.places), *self._places(perhaps, size.rivals)]
@@ -234,7 +250,7 @@ class LargeMapLocalizer:
         return part_of(self.map, np.sort(self._first_views(np.concatenate(views), size)))
 
     def _places(self, votes: FloatArray, most: int) -> Iterator[IntArray]:
-        """Iterate over the views of the places with the most votes."""
+        """Iterate over the ``most`` places with the most votes (K,), each as its views (10 at most)."""
         for _, views in islice(groups_by_votes(votes, self.index.shared_with, _VIEWS_EACH), most):
             yield views
 
@@ -262,7 +278,9 @@ class _Clock:
         return replace(query, deadline_s=max(self._deadline_s - (time.perf_counter() - self._started), 0.0))
 
     def answered(self, answer: Localization, part: MapPart) -> Localization:
-        """Translate a part's answer to the whole map, and add the time spent on finding the part."""
+        """Translate a part's answer to the whole map: its ``inlier_features``, and the time spent on finding the part
+        as ``place`` [ms].
+        """
         spent_ms = 1e3 * (time.perf_counter() - self._started) - sum(answer.timings_ms.values())
         timings_ms = {"place": spent_ms, **answer.timings_ms}
         return replace(answer, timings_ms=timings_ms, inlier_features=part.features[answer.inlier_features])
@@ -272,7 +290,7 @@ AnyLocalizer = Localizer | LargeMapLocalizer
 
 
 def localizer_of(map_: Map, min_recognized: float = MIN_RECOGNIZED) -> AnyLocalizer:
-    """Localizer suited to a map's size."""
+    """Localizer for a map of its size: for large maps above ``LARGE_MAP`` landmarks and ``ray`` densities."""
     if len(map_) > LARGE_MAP and map_.info.density is DensityKind.RAY:
         return LargeMapLocalizer(map_, min_recognized)
     return Localizer(map_, min_recognized)

@@ -83,11 +83,14 @@ class Localizer:
 
     @property
     def extractor(self) -> Extractor:
-        """Extractor of the map's features."""
+        """Extractor of the map's features. Raises NotInstalled, or InvalidInput if it is unknown."""
         return get_extractor(self.map.info.features)
 
     def localize(self, query: Query) -> Localization:
-        """Localize one frame by equation (1). A refusal states its likeliest cause.
+        """Localize one frame by equation (1). A refusal is an answer, with its reason and likeliest cause.
+
+        Extracts more features by ``query.more_features`` if the first ones are inconclusive, or the pose is not exact
+        enough.
 
         Raises:
             InvalidDescriptors: the features are not of the map's kind.
@@ -106,17 +109,22 @@ class Localizer:
         return replace(answer, diagnosis=diagnosis)
 
     def attempt(self, query: Query) -> Localization | None:
-        """Answer from the features at hand. Returns None if they are inconclusive; never extracts more."""
+        """Answer from the features at hand; never extracts more, and does not check their kind.
+
+        Returns None if the search is inconclusive, or if its pose is refused.
+        """
         search = self._search(self.adapted(query), Stopwatch(query.deadline_s))
         answer = self._answer(search) if self._is_sure(search) else None
         return answer if answer is not None and answer.localized else None
 
     def view_votes(self, features: FeatureSet) -> FloatArray:
-        """(K,) votes of a picture's features for each view of the map, without a pose."""
+        """Votes (K,) of a picture's features for each view of the map, without a pose; see :func:`view_votes`."""
         return view_votes(self.index, self.index.match_everywhere(features))
 
     def candidate(self, query: Query) -> tuple[Verified, Belief] | None:
-        """Best pose found, however doubtful, and the belief in it. None if there is none."""
+        """Best pose found, however doubtful, and the belief in it. None if there is none. The kind of features is not
+        checked.
+        """
         found = self._outcome(self._thorough_search(query, Stopwatch(query.deadline_s)))
         return None if found is None else (found.verified, found.belief)
 
@@ -129,7 +137,9 @@ class Localizer:
         check_kind(query.features, self.extractor)
 
     def adapted(self, query: Query) -> Query:
-        """The query without constraints that are meaningless in this map."""
+        """The query without gravity if the map's z axis is not known to be up, and with free roll instead of AUTO if
+        the map's own views were not taken upright.
+        """
         if not self.map.info.upright:
             query = replace(query, gravity=None)
         if query.dof is Dof.AUTO and not self.index.seen_upright:
@@ -137,7 +147,9 @@ class Localizer:
         return query
 
     def _thorough_search(self, query: Query, watch: Stopwatch) -> Search:
-        """Quick search with the first features, followed by a close one with all if the quick one is inconclusive."""
+        """Quick search with the first features, followed by a close one with all if the quick one is inconclusive. The
+        quick one is left out if the query has no more features to extract, or an unknown focal length.
+        """
         quick: Search | None = None
         if query.more_features is not None and query.intrinsics is Intrinsics.GIVEN:
             quick = self._search(self.adapted(query), watch)
@@ -146,7 +158,9 @@ class Localizer:
         return self._search(self.adapted(_with_more_features(query, watch)), watch, quick)
 
     def _is_sure(self, search: Search) -> bool:
-        """Whether a search with the first features is conclusive."""
+        """Whether a search is conclusive: settled, and its outcome recognized with a probability of at least
+        ``options.conclusive``.
+        """
         if not search.is_settled(self.options.settled_sigma_m):
             return False
         found = search.outcome(self.options.conclusive)
@@ -154,6 +168,8 @@ class Localizer:
 
     def _search(self, query: Query, watch: Stopwatch, quick: Search | None = None) -> Search:
         """Search for candidates, then for their rivals; no close look if more features can be extracted.
+
+        With fewer than eight features nothing is searched; the reason is then NO_FEATURES.
 
         Args:
             query: the frame.
@@ -175,7 +191,10 @@ class Localizer:
         return search
 
     def _look_around(self, search: Search, rays: FloatArray) -> None:
-        """Search one place after the other, beginning at the prior, until a candidate is conclusive or hope is lost."""
+        """Search one place after the other, beginning at the prior, until a candidate is conclusive or hope is lost.
+        Adds candidates to ``search`` and sets its place, and its reason at the deadline. ``rays`` (N, 3) are those of
+        all features.
+        """
         watch, options = search.watch, self.options
         for place in self._places(search):
             if watch.late:
@@ -191,7 +210,10 @@ class Localizer:
                 return
 
     def _match_again(self, search: Search, rays: FloatArray) -> None:
-        """Match all features again around a pose that is not exact enough, and refine it."""
+        """Match all features again around the likeliest candidate, at most twice, while its position is not settled;
+        the result becomes a candidate of ``search``. Does nothing for a doubtful candidate, an unknown focal length or
+        features still to be extracted.
+        """
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN or query.more_features is not None:
             return
@@ -209,7 +231,9 @@ class Localizer:
                 return
 
     def _look_along_arcs(self, search: Search, rays: FloatArray) -> None:
-        """Search for other modes of the best candidate's place, if it is seen from afar."""
+        """Add candidates for other modes of the best candidate's place to ``search``, if it is seen from afar. Does
+        nothing for a doubtful candidate, an unknown focal length or features still to be extracted.
+        """
         query, best = search.query, search.likeliest
         if best is None or best.if_focal_right.recognized < MIN_RECOGNIZED or query.more_features is not None:
             return
@@ -221,7 +245,9 @@ class Localizer:
             search.add(self._candidate_at(T_map_camera, query, rays, search.watch))
 
     def _look_for_rivals(self, search: Search, rays: FloatArray) -> None:
-        """Search for rivals of the best candidate; not needed if it agrees with a prior."""
+        """Add rivals of the best candidate to ``search``. Does nothing if no place was searched by votes (a prior
+        sufficed), after the deadline, or for a candidate that is refused anyway.
+        """
         query, watch, best = search.query, search.watch, search.likeliest
         if search.nearest is None or best is None or watch.late:
             return
@@ -236,7 +262,7 @@ class Localizer:
         watch.lap("seed")
 
     def _look(self, place: Place, search: Search, rays: FloatArray) -> Iterator[Found | None]:
-        """Iterate over candidates from one place, cheapest search first."""
+        """Iterate over candidates (None: a look that found none) from one place, cheapest search first."""
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN:
             matches = self.index.match_within(query.features, place.landmarks)
@@ -257,14 +283,16 @@ class Localizer:
             yield from self._look_closely(place, search, rays)
 
     def _glance(self, matches: Matches, search: Search, rays: FloatArray) -> Found | None:
-        """Candidate from one LO-RANSAC over all matches, which suffices for most frames."""
+        """Candidate from one LO-RANSAC over all matches, which suffices for most frames. None if no credible pose is
+        found.
+        """
         seed = self._ransac_seed(matches, search)
         return None if seed is None else self._candidate_at(seed, search.query, rays, search.watch, matches)
 
     def _track(self, prior: Prior, search: Search, rays: FloatArray) -> Found | None:
-        """Candidate from one LO-RANSAC over matches near a prior, which suffices if few features are left.
-
-        An ascent from the prior itself may end on a lower peak beside the right one.
+        """Candidate from one LO-RANSAC over matches within 14 px around a prior, which suffices if few features are
+        left. An ascent from the prior itself may end on a lower peak beside the right one. None if no credible pose is
+        found.
         """
         query, T_map_camera = search.query, prior.pose.T_map_camera
         some = query.features.sample
@@ -273,7 +301,10 @@ class Localizer:
         return self._glance(near, search, rays)
 
     def _places(self, search: Search) -> Iterator[Place]:
-        """Iterate over places to search: around the prior, then by votes of matches with the whole map."""
+        """Iterate over places to search: around the prior, then by votes of matches with the whole map. First the best
+        place by a sample of the features, then at most ``options.places`` by all of them; only the former if more
+        features can be extracted. Writes the matches and the reason into ``search``.
+        """
         query, options = search.query, self.options
         if query.prior is not None:
             near = place_of_prior(self.index, query.prior, options.views_each)
@@ -290,7 +321,9 @@ class Localizer:
         yield from islice(self._voted_places(search, others), options.places)
 
     def _voted_places(self, search: Search, features: IntArray) -> Iterator[Place]:
-        """Iterate over places by votes, after matching more of the query's ``features``."""
+        """Iterate over places by votes, after matching the rows ``features`` of the query's features with the whole map
+        too. Adds the matches to ``search``. Fewer than eight matches yield no place and the reason NO_MATCHES.
+        """
         query = search.query
         found = self.index.nearest_everywhere(query.features, features)
         search.nearest = found if search.nearest is None else search.nearest.joined(found)
@@ -305,7 +338,10 @@ class Localizer:
         yield from places_by_votes(self.index, search.everywhere, self.options.views_each, query.prior)
 
     def _look_closely(self, place: Place, search: Search, rays: FloatArray) -> Iterator[Found | None]:
-        """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density."""
+        """Iterate over candidates from matches within one place: LO-RANSAC, then minimal samples ranked by density. A
+        sample's candidate is only yielded if its optimum has a higher likelihood. Yields a single None if LO-RANSAC
+        finds no credible pose.
+        """
         query, watch = search.query, search.watch
         matches = self.index.match_within(query.features, place.landmarks)
         watch.lap("match")
@@ -327,7 +363,7 @@ class Localizer:
             yield self._candidate_at(other.T_map_camera, query, rays, watch, matches)
 
     def _ransac_seed(self, matches: Matches, search: Search) -> FloatArray | None:
-        """Credible pose (4, 4) by LO-RANSAC over matches. None if there is none."""
+        """Credible pose (4, 4) by LO-RANSAC over matches, counted in ``search.seeds``. None if there is none."""
         options = self.options
         found = credible_pose(self.index, search.query, matches, options.ransac_tolerance_px, options.ransac_samples)
         search.watch.lap("seed")
@@ -345,7 +381,7 @@ class Localizer:
     def _candidate_at(
         self, T_map_camera: FloatArray, query: Query, rays: FloatArray, watch: Stopwatch, matches: Matches | None = None
     ) -> Found | None:
-        """Candidate around a pose (4, 4); None if it is implausible or nothing agrees with it.
+        """Candidate around a pose (4, 4); None if it breaks the query's constraints or too few matches are found.
 
         Args:
             matches: those that check the camera's focal length; by default those found around the pose.
@@ -357,7 +393,9 @@ class Localizer:
         return found
 
     def _look_with_any_focal(self, matches: Matches, query: Query, samples: int, watch: Stopwatch) -> Iterator[Found]:
-        """As :meth:`_look_closely`, with the focal length estimated along with the pose."""
+        """Yield the candidate of an unknown focal length, estimated along with the pose; nothing if none is found.
+        ``samples`` bounds the LO-RANSAC samples per focal length that is tried.
+        """
         seed = focal_seed(self.index, matches, query, samples)
         watch.lap("seed")
         if seed is None:
@@ -371,7 +409,10 @@ class Localizer:
                 yield self._candidate(verified, refined, lambda: focal, belief_of(verified))
 
     def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> Found | None:
-        """Candidate from a verified pose; its matches check the camera's focal length. None if it is implausible."""
+        """Candidate from a verified pose. None if there is none, or if it contradicts the query's gravity. ``matches``
+        check the focal length (None: those around the pose), unless the pose is less probable than
+        ``options.hopeless``.
+        """
         if verified is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
             return None
         belief = belief_of(verified)
@@ -385,7 +426,9 @@ class Localizer:
         return Found(verified, query.camera, cache(check), belief, near_prior)
 
     def _outcome(self, search: Search) -> Found | None:
-        """Candidate to answer with, polished if its position is not known exactly."""
+        """Candidate to answer with, refined by matches from farther around if its position is not settled. None if
+        there is none.
+        """
         found, query = search.outcome(self.options.conclusive), search.query
         if found is None or query.intrinsics is Intrinsics.UNKNOWN or query.more_features is not None:
             return found
@@ -425,7 +468,9 @@ class Localizer:
         return gated(with_map_error(self.index, answer, found.of_modes), self.min_recognized, query)
 
     def _diagnose(self, search: Search, answer: Localization) -> Diagnosis:
-        """Likeliest cause of a refusal: the request, the camera, or the picture."""
+        """Likeliest cause of a refusal, searched in this order: the deadline, the map, upright or gravity constraints,
+        the focal length, the picture. Takes up to two further searches.
+        """
         query, watch = search.query, search.watch
         if answer.reason is Reason.DEADLINE or watch.late:
             return TOO_LITTLE_TIME
@@ -454,7 +499,7 @@ class Localizer:
 
 
 def _with_more_features(query: Query, watch: Stopwatch) -> Query:
-    """The query with all features that can be extracted."""
+    """The query with all features that can be extracted, and none left to extract; unchanged if it has all."""
     if query.more_features is None:
         return query
     query = replace(query, features=query.more_features(), more_features=None)
@@ -466,7 +511,7 @@ def check_kind(features: FeatureSet, wanted: Extractor) -> None:
     """Refuse features that a map's extractor cannot have made.
 
     Raises:
-        InvalidDescriptors: by their length.
+        InvalidDescriptors: their descriptors have another length than the extractor's.
     """
     given = features.descriptors.shape[1]
     if given != wanted.descriptor_bytes:
@@ -477,7 +522,7 @@ def check_kind(features: FeatureSet, wanted: Extractor) -> None:
 
 
 def _contradicted(found: Found, query: Query) -> Diagnosis:
-    """Which of the request's constraints a sure pose breaks."""
+    """Diagnosis of the constraint that a sure pose breaks: WRONG_GRAVITY if that is the gravity sent, else ROLLED."""
     T = found.verified.optimum.T_map_camera
     if not _true_to_gravity(T, query.gravity):
         return Diagnosis(
@@ -494,13 +539,13 @@ def _contradicted(found: Found, query: Query) -> Diagnosis:
 
 
 def _pose(verified: Verified, dof: Dof) -> Pose:
-    """The pose as it is given out: without the roll where an upright camera was asked for."""
+    """Pose to answer with: with its roll removed if an upright camera was asked for."""
     T_map_camera = verified.optimum.T_map_camera
     return Pose(upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera)
 
 
 def _plausible(T_map_camera: FloatArray, query: Query) -> bool:
-    """Whether a seed may be what is asked for: upright where that is demanded, true to gravity."""
+    """Whether a pose (4, 4) meets the query's constraints: at most 15° of roll if UPRIGHT, 10° off its gravity."""
     if query.dof is Dof.UPRIGHT:
         _, rolled = pose_distances(T_map_camera, upright(T_map_camera))
         if rolled > _MAX_UPRIGHT_ROLL_RAD:

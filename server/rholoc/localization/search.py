@@ -70,6 +70,7 @@ class Stopwatch:
     _last: float = field(default_factory=time.perf_counter)
 
     def lap(self, stage: str) -> None:
+        """Add the time since the last lap to a stage of ``timings_ms``, and note it for the telemetry."""
         now = time.perf_counter()
         self.timings_ms[stage] = self.timings_ms.get(stage, 0.0) + 1e3 * (now - self._last)
         telemetry.note(stage, now - self._last)
@@ -77,6 +78,7 @@ class Stopwatch:
 
     @property
     def late(self) -> bool:
+        """Whether the deadline has passed; False without one."""
         return self.deadline_s is not None and time.perf_counter() - self.started > self.deadline_s
 
 
@@ -107,12 +109,12 @@ class Found:
 
     @property
     def focal(self) -> FocalEstimate:
-        """What the matches say about the camera's focal length."""
+        """Result of the focal length's check; the first access computes it."""
         return self.check_focal()
 
     @property
     def belief(self) -> Belief:
-        """Belief in the pose."""
+        """Belief in the pose: ``if_focal_right`` times the belief in the focal length and what rivals leave."""
         recognized = self.if_focal_right.recognized * self.focal.belief * self.share
         return Belief(recognized, self.if_focal_right.exact * self.focal.exact)
 
@@ -123,7 +125,7 @@ class Found:
 
     @property
     def sigma_m(self) -> float:
-        """Standard deviation of the position along its worst axis."""
+        """Standard deviation of the position along its worst axis [m]."""
         return worst_sigma(self.verified.covariance[:3, :3])
 
 
@@ -163,11 +165,13 @@ class Search:
 
     @property
     def likeliest(self) -> Found | None:
-        """Likeliest candidate; one that agrees with the prior comes first."""
+        """Likeliest candidate that agrees with the prior; if there is none, the likeliest of the others. None without
+        candidates.
+        """
         return self.best or self.elsewhere
 
     def add(self, found: Found | None) -> None:
-        """Add a candidate."""
+        """Add a candidate and keep the likelier ones. None counts as fruitless if places were voted for."""
         if found is None:
             self.fruitless += self.everywhere is not None
             return
@@ -178,7 +182,9 @@ class Search:
             self.elsewhere = _likelier(self.elsewhere, found)
 
     def is_over(self, conclusive: float, max_sigma_m: float) -> bool:
-        """Whether some candidate is probable and exact enough, and nearly uncontested."""
+        """Whether some candidate ends the search: recognized with a probability of at least ``conclusive``, a position
+        sigma of at most ``max_sigma_m``, and at most a quarter as many nats against it as for it.
+        """
         candidates = [found for found in (self.best, self.elsewhere) if found is not None]
         return any(
             found.if_focal_right.recognized >= conclusive
@@ -188,25 +194,33 @@ class Search:
         )
 
     def is_settled(self, max_sigma_m: float) -> bool:
-        """Whether the likeliest candidate's position is known exactly enough, and other modes are improbable."""
+        """Whether the likeliest candidate's position sigma is at most ``max_sigma_m``, and it is not seen from afar
+        (other modes are improbable).
+        """
         best = self.likeliest
         return best is not None and best.sigma_m <= max_sigma_m and not is_seen_from_afar(best.verified)
 
     def is_hopeless(self, options: SearchOptions) -> bool:
-        """Whether enough was looked at without any chance of the right place."""
+        """Whether enough places were looked at without any chance of the right one, by the limits of ``options``."""
         if not self.seeds:
             return self.fruitless >= options.fruitless_looks
         likeliest = max((found.if_focal_right.recognized for found in self.found), default=0.0)
         return len(self.found) + self.fruitless >= options.hopeless_looks and likeliest < options.hopeless
 
     def is_as_expected(self, enough: float) -> bool:
-        """Whether some candidate agrees with the prior and is probable enough."""
+        """Whether some candidate agrees with the prior and has at least the probability ``enough`` of the right place.
+        False without a prior.
+        """
         if self.query.prior is None or self.best is None:
             return False
         return self.best.if_focal_right.recognized >= enough
 
     def outcome(self, conclusive: float) -> Found | None:
-        """Candidate to answer with. One that contradicts the prior wins only if it is sure and the other is not."""
+        """Candidate to answer with; None if there is none.
+
+        One that contradicts the prior wins only if its probability reaches ``conclusive`` and the other's is below
+        ``MIN_RECOGNIZED``.
+        """
         best, elsewhere = self._contested(self.best), self._contested(self.elsewhere)
         surely_elsewhere = elsewhere is not None and elsewhere.recognized >= conclusive
         if best is not None and (best.recognized >= MIN_RECOGNIZED or not surely_elsewhere):
@@ -214,7 +228,9 @@ class Search:
         return elsewhere if surely_elsewhere else best
 
     def _contested(self, found: Found | None) -> Found | None:
-        """A candidate with its rivals and the other modes of its place; those of one near the prior must be near it."""
+        """A candidate with its rivals and the other modes of its place; those of one near the prior must be near it.
+        None for None.
+        """
         if found is None:
             return None
         modes, rivals = [found], [found]
@@ -234,7 +250,9 @@ class Search:
 
 
 def _likelier(a: Found | None, b: Found) -> Found:
-    """The likelier of two candidates: in one place by the product of densities, of two places by what supports each."""
+    """The likelier of two candidates: within one place by the likelihood at the optimum, of two places by their net
+    evidence. One with at least ``MIN_RECOGNIZED`` comes before one with less.
+    """
     if a is None:
         return b
     are_two = are_rivals(a.verified, b.verified)
@@ -249,9 +267,8 @@ def _shares(candidates: list[Found], places: list[float]) -> FloatArray:
 
 
 def _spread(modes: list[Found]) -> FloatArray | None:
-    """Second moment (6, 6) of the modes of one place about the first; None if there is one only.
-
-    They share a focal length, so that nothing is asked of it.
+    """Second moment (6, 6) of the modes of one place about the first; None if there is one only. They share a focal
+    length, so that nothing is asked of it.
     """
     if len(modes) == 1:
         return None

@@ -75,7 +75,7 @@ class SeveralFrames:
             raise InvalidInput("The uncertainty of the relative poses is not positive.", "Send sigmas above 0.")
 
     def within(self, spent_s: float) -> SeveralFrames:
-        """A copy with the deadline reduced by ``spent_s``."""
+        """A copy with the deadline reduced by ``spent_s``, at least to 0; the same without a deadline."""
         first, *others = self.frames
         if first.deadline_s is None:
             return self
@@ -109,7 +109,8 @@ def is_rigid(T: FloatArray) -> bool:
 
 
 def localize_together(localizer: AnyLocalizer, asked: SeveralFrames) -> JointLocalization:
-    """Localize several frames. A refusal is an answer, as for one frame.
+    """Localize several frames. A refusal is an answer, as for one frame. In a large map only the part that they vote
+    for is searched.
 
     Raises:
         InvalidDescriptors: a frame's features are not of the map's kind.
@@ -147,7 +148,7 @@ class _Candidate:
         return Support.mean([one.support for one in self.verified])
 
     def is_rival_of(self, other: _Candidate) -> bool:
-        """Whether two candidates exclude each other."""
+        """Whether two candidates exclude each other: some frame's poses are of different places."""
         return any(are_rivals(a, b) for a, b in zip(self.verified, other.verified, strict=True))
 
 
@@ -163,7 +164,9 @@ class _Joint:
         self.timings_ms: dict[str, float] = {}
 
     def localize(self) -> JointLocalization:
-        """Search, believe, answer."""
+        """Try one set of matches after the other until a candidate is conclusive or the deadline has passed; answer
+        with the best.
+        """
         best: _Candidate | None = None
         found: list[_Candidate] = []
         reason, matched = Reason.NO_AGREEMENT, 0
@@ -187,7 +190,9 @@ class _Joint:
         return self._answer(best, reason, matched)
 
     def _contested(self, best: _Candidate, found: list[_Candidate]) -> _Candidate:
-        """A candidate whose probability is shared with its best rival, which is found or searched for now."""
+        """A candidate whose probability is shared with its best rival, if there is one. Rivals are those among
+        ``found``, and, for a candidate with at least ``MIN_RECOGNIZED``, those of a further search.
+        """
         rivals = [*found]
         if best.belief.recognized >= MIN_RECOGNIZED:
             rivals += self._looked_for(best)
@@ -200,7 +205,9 @@ class _Joint:
         return replace(best, belief=replace(best.belief, recognized=best.belief.recognized * share))
 
     def _looked_for(self, best: _Candidate) -> Iterator[_Candidate]:
-        """Iterate over candidates from matches that the best candidate does not explain."""
+        """Iterate over candidates from matches that ``best`` does not explain, with a minimum number of inliers, until
+        the deadline.
+        """
         fewest = fewest_agreeing(sum(one.inliers for one in best.verified))
         by_frame = [
             list(unexplained_by_place(self.index, one, frame, verified))
@@ -224,8 +231,8 @@ class _Joint:
         return [self.index.nearest_everywhere(frame.features) for frame in self.frames]
 
     def _pools(self) -> Iterator[list[Matches]]:
-        """Iterate over sets of matches of all frames: with the whole map, then with one likely place after the
-        other.
+        """Iterate over sets of matches, a list entry for each frame: with the whole map, then with its six likeliest
+        places, one after the other.
         """
         everywhere = [one.matches() for one in self._nearest]
         yield everywhere
@@ -239,14 +246,16 @@ class _Joint:
             ]
 
     def _candidate(self, matches: list[Matches], fewest: float = _MIN_MATCHES) -> _Candidate | None:
-        """Verified candidate with at least ``fewest`` inliers over all frames. None if there is none."""
+        """Verified candidate from a LO-RANSAC seed with at least ``fewest`` inliers over all frames. None if there is
+        none.
+        """
         T_map_rig = self._seed(matches, fewest)
         if T_map_rig is None:
             return None
         return self._verified(T_map_rig @ self.asked.T_rig_cameras)
 
     def _seed(self, matches: list[Matches], fewest: float = _MIN_MATCHES) -> FloatArray | None:
-        """Pose (4, 4) of the rig by LO-RANSAC over all frames' matches. None if too few agree."""
+        """Pose T_map_rig (4, 4) by LO-RANSAC over all frames' matches. None if fewer than ``fewest`` agree (12 px)."""
         ordered = [one.likeliest_first() for one in matches]
         if sum(len(one) for one in ordered) < fewest:
             return None
@@ -263,7 +272,9 @@ class _Joint:
         return T_map_rig if agreeing >= fewest and np.isfinite(T_map_rig).all() else None
 
     def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
-        """Match again around the poses and ascend, within a wide and then a narrow radius."""
+        """Match again around the poses (N, 4, 4) and ascend, within 14 px and then 5 px. Returns None if
+        either radius has fewer than six matches over all frames.
+        """
         T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities
         verified: tuple[Verified, ...] = ()
         wide: list[Matches] = []

@@ -27,7 +27,7 @@ class LikelyView:
 
 
 def likeliest_views(localizer: AnyLocalizer, features: FeatureSet, most: int) -> list[LikelyView]:
-    """Rank the views of a map by the votes of a picture's features. Returns at most ``most``, best first."""
+    """The views of a map, ranked by votes of a picture's features. At most ``most``, best first; none without votes."""
     votes = localizer.view_votes(features)
     best = np.argsort(-votes, kind="stable")[:most]
     return [

@@ -91,7 +91,11 @@ class Query:
 
     @classmethod
     def of_picture(cls, image: ByteArray, extractor: Extractor, camera: Camera, **others: Any) -> Query:
-        """Query for a picture (H, W, 3) BGR; begins with few features. ``others`` are further attributes."""
+        """Query for a picture (H, W, 3) BGR. The extractor's quick features come first; more are extracted if they do
+        not suffice.
+
+        The extractor is widened for a panorama. ``others`` are further attributes of the query.
+        """
         extractor = widened(extractor, camera)
         quick = extractor.quick
         more = None if quick is extractor else lambda: extractor.extract(image)
@@ -99,7 +103,9 @@ class Query:
 
     @lazy
     def colours(self) -> ByteArray | None:
-        """(N, 3) uint8, red, green and blue at each feature; None without a colour picture."""
+        """(N, 3) uint8, red, green and blue at each feature; None without a colour picture or colours sent with the
+        features.
+        """
         if self.features.colours is not None or self.image is None or self.image.ndim != 3:
             return self.features.colours
         return self.features.coloured(self.image).colours

@@ -31,7 +31,7 @@ class Cloud:
         return Cloud(self.positions[kept], self.colours[kept], self.sources[kept])
 
     def moved(self, similarity: Similarity) -> Cloud:
-        """The points in another frame."""
+        """The points with their positions in the frame that ``similarity`` leads to."""
         positions = similarity.points(self.positions.astype(np.float64)).astype(np.float32)
         return Cloud(positions, self.colours, self.sources)
 
@@ -46,7 +46,7 @@ class Cloud:
 
     @staticmethod
     def joined(*clouds: Cloud) -> Cloud:
-        """All points of some clouds."""
+        """All points of at least one cloud, in the order given."""
         return Cloud(
             np.concatenate([one.positions for one in clouds]),
             np.concatenate([one.colours for one in clouds]),

@@ -56,16 +56,16 @@ class Coverage:
 
     @property
     def positions(self) -> FloatArray:
-        """(C, 3) metres, map frame."""
+        """Positions (C, 3) of the cells [m], map frame."""
         return np.asarray(self.origin + self.step_m * self.cells @ self.axes)
 
     @property
     def share_sufficient(self) -> float:
-        """Share of positions and headings with at least ``SUFFICIENT`` landmarks in view."""
+        """Share 0 to 1 of positions and headings with at least ``SUFFICIENT`` landmarks in view; 0 without any."""
         return float((self.counts >= SUFFICIENT).mean()) if self.counts.size else 0.0
 
     def report(self) -> CoverageReport:
-        """For a map's report; less than 20 kB as JSON."""
+        """The coverage rounded for a map's report; less than 20 kB as JSON."""
         sufficient = self.counts >= SUFFICIENT
         some = self.counts.size > 0
         return CoverageReport(
@@ -84,7 +84,7 @@ class Coverage:
 
 
 def coverage_of(map_: Map) -> Coverage:
-    """Coverage of a map within ``_REACH_M`` of its views.
+    """Coverage of a map within 0.75 m of its views.
 
     The plane is horizontal if the map is upright, else perpendicular to the views' mean up. The step is 0.25 m, or more
     to have at most 250 positions; in maps of arbitrary scale the landmarks' distance defines a metre.
@@ -114,7 +114,9 @@ def _rows(array: FloatArray | IntArray) -> tuple[tuple[Any, ...], ...]:
 
 
 def _plane(rotations: FloatArray, upright: bool) -> tuple[FloatArray, FloatArray]:
-    """Up (3,), and two axes (2, 3) of the plane across it, right-handed; x and y if z is up."""
+    """Up (3,), and two axes (2, 3) of the plane across it, right-handed. Up is z, and the axes x and y, if the map is
+    upright or the cameras' mean up (of rotations (K, 3, 3)) is within 45° of z.
+    """
     z = np.array([0.0, 0.0, 1.0])
     mean = -rotations[:, :, 1].mean(axis=0) if len(rotations) else z
     length = np.linalg.norm(mean)
@@ -135,7 +137,7 @@ def _height_and_pitch(positions: FloatArray, rotations: FloatArray, up: FloatArr
 
 
 def _metre(map_: Map, positions: FloatArray) -> float:
-    """Length of a metre in the map's unit."""
+    """Length of a metre in the map's unit: 1 if metric, else the median distance of its landmarks over 2.5."""
     if map_.info.metric or len(map_.observations) == 0:
         return 1.0
     seen_from = positions[map_.observations.views]
@@ -144,7 +146,9 @@ def _metre(map_: Map, positions: FloatArray) -> float:
 
 
 def _grid(places: FloatArray, metre: float) -> tuple[FloatArray, float, IntArray]:
-    """Origin (2,), step, and cells (C, 2) of the grid within reach of ``places`` (K, 2)."""
+    """Origin (2,), step, and cells (C, 2) of the grid within 0.75 m of ``places`` (K, 2); the step grows until C ≤
+    250.
+    """
     step = _STEP_M * metre
     if len(places) == 0:
         return np.zeros(2), step, np.zeros((0, 2), dtype=np.int64)
@@ -162,7 +166,7 @@ def _grid(places: FloatArray, metre: float) -> tuple[FloatArray, float, IntArray
 
 
 def _count(map_: Map, coverage: Coverage) -> None:
-    """Fill in the counts."""
+    """Write the number of landmarks in view of each cell and heading into ``coverage.counts``."""
     landmarks = map_.landmarks.positions.astype(np.float64)
     presence = Presence.of(landmarks, map_.views.positions[map_.observations.views], map_.observations.features)
     R_camera_map = _upright_cameras(coverage)

@@ -54,7 +54,7 @@ class FloorPlan:
 
 
 def media_type_of(content: bytes) -> str:
-    """Media type of a plan's file by its first bytes: ``ARCHIVE``, or one of ``MEDIA_TYPES``, else GeoJSON."""
+    """Media type of a plan's file by its first bytes: a picture's, ``ARCHIVE`` for a ZIP file, else GeoJSON."""
     starts = {**_STARTS, ARCHIVE: b"PK"}
     return next((kind for kind, start in starts.items() if content.startswith(start)), GEOJSON)
 
@@ -80,7 +80,9 @@ def check_plan(content: bytes, plan: FloorPlan) -> FloorPlan:
 
 
 def _check_picture(content: bytes) -> None:
-    """Raise InvalidInput for a picture that takes too much memory to show. Decodes only its header."""
+    """Refuse a picture that cannot be read or takes too much memory to show. Decodes only its header. Raises
+    InvalidInput for an unreadable file, more than ``MAX_PIXELS``, or more than 1 MiB of text in a PNG file.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
@@ -97,7 +99,9 @@ def _check_picture(content: bytes) -> None:
 
 
 def _png_text_bytes(content: bytes) -> int:
-    """Expanded length of the texts and profiles of a PNG file; counting stops a little above the limit."""
+    """Expanded length of the texts and profiles of a PNG file; counting stops a little above 1 MiB. More than 10,000
+    chunks count as too long.
+    """
     at, chunks, found = len(_STARTS["image/png"]), 0, 0
     while at + _CHUNK_BYTES <= len(content) and found <= _MAX_TEXT_BYTES:
         length, kind = int.from_bytes(content[at : at + 4]), content[at + 4 : at + 8]
@@ -114,7 +118,7 @@ def _png_text_bytes(content: bytes) -> int:
 
 
 def _compressed(kind: bytes, data: bytes) -> bytes:
-    """The compressed part of a chunk of a PNG file; empty if it has none."""
+    """The compressed part of the data of a PNG file's chunk of some kind; empty if it has none."""
     rest = data.partition(b"\0")[2]  # after the keyword: the method, or for iTXt whether it is compressed
     if kind == b"tEXt" or (kind == b"iTXt" and not rest.startswith(b"\1")):
         return b""

@@ -52,7 +52,7 @@ def unpacked_pixels(packed: IntArray, camera: Camera) -> FloatArray:
 
 
 def memory_of(map_: Map) -> Memory | None:
-    """A map's memory; None if a part is missing."""
+    """A map's memory; None if pixels, view sources or descriptor sources are missing."""
     pixels, views, descriptors = map_.observations.pixels, map_.views.sources, map_.descriptors.sources
     if pixels is None or views is None or descriptors is None:
         return None
@@ -88,7 +88,7 @@ def check_memory(map_: Map, what: str) -> Memory:
 
 
 def memory_fits(map_: Map, memory: Memory) -> bool:
-    """Whether a memory's lengths and source numbers agree with its map."""
+    """Whether a memory's lengths and source numbers agree with its map, and every source has an id and a camera."""
     count = len(map_.info.sources)
     return (
         memory.pixels.shape == (len(map_.observations), 2)

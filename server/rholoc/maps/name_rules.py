@@ -26,7 +26,7 @@ def check_name(name: str, what: str) -> str:
     """Return the name, checked; error messages call it a ``what``.
 
     Raises:
-        InvalidName: it is not.
+        InvalidName: it is not valid.
     """
     if not is_name(name):
         shown = name if len(name) <= 64 else name[:61] + "…"
@@ -41,7 +41,7 @@ def check_map_name(name: str) -> str:
     """Return the name of a map, checked.
 
     Raises:
-        InvalidName: it is not.
+        InvalidName: it is not valid, or ``all``.
     """
     if name == _ALL:
         raise InvalidName(f"A map cannot be named {name}: that means all maps.", "Choose another name.")
@@ -49,5 +49,5 @@ def check_map_name(name: str) -> str:
 
 
 def some_of(names: Sequence[str]) -> str:
-    """The first few names, for people."""
+    """The first five names, separated by commas, and "…" if there are more."""
     return ", ".join(names[:_NAMES_SHOWN]) + (", …" if len(names) > _NAMES_SHOWN else "")

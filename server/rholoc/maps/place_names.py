@@ -85,7 +85,7 @@ class MapLabels:
 
 
 def areas_at(names: MapNames, position: FloatArray) -> tuple[str, ...]:
-    """The names of the areas that a position (3,) is in, seen from above, the smallest area first."""
+    """Names of the areas that a position (3,) is in, seen from above, the smallest area first."""
     inside = [
         area for area in names.areas if within_outline(position[None, :2], np.array(area.outline, dtype=np.float64))[0]
     ]
@@ -113,7 +113,7 @@ def check_labels(labels: MapLabels) -> MapLabels:
     """Return the labels, stripped of surrounding spaces and checked.
 
     Raises:
-        InvalidInput: there are too many tags; one is empty or given twice, or something is too long or not printable.
+        InvalidInput: over 20 tags; one is empty or given twice; or something is over 100 characters or not printable.
     """
     tags = tuple(tag.strip() for tag in labels.tags)
     if len(tags) > MAX_TAGS or len(set(tags)) < len(tags) or not all(tags):
@@ -131,8 +131,8 @@ def check_names(names: MapNames) -> MapNames:
     """Return the names, checked.
 
     Raises:
-        InvalidInput: there are too many; one is empty, too long, not printable or given twice; its kind, its fields or
-            its outline are not valid.
+        InvalidInput: over 500; one is empty, over 100 characters, not printable or twice a point's or an area's; its
+            kind, its fields or its outline are not valid.
     """
     if len(names.points) + len(names.areas) > MAX_NAMES:
         raise InvalidInput(f"A map keeps at most {MAX_NAMES} names.", "Leave some out.")
@@ -153,7 +153,7 @@ def check_names(names: MapNames) -> MapNames:
 
 
 def _check_details(one: NamedPoint | NamedArea) -> None:
-    """Raise InvalidInput for a kind or a field that cannot be kept."""
+    """Raise InvalidInput for an invalid kind (over 100 characters), over 50 fields, or a field that cannot be kept."""
     if len(one.kind) > _MAX_LENGTH or (one.kind and not one.kind.isprintable()):
         raise InvalidInput(f"The kind of {one.name} is not valid.", f"Use at most {_MAX_LENGTH} characters.")
     if len(one.fields) > _MAX_FIELDS:
@@ -179,7 +179,7 @@ def check_outline(outline: FloatArray, what: str) -> FloatArray:
     """Return the corners (N, 2) of an area, checked; error messages call it ``what``.
 
     Raises:
-        InvalidInput: there are too few or too many corners, or they enclose nothing.
+        InvalidInput: there are fewer than 3 or more than 200 corners, or they enclose nothing.
     """
     if not _MIN_CORNERS <= len(outline) <= MAX_CORNERS:
         raise InvalidInput(f"{what} has {len(outline)} corners.", f"Give {_MIN_CORNERS} to {MAX_CORNERS}.")
@@ -189,6 +189,6 @@ def check_outline(outline: FloatArray, what: str) -> FloatArray:
 
 
 def _enclosed(outline: FloatArray) -> float:
-    """The area of a polygon (N, 2)."""
+    """Area enclosed by a polygon (N, 2), in the square of its unit, never negative."""
     x, y = (outline - outline.mean(axis=0)).T
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2

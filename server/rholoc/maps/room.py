@@ -31,7 +31,7 @@ class Room:
         return Room(self.vertices.keep(kept), number[self.faces[kept[self.faces].all(axis=1)]])
 
     def moved(self, similarity: Similarity) -> Room:
-        """The mesh in another frame."""
+        """The mesh with its vertices in the frame that ``similarity`` leads to."""
         return Room(self.vertices.moved(similarity), self.faces)
 
     def without_source(self, source: int) -> Room:
@@ -40,5 +40,5 @@ class Room:
         return Room(left.vertices.without_source(source), left.faces)
 
     def joined(self, other: Room) -> Room:
-        """This mesh and another."""
+        """This mesh and, after it, another."""
         return Room(Cloud.joined(self.vertices, other.vertices), np.concatenate([self.faces, other.faces + len(self)]))

@@ -48,7 +48,7 @@ class FramePose:
 
     @classmethod
     def of(cls, T: FloatArray) -> FramePose:
-        """From a matrix (4, 4)."""
+        """Pose with the position and rotation of a rigid matrix (4, 4)."""
         pose = Pose(T)
         x, y, z = pose.position.tolist()
         qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
@@ -56,7 +56,7 @@ class FramePose:
 
     @property
     def matrix(self) -> FloatArray:
-        """(4, 4)."""
+        """The pose as a matrix (4, 4)."""
         return Pose.from_quaternion(np.array(self.position), np.array(self.quaternion_xyzw)).T_map_camera
 
 
@@ -126,10 +126,12 @@ class SiteOnEarth:
             heading_deg: of the y axis, clockwise from true north; default: by the points.
 
         Returns:
-            The pose, and the root mean square distance between points and places [m].
+            The pose, at whose origin the points fit best, and the root mean square distance between points and places
+                [m].
 
         Raises:
-            InvalidInput: there are too few points, they coincide, or their distances are other than on Earth.
+            InvalidInput: there are too few points, they are within 0.5 m, or their distances differ by 5 % from those
+                on Earth.
         """
         if len(points) != len(places) or len(points) < (2 if heading_deg is None else 1):
             raise InvalidInput("A place on Earth needs two points, or one and a heading.", "Give another point.")
@@ -158,13 +160,13 @@ class SiteOnEarth:
 
     @property
     def R_enu_site(self) -> FloatArray:
-        """(3, 3) from the site's axes to east, north and up at its origin."""
+        """Rotation (3, 3) from the site's axes to east, north and up at its origin."""
         turn = math.radians(self.heading_deg)
         c, s = math.cos(turn), math.sin(turn)
         return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
     def moved(self, similarity: Similarity) -> SiteOnEarth | None:
-        """The pose of a frame after ``similarity`` moved its points; None if its z axis is no longer up."""
+        """The pose of a frame after ``similarity`` moved its points; None if its z axis is no longer up (within 1°)."""
         back = similarity.rotation.T
         heading_deg = self.heading_deg_of(back[:, 1])
         if heading_deg is None or angles_between(back[:, 2], UP) > _UPRIGHT_RAD:
@@ -173,7 +175,7 @@ class SiteOnEarth:
         return SiteOnEarth(there.latitude_deg, there.longitude_deg, there.height_m, heading_deg)
 
     def R_enu_of(self, R_site_body: FloatArray, place: EarthPlace) -> FloatArray:
-        """(3, 3) from a body's axes to east, north and up at the body's own place."""
+        """Rotation (3, 3) from a body's axes to east, north and up at ``place``, where the body is."""
         return np.asarray(R_enu_enu(place, self.origin) @ self.R_enu_site @ R_site_body)
 
     def enu(self, vector: FloatArray) -> FloatArray:
@@ -207,7 +209,7 @@ class Site:
     earth: SiteOnEarth | None = None
 
     def member(self, map_name: str) -> SiteMap | None:
-        """The map of that name, if it is one of the site's."""
+        """The site's entry for the map of that name; None if it has none."""
         return next((one for one in self.maps if one.map == map_name), None)
 
     def earth_of(self, map_name: str) -> SiteOnEarth | None:
@@ -219,7 +221,9 @@ class Site:
         return self.earth.moved(Similarity(1.0, T_map_site[:3, :3], T_map_site[:3, 3]))
 
     def maps_near(self, place: EarthPlace, radius_m: float) -> list[str]:
-        """Names of the maps with an origin within ``radius_m`` of a place on Earth, the nearest first."""
+        """Names of the maps with an origin within ``radius_m`` of a place, seen from above, the nearest first; none
+        without a pose on Earth.
+        """
         if self.earth is None:
             return []
         there = enu_of(place, self.earth.origin)[:2]
@@ -232,8 +236,8 @@ def check_site(site: Site) -> Site:
     """Return the site, checked.
 
     Raises:
-        InvalidInput: there are too many maps or links, a map is named twice, a link is between maps that are not the
-            site's, something is no pose, no covariance or no place on Earth.
+        InvalidInput: there are over 2000 maps or 10,000 links, a map is named twice, a link is between maps that are
+            not the site's, or a floor, pose, sigma, covariance or place on Earth is invalid.
         InvalidName: a map's name is not valid.
     """
     names = [one.map for one in site.maps]
@@ -292,7 +296,7 @@ def check_earth(earth: SiteOnEarth) -> SiteOnEarth:
     """Return the pose on Earth, checked.
 
     Raises:
-        InvalidInput: a number is not finite, or out of range.
+        InvalidInput: a number is not finite, or out of range (90°, 180°, 100 km, 360°).
     """
     values = (earth.latitude_deg, earth.longitude_deg, earth.height_m, earth.heading_deg)
     possible = all(math.isfinite(value) for value in values) and abs(earth.height_m) <= _MAX_HEIGHT_M

@@ -26,7 +26,7 @@ class Trust:
 
 
 def trust_of(info: MapInfo) -> Trust:
-    """Trust by the report on a map's trajectories and on its later learning."""
+    """Trust by the report on a map's trajectories and on its later learning: True only if no check failed."""
     report = info.report
     if all(trajectory.trusted is None for trajectory in report.trajectories):
         return Trust(None, ("The map does not say how its frame poses were checked.",))
@@ -38,7 +38,7 @@ def trust_of(info: MapInfo) -> Trust:
 
 
 def expected_error_m(info: MapInfo) -> float | None:
-    """Expected RMS position error of a map [m]; None if unknown."""
+    """Expected RMS position error of a map [m]; None if unknown or the map is not metric."""
     return info.report.expected_error.rms_m if info.metric and info.report.expected_error else None
 
 

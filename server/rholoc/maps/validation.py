@@ -92,7 +92,7 @@ def _check(condition: bool, complaint: str) -> None:
 
 
 def _check_table(table: MapTable) -> None:
-    """Check a table's columns against their declarations; NaN is allowed where it marks an unknown row."""
+    """Check a table's columns against their declarations; NaN is allowed where it means unknown. Raises InvalidMap."""
     for name, column in table.columns().items():
         values = getattr(table, name)
         if values is None and column.optional:
@@ -120,13 +120,13 @@ def _check_array(
 
 
 def _all_patches(patches: FloatArray) -> bool:
-    """Whether each is a vector with a length, or all NaN."""
+    """Whether each patch (F, 3) is a finite vector with a length, or all NaN."""
     known = patches[~np.isnan(patches).all(axis=1)]
     return bool(np.isfinite(known).all() and known.any(axis=1).all())
 
 
 def _all_covariances(covariances: FloatArray) -> bool:
-    """Whether each is a covariance, or all NaN."""
+    """Whether each covariance (K, 6, 6) is symmetric without negative eigenvalues (but for rounding), or all NaN."""
     known = covariances[~np.isnan(covariances).all(axis=(1, 2))].astype(np.float64)
     if not np.isfinite(known).all() or not np.array_equal(known, known.transpose(0, 2, 1)):
         return False

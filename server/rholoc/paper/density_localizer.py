@@ -43,12 +43,12 @@ class Ascent:
 
     @property
     def positions(self) -> FloatArray:
-        """(S, 3) of the camera, step by step."""
+        """Positions (S, 3) of the camera in the map [m], step by step."""
         return np.array([step.T_map_camera[:3, 3] for step in self.steps])
 
     @property
     def inliers(self) -> int:
-        """Number of matches that agree with the optimum."""
+        """Number of matches that agree with the optimum: their density there is above 0."""
         return int((self.optimum.density > 0).sum())
 
 
@@ -69,7 +69,11 @@ class DensityLocalizer:
     def ascents(
         self, features: FeatureSet, camera: Camera, dof: Dof = Dof.FREE, start: FloatArray | None = None
     ) -> Iterator[Ascent]:
-        """An ascent from the pose (4, 4) ``start``, or else from each view that most matches speak for."""
+        """Yield an ascent from the pose ``start`` (4, 4), or else from each of the ``starts`` views that most matches
+        speak for.
+
+        Yields nothing with fewer than six matches in the whole map.
+        """
         everywhere = self.index.match_everywhere(features)
         if len(everywhere) < _MIN_MATCHES:
             return
@@ -87,6 +91,6 @@ class DensityLocalizer:
     def localize(
         self, features: FeatureSet, camera: Camera, dof: Dof = Dof.FREE, start: FloatArray | None = None
     ) -> Ascent | None:
-        """The best of the ascents; None where there is nothing to climb by, or the best has fewer than 6 inliers."""
+        """The ascent with the highest optimum; None if there is none, or it has fewer than six inliers."""
         best = max(self.ascents(features, camera, dof, start), key=lambda one: one.optimum.value, default=None)
         return best if best is not None and best.inliers >= _MIN_MATCHES else None

@@ -44,7 +44,7 @@ class Look:
 
     @classmethod
     def of_view(cls, map_: Map, feature: int, view: int) -> Look:
-        """From a view of the map, at the pixel where the landmark appears."""
+        """From a view of the map, at the pixel where the landmark appears by its pose; nonsense behind the camera."""
         T = map_.views.T_map_camera[view]
         seen = (map_.landmarks.positions[feature].astype(np.float64) - T[:3, 3]) @ T[:3, :3]
         return cls(feature, map_.info.camera, T, map_.info.camera.project(seen[None])[0])
@@ -73,7 +73,11 @@ class Grid:
 
     @classmethod
     def around_ways(cls, centre: FloatArray, ways: Sequence[FloatArray], steps: int) -> Grid:
-        """A square at a place's (3,) height, 2 · ``steps`` + 1 wide, that holds the ways (S, 3) that end near it."""
+        """A square at the height of ``centre`` (3,), 2 · ``steps`` + 1 points wide, that holds the ways (S, 3) that end
+        within 0.5 m.
+
+        It reaches 0.4 to 3 m from the centre.
+        """
         near = [way for way in ways if np.linalg.norm(way[-1] - centre) < _NEAR_M]
         away = max((float(np.abs(way[:, :2] - centre[:2]).max()) for way in near), default=0.0)
         half = float(np.clip(_MARGIN * away, *_REACH))
@@ -81,13 +85,13 @@ class Grid:
 
     @property
     def axes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The coordinates along x, y and z, metres."""
+        """The coordinates along x, y and z [m]: three arrays."""
         x, y, z = (self.origin[i] + self.spacing_m * np.arange(self.shape[i]) for i in range(3))
         return x, y, z
 
     @property
     def points(self) -> FloatArray:
-        """(N, 3) metres, x counting fastest."""
+        """Points (X · Y · Z, 3) [m], x counting fastest."""
         x, y, z = self.axes
         return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
 
@@ -98,7 +102,7 @@ class Grid:
 
 
 def over_picture(map_: Map, look: Look, tolerance_px: float, step_px: float) -> tuple[FloatArray, FloatArray]:
-    """ρ (H, W) at pixels every ``step_px``, from the pose of a look; and the pixels (H, W, 2)."""
+    """ρ (H, W) of a look's feature at pixels every ``step_px`` from its pose, and these pixels (H, W, 2)."""
     camera = look.camera
     u, v = np.meshgrid(np.arange(0, camera.width, step_px), np.arange(0, camera.height, step_px))
     pixels = np.stack([u, v], axis=-1)
@@ -107,7 +111,7 @@ def over_picture(map_: Map, look: Look, tolerance_px: float, step_px: float) -> 
 
 
 def over_positions(map_: Map, look: Look, grid: Grid, tolerance_px: float) -> FloatArray:
-    """ρ (z, y, x) of the look's pixel for cameras that stand at a grid's points and are turned as the look's is."""
+    """ρ (Z, Y, X) of the look's pixel for cameras that stand at a grid's points and are turned as the look's is."""
     evidence = _evidence(map_, look.feature, look.camera.rays(look.pixel[None]), look.camera.focal)
     R = look.T_map_camera[:3, :3]
     values = [_density(map_, evidence, pose_matrix(R, point), tolerance_px)[0] for point in grid.points]
@@ -117,10 +121,11 @@ def over_positions(map_: Map, look: Look, grid: Grid, tolerance_px: float) -> Fl
 def over_headings(
     map_: Map, look: Look, half_rad: float, count: int, tolerance_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ρ (E, A) of the look's pixel for upright cameras at its place that look elsewhere, and by how much, radians.
+    """ρ (E, A) of the look's pixel for cameras at its place with its roll, at ``count`` × ``count`` offsets to
+    ``half_rad``.
 
     Returns:
-        ρ, with the elevation's offset along the first axis; the offsets (E,) of elevation and (A,) of azimuth.
+        ρ, with the elevation's offset along the first axis; the offsets (E,) of elevation and (A,) of azimuth [rad].
     """
     evidence = _evidence(map_, look.feature, look.camera.rays(look.pixel[None]), look.camera.focal)
     pose = Pose(look.T_map_camera)
@@ -150,7 +155,8 @@ def product_over_positions(
     tolerance_px: float,
     check: Callable[[], None] = _go_on,
 ) -> FloatArray:
-    """Σ log((ε + ρ) / ε) (z, y, x), nats: a frame's product (2) for cameras turned as at a pose (4, 4).
+    """Σ log((ε + ρ) / ε) (Z, Y, X) [nats]: a frame's product (2) for cameras at a grid's points, turned as the pose (4,
+    4).
 
     ``check`` is called before each position, and may raise to stop.
     """
@@ -187,14 +193,14 @@ def landscape_around(
     T_map_camera: FloatArray | None,
     check: Callable[[], None] = _go_on,
 ) -> Landscape | None:
-    """Landscape of an ascent around a pose (4, 4), or around the best optimum; None if too few features match.
+    """Landscape of an ascent around a pose (4, 4), or around the best optimum; None if fewer than six features match.
 
     Args:
         localizer: of the map.
         features: of the frame, by the map's extractor.
         camera: its intrinsics.
         T_map_camera: the pose, or None.
-        check: is called again and again, and may raise to stop.
+        check: is called before each position, and may raise to stop.
     """
     ascents = []
     for ascent in localizer.ascents(features, camera):
@@ -212,7 +218,7 @@ def landscape_around(
 
 
 def presence_of(map_: Map, feature: int) -> Presence:
-    """Where a feature, which views of the map saw, may be seen from: π, of one."""
+    """Presence π of one feature, by the views of the map that saw it, of which there must be one."""
     mine = map_.observations.features == feature
     return Presence.of(
         map_.landmarks.positions[[feature]].astype(np.float64),
@@ -222,13 +228,13 @@ def presence_of(map_: Map, feature: int) -> Presence:
 
 
 def seen_from(map_: Map, feature: int, grid: Grid) -> BoolArray:
-    """Presence π (z, y, x) of a feature over the positions of a grid."""
+    """Whether a feature may be seen (its presence π) at each position of a grid (Z, Y, X)."""
     presence, landmark = presence_of(map_, feature), map_.landmarks.positions[[feature]].astype(np.float64)
     return np.asarray(grid.folded(np.array([presence.allows(landmark, point)[0] for point in grid.points])))
 
 
 def _evidence(map_: Map, feature: int, rays: FloatArray, focal_px: float) -> Evidence:
-    """Evidence of one feature at rays (N, 3)."""
+    """Evidence of one feature at rays (N, 3), as matches that are certain to 0.999."""
     count = len(rays)
     return Evidence.of(
         np.full(count, feature),

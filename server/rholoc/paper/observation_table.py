@@ -15,7 +15,7 @@ def observation_table(map_: Map) -> ObservationTable:
 
     Raises:
         InvalidInput: the map does not remember its observations.
-        InvalidMap: its memory contradicts itself.
+        InvalidMap: its observations contradict the rest of the map.
     """
     pixels = check_memory(map_, "The map").pixels
     features, views = map_.observations.features, map_.observations.views

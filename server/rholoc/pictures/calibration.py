@@ -15,7 +15,7 @@ _EMPTY = "#f6d5d8"
 
 
 def calibration_png(calibration: Calibration) -> bytes:
-    """Where in the image corners were seen, and each one's residual; cells without corners are shaded."""
+    """PNG of where in the image corners were seen, coloured by residual [px]; cells without corners are shaded."""
     camera = calibration.camera
     figure = figure_of((_WIDTH_IN, 1.1 + 0.86 * _WIDTH_IN * camera.height / camera.width), _DPI)
     axes = figure.add_subplot()

@@ -92,7 +92,7 @@ def _plot_waypoints(axes: Axes, map_: Map) -> None:
 
 
 def _frame(axes: Axes, map_: Map) -> None:
-    """Equal axes around the visible part, without a box, with a scale bar."""
+    """Set equal axes around 98 % of the landmarks and all views, without a box, with a scale bar and a legend."""
     ground = np.vstack([map_.landmarks.positions[:, :2], map_.views.positions[:, :2], np.zeros((1, 2))])
     low, high = np.percentile(ground, _VISIBLE_SHARE, axis=0)
     if len(map_.views):
@@ -113,7 +113,7 @@ def _frame(axes: Axes, map_: Map) -> None:
 
 
 def _caption(map_: Map) -> str:
-    """One line on the map."""
+    """One line on the map: counts, features, density, median uncertainty of a landmark, and doubts."""
     parts = [
         f"{len(map_)} landmarks",
         f"{len(map_.views)} views",

@@ -60,7 +60,7 @@ def report_png(map_: Map, title: str = "") -> bytes:
 
 
 def _held_out(report: MapReport) -> _HeldOut | None:
-    """The report on single held-out frames; None without one."""
+    """Errors and confidences of the report's held-out frames; None if it has none of single frames."""
     frames = report.held_out
     if frames is None or not frames.errors_m or len(frames.errors_m) != len(frames.confidences or ()):
         return None
@@ -99,7 +99,7 @@ def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) ->
 
 
 def _wedges(coverage: Coverage) -> list[FloatArray]:
-    """A polygon for each position and heading, in the plane of the coverage."""
+    """A polygon (5, 2) for each position and heading, in the plane of the coverage."""
     centres = coverage.positions @ coverage.axes.T
     width = 360.0 / len(coverage.headings_deg)
     arcs = np.deg2rad(coverage.headings_deg[:, None] + np.linspace(-width / 2, width / 2, _ARC_STEPS))
@@ -144,7 +144,7 @@ def _plot_waypoints(axes: Axes, map_: Map, coverage: Coverage) -> None:
 
 
 def _frame(axes: Axes, coverage: Coverage, places: FloatArray, unit: str) -> None:
-    """Equal axes around the roses, without a box, with a scale bar."""
+    """Set equal axes around the roses and the path, without a box, with a scale bar."""
     shown = np.vstack([coverage.positions @ coverage.axes.T, places, np.zeros((0 if len(places) else 1, 2))])
     low, high = shown.min(axis=0) - 3 * coverage.step_m, shown.max(axis=0) + 3 * coverage.step_m
     axes.set_xlim(low[0], high[0])
@@ -170,7 +170,7 @@ def _caption(map_: Map, coverage: Coverage) -> str:
 
 
 def _trust(map_: Map) -> str:
-    """One line on whether the map is to be trusted and how far it expects to be off."""
+    """One line on whether the map is to be trusted and how far it expects to be off [cm]."""
     expected_m, trust = expected_error_m(map_.info), trust_of(map_.info)
     expected = "unknown" if expected_m is None else f"{100 * expected_m:.1f} cm"
     trusted = {True: "yes", False: "no", None: "unknown"}[trust.trusted]
@@ -178,7 +178,7 @@ def _trust(map_: Map) -> str:
 
 
 def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> None:
-    """The share of the frames whose error is at most as large."""
+    """Plot the share of the held-out frames whose error is at most as large, or say why there is no such figure."""
     _panel(
         axes,
         "Consistency of frames of the walk",
@@ -217,7 +217,7 @@ def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> Non
 
 
 def _quantiles(report: MapReport, unit: str, factor: float) -> str:
-    """What a report without single errors says about them."""
+    """One text with the report's median and 90th percentile of errors, or that none are known."""
     frames = report.held_out
     if frames is None or frames.median_m is None or frames.p90_m is None:
         return _NO_FRAMES
@@ -226,7 +226,7 @@ def _quantiles(report: MapReport, unit: str, factor: float) -> str:
 
 
 def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: float) -> None:
-    """The confidences of the answers."""
+    """Plot the confidences of the held-out frames' answers over their errors, or say why there are none."""
     _panel(axes, "… and their confidence", f"from the walk's own position, {unit}", "confidence")
     if held_out is None:
         _say(axes, _NO_FRAMES)
@@ -242,7 +242,7 @@ def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: 
 
 
 def _plot_expected_error(axes: Axes, map_: Map, unit: str, factor: float) -> None:
-    """How far the views are expected to be from the truth, over the walk."""
+    """Plot how far each view is expected to be from the truth."""
     _panel(axes, "Expected error over the walk", "view", f"root mean square, {unit}")
     errors = factor * map_.views.expected_errors_m
     numbers = np.arange(len(errors))
@@ -317,7 +317,7 @@ def _panel(axes: Axes, title: str, x: str, y: str) -> None:
 
 
 def _say(axes: Axes, what: str) -> None:
-    """A panel without a plot, and the reason."""
+    """Show a text instead of a plot."""
     axes.set_xticks([])
     axes.set_yticks([])
     axes.text(0.5, 0.5, what, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=MUTED)

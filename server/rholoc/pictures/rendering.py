@@ -31,12 +31,12 @@ class Rendering(StrEnum):
 
 
 def render(map_: Map, name: str, kind: Rendering) -> bytes:
-    """A rendering of a map called ``name``."""
+    """The rendering of a map called ``name``: a PNG, or JSON of coverage."""
     return _RENDERERS[kind](map_, name)
 
 
 def serve(requests: TextIO, answers: TextIO) -> None:
-    """Answer requests until there are no more."""
+    """Answer requests, a line of JSON each, until there are no more."""
     for line in requests:
         answers.write(json.dumps(_answer(json.loads(line))) + "\n")
         answers.flush()

@@ -22,7 +22,7 @@ _BAR_LENGTHS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 
 
 def figure_of(size_inches: tuple[float, float] | None, dpi: int) -> Figure:
-    """A white figure that is drawn without a display; ``size_inches`` is width and height."""
+    """A white figure that is drawn without a display; ``size_inches`` is width and height, None: matplotlib's own."""
     figure = Figure(figsize=size_inches, dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     figure.set_layout_engine("constrained")
@@ -30,7 +30,7 @@ def figure_of(size_inches: tuple[float, float] | None, dpi: int) -> Figure:
 
 
 def missing_fonts() -> list[str]:
-    """The names of the fonts that pictures want and this machine has not."""
+    """Names of the fonts that pictures need and this machine does not have, of DejaVu Sans and its monospaced form."""
     missing = []
     for family in ("DejaVu Sans", "DejaVu Sans Mono"):
         try:
@@ -41,7 +41,7 @@ def missing_fonts() -> list[str]:
 
 
 def png_of(figure: Figure) -> bytes:
-    """A figure as a PNG file."""
+    """Content of a PNG file of a figure."""
     png = io.BytesIO()
     figure.savefig(png, format="png")
     return png.getvalue()

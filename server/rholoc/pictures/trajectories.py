@@ -56,7 +56,7 @@ def plot_top_view(
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure to ``path``, whose suffix chooses the format (.png, .svg, .pdf)."""
+    """Write a figure to ``path``, whose suffix is its format (.png, .svg, .pdf); makes its folder. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     metadata: dict[str, Any] = {"Software": None} if path.suffix == ".png" else {}
     figure.savefig(path, metadata=metadata)
@@ -133,7 +133,7 @@ def _draw_waypoints(axes: Axes, waypoints: Sequence[tuple[str, FloatArray]]) -> 
 
 
 def _frame(figure: Figure, axes: Axes, paths: list[FloatArray], landmarks: FloatArray | None) -> None:
-    """Show all of the paths and nearly all landmarks, without outliers that would shrink the rest."""
+    """Set equal axes and the figure's size so that all of the paths and 98 % of the landmarks are shown."""
     points = np.concatenate([path[np.isfinite(path).all(axis=1)] for path in paths])
     if landmarks is not None and len(landmarks):
         points = np.concatenate([points, np.percentile(landmarks[:, :2], [1, 99], axis=0)])

@@ -43,7 +43,7 @@ class AsyncProgram:
         return self._process.returncode is None
 
     async def ask(self, request: Mapping[str, object]) -> None:
-        """Send a request; nothing happens where the program has ended."""
+        """Send a request as a line of JSON; does nothing if the program has ended."""
         with suppress(ConnectionError):
             self._requests.write(json.dumps(request).encode() + b"\n")
             await self._requests.drain()

@@ -143,7 +143,9 @@ def _follow(
     poll_s: float,
     limits: Limits,
 ) -> _Returned | _Raised:
-    """Wait for the answer, passing on progress."""
+    """Wait for the answer, passing on progress. Raises ChildDied, TimeLimitExceeded, MemoryLimitExceeded, or what
+    ``check`` raises.
+    """
     deadline_s, held_bytes = time.monotonic() + limits.time_s, 0.0
     while True:
         check()
@@ -164,7 +166,9 @@ def _follow(
 
 
 def _receive(connection: Connection, until: float) -> tuple[list[_Progress], _Returned | _Raised | None]:
-    """The latest progress of each stage that arrives until the time given, or until the answer; and the answer."""
+    """The latest progress of each stage that arrives until ``until`` (monotonic clock) or the answer; and the answer,
+    or None.
+    """
     latest: dict[Stage, _Progress] = {}
     try:
         while connection.poll(max(0.0, until - time.monotonic())):
@@ -180,7 +184,7 @@ def _receive(connection: Connection, until: float) -> tuple[list[_Progress], _Re
 
 
 def _kill(process: SpawnProcess) -> None:
-    """End the process and those that it started."""
+    """Kill the process and those that it started, and wait for its end; does nothing if it was never started."""
     if process.pid is None:  # it was never started
         return
     left = descendants(process.pid)
@@ -194,7 +198,7 @@ def _kill(process: SpawnProcess) -> None:
 
 
 def _main(connection: Connection) -> None:
-    """The child process: receives what to do, and answers."""
+    """Body of the child process: receives function, arguments and conditions by the connection; sends the answer."""
     conditions, function, args = cast(tuple[_Conditions, Callable[..., Any], tuple[Any, ...]], connection.recv())
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # pycolmap's own handler may deadlock
     if conditions.own_group:
@@ -253,7 +257,9 @@ class _Listener:
 
 
 def _watch_parent(connection: Connection, listener: _Listener, own_group: bool) -> None:
-    """Pass on a cancellation by the parent; end with the parent, however it ends."""
+    """Set the listener's ``cancelled`` when the parent cancels; kill this process and its children when the parent is
+    gone.
+    """
     try:
         while True:
             connection.recv()

@@ -75,7 +75,7 @@ def _control_group_limits(own_groups: Path, groups: Path) -> list[float]:
 
 
 def limit_own_memory(memory_bytes: float) -> None:
-    """Make a single too large allocation fail at once; the parent process watches for slow growth."""
+    """Limit this process's data to ``memory_bytes`` + 1 GiB, so that one too large allocation fails; inf: no limit."""
     if math.isfinite(memory_bytes):
         _, hard = resource.getrlimit(resource.RLIMIT_DATA)
         soft = int(memory_bytes) + _RESERVED_BYTES

@@ -74,7 +74,7 @@ class Program:
         return self._process.poll()
 
     def last_errors(self) -> list[str]:
-        """The last lines of its standard error, all of them once it has ended."""
+        """The last 20 lines of its standard error if ``keep_errors``, all of them there once it has ended."""
         if not self.running and self._copier.is_alive():
             self._copier.join(_COPYING_ENDS_S)
         return list(self._errors)
@@ -85,7 +85,9 @@ class Program:
         return self._process.returncode, (errors or b"").decode(errors="replace")
 
     def stop(self, grace_s: float = 0.0) -> None:
-        """Ask the program to end; after ``grace_s`` seconds, kill what is left of it and of what it started."""
+        """Ask the program to end (close its input, or SIGTERM); after ``grace_s`` seconds, kill what is left of it and
+        its children.
+        """
         left = set(descendants(self.pid))  # while the program lives: afterwards they can no longer be found
         if grace_s > 0 and self.running:
             self._ask_to_end()

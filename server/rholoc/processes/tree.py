@@ -10,7 +10,7 @@ import psutil
 
 
 def descendants(pid: int) -> list[int]:
-    """Process ids of the processes that a process started, and of those that they started. Empty if it has ended."""
+    """Process ids of the processes that a process started, and of those that they started; empty if it has ended."""
     with suppress(psutil.NoSuchProcess):
         return [child.pid for child in psutil.Process(pid).children(recursive=True)]
     return []

@@ -41,7 +41,7 @@ def read_camera_json(path: Path) -> CameraFile:
     """Read ``camera.json``.
 
     Raises:
-        InvalidCamera: not JSON, a part of the intrinsics is missing, or a value is impossible.
+        InvalidCamera: missing, not JSON, over 1 MiB, a part of the intrinsics is missing, or a value is impossible.
     """
     values = read_json(path, InvalidCamera, _MAX_BYTES)
     if not isinstance(values, dict):

@@ -16,9 +16,10 @@ from rholoc.reports import report_to_json
 
 
 def describe_recording(recording: Recording) -> dict[str, Any]:
-    """Format, frames, camera, IMU, waypoints, poses, problems, the walk's figures, and advice.
+    """JSON-like dict: format, frames, camera, IMU, waypoints, poses, problems, the walk's figures, and advice; None for
+    absent parts.
 
-    A few frames are decoded to measure light and texture.
+    At most 25 frames are decoded to measure light and texture.
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
@@ -65,7 +66,7 @@ def _frames(frames: FrameSource) -> dict[str, Any]:
 
 
 def _logged(frame_intrinsics: FloatArray | None) -> dict[str, list[float] | None] | None:
-    """Minimum and maximum of fx, fy, cx and cy [px]."""
+    """Minimum and maximum of fx, fy, cx and cy [px] by name, None if never logged; None without logged intrinsics."""
     if frame_intrinsics is None:
         return None
     spans: dict[str, list[float] | None] = {}

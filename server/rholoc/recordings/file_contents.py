@@ -28,7 +28,7 @@ def check_file_name(name: str) -> None:
     """Check the name of a recording in a single file.
 
     Raises:
-        InvalidRecording: not the name of a video, a bag or a ZIP file.
+        InvalidRecording: by its suffix, it is neither a video, a bag nor a ZIP file.
     """
     if PurePath(name).suffix.lower() not in VIDEO_SUFFIXES | BAG_SUFFIXES | {*ZIP_SUFFIXES}:
         videos, bags = (", ".join(sorted(suffixes)) for suffixes in (VIDEO_SUFFIXES, BAG_SUFFIXES))

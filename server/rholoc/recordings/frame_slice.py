@@ -31,7 +31,7 @@ class SelectedFrames:
 
     @property
     def numbers(self) -> IntArray:
-        """(N,) the numbers that the frames have in the whole recording."""
+        """Numbers (N,) that the frames have in the whole recording."""
         return self.source.numbers[self.rows]
 
     @property
@@ -48,7 +48,7 @@ def parse_frame_slice(text: str) -> slice:
     """Parse ``start:stop[:step]``, each a frame number or empty, as in Python's slices (``stop`` excluded).
 
     Raises:
-        InvalidRecording: the text is something else, or the step is not positive.
+        InvalidRecording: the text is something else, a number is negative, or the step is 0.
     """
     parts = text.split(":")
     try:
@@ -63,9 +63,10 @@ def parse_frame_slice(text: str) -> slice:
 
 
 def select_frames(recording: Recording, chosen: slice) -> Recording:
-    """Select the frames with *numbers* in the slice; a step counts from its start.
+    """The recording with only the frames whose *numbers* are in the slice; a step counts from its start.
 
-    Poses are kept for these frames, waypoints outside the chosen frames' time are dropped, the IMU's table stays whole.
+    Poses, lengths, mountings, intrinsics and depths of other frames are dropped, and waypoints outside the chosen
+    frames' time; the IMU's table stays whole.
 
     Raises:
         InvalidRecording: no frame is in the slice.
@@ -104,7 +105,9 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
 
 
 def _waypoints_within(recording: Recording, frames: SelectedFrames) -> tuple[Waypoint, ...]:
-    """The waypoints of the chosen frames; without times, a waypoint's time is its picture's row in the selection."""
+    """The waypoints within the chosen frames' time, or without a time. Without frame times, those at chosen pictures; a
+    waypoint's time is then its picture's row in the selection.
+    """
     if recording.frames.timed:
         first, last = frames.times[0], frames.times[-1]
         return tuple(one for one in recording.waypoints if not (one.time < first or one.time > last))

@@ -51,7 +51,7 @@ class Samples:
 
     @classmethod
     def from_rows(cls, rows: FloatArray) -> Samples:
-        """From rows (M, 4) of time, x, y, z."""
+        """Samples from rows (M, 4) of time, x, y, z."""
         return cls(rows[:, 0], rows[:, 1:])
 
 
@@ -111,7 +111,8 @@ def normalise_imu(
 def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> str | None:
     """Unit of times (M,), s, ms, µs or ns, with a median interval of at most ``longest_s`` and over a thousandth of it.
 
-    None if no unit fits, or without two different times."""
+    None if no unit fits, or without two different times; of several that fit, the largest.
+    """
     steps = np.abs(np.diff(times))
     steps = steps[steps > 0]
     if len(steps) == 0:
@@ -124,9 +125,12 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
 
 
 def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
-    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if the interval is then 2 ms to 4 s.
+    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if the median interval is then 2 ms to
+    4 s.
 
-    Otherwise the unit follows from the interval, as for an IMU."""
+    Otherwise the unit follows from the interval, as for an IMU. Raises InvalidRecording if none fits or they span
+    years.
+    """
     steps = np.abs(np.diff(times)) / _PER_SECOND[says]
     plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
     unit = says if plausible else time_unit(times, 1000 * _SHORTEST_FRAME_INTERVAL_S) or says
@@ -150,10 +154,10 @@ def checked_span(times: FloatArray, what: str) -> FloatArray:
 
 
 def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[RecordingWarning, ...]]:
-    """Rows whose time exceeds all times (M,) before it, and a warning about the other rows.
+    """Rows (K,) whose time exceeds all times (M,) before it, and a warning about the other rows, if any.
 
     Raises:
-        InvalidRecording: there are more than ``_MAX_DROPPED`` other rows.
+        InvalidRecording: more than 5 % are other rows.
     """
     latest = np.maximum.accumulate(times)
     advances = np.concatenate([[True], times[1:] > latest[:-1]])
@@ -173,7 +177,7 @@ def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[Record
 
 
 def rate_warnings(times: FloatArray, sensor: str) -> tuple[RecordingWarning, ...]:
-    """Warnings if a sensor with times (M,) [s] is too slow for the paper's method, or has gaps."""
+    """Warnings if a sensor with times (M,) [s] has less than 25 Hz, or gaps. ``sensor`` names it."""
     warnings = []
     steps = np.diff(times)
     if len(steps) and (rate_hz := 1 / float(np.median(steps))) < MIN_RATE_HZ:
@@ -191,7 +195,7 @@ def rate_warnings(times: FloatArray, sensor: str) -> tuple[RecordingWarning, ...
 
 
 def gap_rows(times: FloatArray) -> IntArray:
-    """Rows of times (M,) [s] followed by a gap."""
+    """Rows of times (M,) [s] followed by a gap: over five median intervals, and over 0.1 s."""
     steps = np.diff(times)
     if len(steps) == 0:
         return np.zeros(0, dtype=np.int64)
@@ -199,7 +203,7 @@ def gap_rows(times: FloatArray) -> IntArray:
 
 
 def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConvention:
-    """Convention with unit and gravity inferred from accelerations (M, 3), and the rest from ``says``."""
+    """Convention with unit and gravity by accelerations (M, 3), the rest from ``says``; ``says`` below 20 rows."""
     if len(values) < _MIN_TO_MEASURE:
         return says
     low, median = np.percentile(np.linalg.norm(values, axis=1), [10, 50])
@@ -211,8 +215,10 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
 
 
 def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
-    """Whether the gyroscope's values are degrees: too fast for a hand as radians, or consistent only as degrees with
-    the rotation of gravity in the accelerations ``felt``, if these include it."""
+    """Whether the gyroscope's values are degrees: too fast for a hand as radians (12 rad/s), or consistent only as
+    degrees with the rotation of gravity in the accelerations ``felt``, if these include it (else None). False below 20
+    rows.
+    """
     if len(turned.values) < _MIN_TO_MEASURE:
         return False
     if np.percentile(np.linalg.norm(turned.values, axis=1), 95) > _FASTEST_TURN:
@@ -248,7 +254,7 @@ def force_points_up(imu: Imu, times: FloatArray, R_map_camera: FloatArray) -> bo
 def with_sign_by_poses(
     imu: Imu, times: FloatArray, poses: GivenPoses | None
 ) -> tuple[Imu, tuple[RecordingWarning, ...]]:
-    """The IMU, with its acceleration negated if upright poses at ``times`` (N,) show that it has Apple's sign."""
+    """The IMU, with its acceleration negated and a warning if upright poses at ``times`` (N,) show Apple's sign."""
     if poses is None or force_points_up(imu, times[poses.known], poses.T_map_camera[poses.known, :3, :3]) is not False:
         return imu, ()
     text = "The acceleration points down at rest, against its format; it was turned round."
@@ -256,7 +262,7 @@ def with_sign_by_poses(
 
 
 def interpolated(samples: Samples, times: FloatArray) -> FloatArray:
-    """Values (N, 3) at ``times`` (N,), linear between the samples."""
+    """Values (N, 3) at ``times`` (N,), linear between the samples, constant beyond them."""
     return np.column_stack([np.interp(times, samples.times, samples.values[:, axis]) for axis in range(3)])
 
 
@@ -271,7 +277,9 @@ def _is_one(length_g: float) -> bool:
 
 
 def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[RecordingWarning]) -> list[Samples]:
-    """Sensors with shared times converted to seconds, without rows that do not advance; appends to ``warnings``."""
+    """Sensors with shared times converted to seconds, without rows that do not advance; appends to ``warnings``. Raises
+    InvalidRecording for implausible times, a span over two days, or many times that go back.
+    """
     times = sensors[0].times
     unit = time_unit(times)
     if unit is None and len(times) >= _MIN_TO_MEASURE:
@@ -308,7 +316,9 @@ def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[R
 
 
 def _gravity_turns(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray]:
-    """Gravity's direction (K + 1, 3) in short windows, and the gyroscope's rotation vectors (K, 3) between them."""
+    """Gravity's direction (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors (K, 3) between them. K =
+    0 if the sensors overlap too little. Rotation vectors are in the gyroscope's unit.
+    """
     first, last = max(felt.times[0], turned.times[0]), min(felt.times[-1], turned.times[-1])
     edges = np.arange(first, last, _TURN_WINDOW_S)
     if len(edges) < 3:
@@ -325,7 +335,9 @@ def _integral(samples: Samples) -> Samples:
 
 
 def _merged(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times (M,), accelerations and rates (M, 3) at the gyroscope's times within the accelerometer's."""
+    """Times (M,), accelerations and rates (M, 3) at the gyroscope's times within the accelerometer's. Raises
+    InvalidRecording if these are fewer than two.
+    """
     if np.array_equal(felt.times, turned.times):
         return turned.times, felt.values, turned.values
     inside = (turned.times >= felt.times[0]) & (turned.times <= felt.times[-1])

@@ -106,7 +106,7 @@ Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answ
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
-    """The service as an ASGI application. Its threads and its worker live from start-up to shut-down."""
+    """The service as an ASGI application, ``None``: by the environment. Its threads and worker live while it runs."""
     settings, metrics = settings or Settings(), Metrics()
     stores = settings.stores()
     keys, audit, lanes = KeyStore(stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()
@@ -178,7 +178,7 @@ def _middlewares(
 
 
 def _begin(state: State) -> list[asyncio.Task[None]]:
-    """Start what works in the background; returns the tasks to cancel at the end."""
+    """Start the map watch, the learner, the worker and two tasks; returns the tasks, to be cancelled at the end."""
     state.operation.watch.start()
     state.frames.learner.start()
     if state.operation.worker is not None:
@@ -187,7 +187,7 @@ def _begin(state: State) -> list[asyncio.Task[None]]:
 
 
 async def _end(state: State) -> None:
-    """Stop what works in the background, and close the stores."""
+    """Stop the worker, the watch, and all threads, and close the stores."""
     parts = state.operation
     if parts.worker is not None:
         parts.worker.stop()
@@ -256,7 +256,7 @@ def _start(
 
 
 def _open(settings: Settings, stores: Stores) -> None:
-    """Open the stores that answer."""
+    """Make the folders and open the stores; a database that does not answer is logged and tried again later."""
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     if not stores.are_shared:
         settings.maps_dir.mkdir(parents=True, exist_ok=True)

@@ -156,12 +156,12 @@ _MAX_TEXT = 1000  # characters of a message, which may quote what was sent
 
 
 def status_of(kind: type[RholocError]) -> int:
-    """The HTTP status of an error class: its own, or that of the nearest base."""
+    """The HTTP status of an error class: its own, or that of the nearest base; 500 if there is none."""
     return next((STATUS[base] for base in kind.__mro__ if base in STATUS), 500)
 
 
 def error_classes() -> Iterator[type[RholocError]]:
-    """Every error class whose code may be in an answer."""
+    """Iterate over every error class whose code may be in an answer."""
     waiting: list[type[RholocError]] = [RholocError]
     while waiting:
         kind = waiting.pop()
@@ -171,7 +171,7 @@ def error_classes() -> Iterator[type[RholocError]]:
 
 
 def as_rholoc_error(error: Exception) -> RholocError | None:
-    """The error to report to the user; None for a bug of the service."""
+    """The error to report to the client: itself, or what a full disk, database or pydantic means; None for a bug."""
     if isinstance(error, RholocError):
         return error
     if isinstance(error, OSError) and is_full(error):
@@ -186,7 +186,7 @@ def as_rholoc_error(error: Exception) -> RholocError | None:
 
 
 def invalid_request(found: Any) -> InvalidRequest:
-    """The first problem that pydantic found, and where, in one line."""
+    """The error for problems that pydantic found: one line with the first's place and message, and how many more."""
     first = found[0]
     place = ".".join(str(part) for part in first["loc"] if part not in ("body", "query", "path")) or "the request"
     more = f" ({len(found) - 1} more)" if len(found) > 1 else ""
@@ -194,14 +194,16 @@ def invalid_request(found: Any) -> InvalidRequest:
 
 
 def error_body(error: RholocError, request_id: str) -> dict[str, str]:
-    """The one shape of all errors."""
+    """The one shape of all errors: code, message, hint and request id; texts are cut at 1000 characters."""
     message, hint = (text[:_MAX_TEXT].encode("utf-8", "replace").decode() for text in (error.message, error.hint))
     return {"code": error.code, "message": message, "hint": hint, "request_id": request_id}
 
 
 def error_headers(error: RholocError) -> dict[str, str]:
-    """``Retry-After`` in whole seconds where trying again may help; how to authenticate; which methods and which
-    version of tus are supported."""
+    """Headers of an error's answer, by its kind; empty for most.
+
+    ``Retry-After`` in whole seconds, at least 1; ``WWW-Authenticate``; ``Allow``; or the versions of tus.
+    """
     if isinstance(error, Busy | TooManyRequests):
         return {"Retry-After": str(max(1, math.ceil(error.retry_after_s)))}
     if isinstance(error, StorageUnavailable):

@@ -24,8 +24,7 @@ _log = structlog.get_logger("rholoc.service")
 
 
 async def clean_up_regularly(state: State) -> None:
-    """Remove expired uploads and queries, pictures of maps that changed, recordings past their retention, until
-    cancelled; at night let maps learn from their users."""
+    """Every 10 minutes until cancelled, remove what is expired (:data:`_WORKS`); at night let maps learn."""
     while True:
         for name, work in _WORKS.items():
             try:
@@ -36,7 +35,7 @@ async def clean_up_regularly(state: State) -> None:
 
 
 async def follow_keys(state: State) -> None:
-    """Follow changes of keys by other processes and end the streams of revoked ones, until cancelled."""
+    """Every 0.1 s until cancelled, read keys changed by other processes, and end the streams of invalid ones."""
     threads = StorageThreads(1, _KEYS_WITHIN_S)
     while True:
         with suppress(StorageUnavailable, OSError):  # keys in memory stay valid
@@ -60,8 +59,9 @@ def _learn(state: State) -> None:
 
 
 def learn_tonight(state: State, now: datetime) -> None:
-    """Queue a job for each map with enough queries since the last night; once a night, on one of the servers that share
-    a database."""
+    """Queue a learning job for each map with ``MIN_QUERIES`` queries of the last day and none; once a night for all
+    servers.
+    """
     options = JobOptions(kind=JobKind.LEARN, priority=JobPriority.LOW)
     for name in state.maps.sync.names():
         try:

@@ -74,7 +74,9 @@ class AsyncMaps:
         self.keep_plan = lanes.transfers.offload(self._keep_plan)
 
     async def get(self, name: str) -> Map:
-        """A map, fetched from the storage if it is not on this machine. Raises as :meth:`MapLibrary.get`."""
+        """A map, fetched from the storage if it is not on this machine. Raises InvalidName, UnknownMap, InvalidMap,
+        StorageUnavailable, StorageFull.
+        """
         if not await self._lanes.files(self.sync.is_here, name):
             await self.path(name)
         return await self._lanes.files(self.sync.get, name)
@@ -92,8 +94,7 @@ class AsyncMaps:
         return list_of(self.sync)
 
     def _detail(self, name: str, published: Map | None = None) -> MapDetail:
-        """Description of a map, with what this server shows of it.
-
+        """Description of a map, its file's size and settings of this server included. Raises what :meth:`get` raises.
         ``published`` is the map that the request just published: the library's may be newer, or not visible here yet.
         """
         library, settings = self.sync, self._settings
@@ -110,13 +111,13 @@ class AsyncMaps:
         return versions_of(self.sync, name)
 
     def _delete(self, name: str) -> None:
-        """Delete a map and its kept queries."""
+        """Delete a map and its kept queries. Raises InvalidName, UnknownMap, StorageUnavailable, StorageFull."""
         with suppress(InvalidMap):  # an unreadable map has no id; the sweep deletes its queries
             self._queries.delete(self.sync.map_id(name))
         self.sync.delete(name)
 
     def _open(self, name: str, headers: dict[str, str]) -> OpenedFile:
-        """A response with a map's file. Raises Conflict if the map is replaced at this moment."""
+        """A response with a map's file. Raises UnknownMap, or Conflict if the map is replaced at this moment."""
         try:
             return OpenedFile(self.sync.path(name), headers, ExportFormat.RHO.media_type)
         except FileNotFoundError:
@@ -130,7 +131,7 @@ class AsyncMaps:
         publish_merged(self.sync, parts, into, merged)
 
     def _keep_plan(self, name: str, content: bytes, plan: FloorPlan | None) -> Map:
-        """Publish a map's next version, with another floor plan or none, and return it."""
+        """Publish a map's next version with another floor plan, or none if ``plan`` is None, and return it."""
         planned = set_floor_plan(self.sync.get(name), content, plan)
         self.sync.replace(name, planned)
         return planned
@@ -161,7 +162,7 @@ class AsyncSites:
         self.earth_of = lanes.database.offload(self._earth_of)
 
     def _earth_of(self, map_name: str) -> SiteOnEarth | None:
-        """Pose on Earth of a map by the first site that has placed it; None if that is unknown."""
+        """Pose on Earth of a map by the first site that has placed it; None without one, or without a site's."""
         name = self._sync.site_of(map_name)
         try:
             return None if name is None else self._sync.get(name).earth_of(map_name)
@@ -230,14 +231,16 @@ class AsyncRecordings:
         return self.sync.get(recording), self.sync.notes(recording)
 
     def _correct(self, recording: str, waypoints: tuple[RecordedWaypoint, ...] | None) -> NotedRecording:
-        """Replace a recording's waypoints; None restores its own."""
+        """Replace a recording's waypoints; None: its own. Raises UnknownRecording, InvalidWaypoints, StorageFull."""
         notes = read_notes(self.sync.notes(recording))
         corrected = None if waypoints is None else waypoints_file(waypoints, notes)
         self.sync.note(recording, {WAYPOINTS_FILE: corrected})
         return self._get(recording)
 
     def _commit(self, pending: PendingRecording, map_name: str, options: JobOptions) -> tuple[RecordingEntry, Job]:
-        """Store an uploaded recording and queue its job: both, or neither."""
+        """Store an uploaded recording and queue its job, or neither. Raises Conflict, InvalidRecording, StorageFull,
+        StorageUnavailable.
+        """
         entry = pending.commit()
         try:
             return entry, self._jobs.submit(entry.id, map_name, options)
@@ -246,7 +249,7 @@ class AsyncRecordings:
             raise
 
     def _delete(self, recording: str) -> None:
-        """Abandon an upload, or delete the recording that it has become."""
+        """Abandon an upload, or delete a recording. Raises UnknownRecording, or Conflict while a job has it."""
         try:
             self.uploads.delete(recording)
         except UnknownRecording:
@@ -290,7 +293,7 @@ class AsyncLearning:
         return Learning(info, self.store.kept(info.id), jobs.learning(name), jobs.last_learning(name))
 
     def _delete(self, name: str, asker: str | None) -> int:
-        """Delete a map's queries, or those of one asker. Returns how many."""
+        """Delete a map's queries, or those of one asker (a key's name or an address). Returns how many."""
         who = None if asker is None else self._learner.pseudonym(asker)
         return self.store.delete(self._library.map_id(name), who)
 
@@ -298,7 +301,7 @@ class AsyncLearning:
         """Queue a job by which a map learns, in a thread.
 
         Raises:
-            InvalidInput: the map has no memory, or too few queries are kept.
+            InvalidInput: the map has no memory, or fewer than ``MIN_QUERIES`` queries are kept.
             Conflict: it is learning already.
         """
         map_ = self._library.get(name)

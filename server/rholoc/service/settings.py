@@ -28,7 +28,7 @@ class KeyPolicy(StrEnum):
 
 
 def keys_needed(policy: KeyPolicy, host: str) -> bool:
-    """Whether a server that listens on ``host`` requires keys."""
+    """Whether a server that listens on ``host`` requires keys: by policy, AUTO unless it is a local address."""
     return policy is KeyPolicy.ALWAYS or (policy is KeyPolicy.AUTO and not is_loopback(host))
 
 
@@ -236,10 +236,10 @@ class Settings(BaseSettings):
 
     @property
     def jobs_database(self) -> str | None:
-        """The URL of the jobs' database, None for the SQLite file."""
+        """The URL of the jobs' database; None for the SQLite file in ``data_dir``."""
         return self.database_url.get_secret_value() or None
 
     @property
     def shared_storage(self) -> str | None:
-        """The URL of the storage that servers and workers share, None for folders of their own."""
+        """The URL of the storage that servers and workers share; None for folders of their own."""
         return self.storage_url.get_secret_value() or None

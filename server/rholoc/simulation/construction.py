@@ -59,7 +59,7 @@ class Builder:
         decor: list[Decor],
         px_per_m: float = WALL_PX_PER_M,
     ) -> Paint:
-        """A wall's paint with its decor on it."""
+        """A wall's paint with its decor on it, cut to pixels; where decor shines, it glows."""
         albedo = self.paint(name, ground, width_m, height_m, px_per_m).albedo
         glow: BoolArray | None = None
         source: Source | None = None
@@ -86,7 +86,11 @@ class Builder:
         front: dict[str, Texture] | None = None,
         px_per_m: float | None = None,
     ) -> None:
-        """A box by its low corner and size, metres; ``hidden`` faces (comma-separated) are not painted."""
+        """Add a box by its low corner and size [m], turned by ``yaw`` [rad] about its centre.
+
+        ``hidden`` faces (comma-separated) are not painted; ``front`` has textures of faces that differ from
+        ``texture``.
+        """
         extent = {"x": (size[1], size[2]), "y": (size[0], size[2]), "z": (size[0], size[1])}
         paints = {}
         for face in ("x+", "y+", "x-", "y-", "z+", "z-"):
@@ -107,7 +111,11 @@ def add_bookshelf(
     tone: tuple[int, int, int],
     levels: int,
 ) -> None:
-    """Boards with rows of books between them; the shelf stands on the floor, ``levels`` high."""
+    """Add ``levels`` + 1 boards of colour ``tone`` (BGR), 0.49 m from one to the next, with books between, from the
+    floor up.
+
+    ``corner`` and ``size`` are x and y [m]; the shelf runs along the longer side, and the other should be 0.28 m.
+    """
     board, gap = 0.03, 0.46
     along_x = size[0] > size[1]
     for level in range(levels + 1):
@@ -137,7 +145,7 @@ def add_table(
     height: float,
     tone: tuple[int, int, int],
 ) -> None:
-    """A board on four legs."""
+    """Add a board of colour ``tone`` (BGR) on four legs, its top at ``height``; ``corner`` and ``size``: x, y [m]."""
     build.add(f"{name} top", (*corner, height - 0.04), (*size, 0.04), textures.wood(tone), hidden="")
     for i, (x, y) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
         at = (corner[0] + 0.03 + x * (size[0] - 0.11), corner[1] + 0.03 + y * (size[1] - 0.11), 0.0)
@@ -145,7 +153,7 @@ def add_table(
 
 
 def window_view(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """A view behind a white cross."""
+    """Paint (H, W, 3) BGR of an outdoor view behind a cross and frame of ``FRAME_GRAY``."""
     image = textures.outdoors(rng, height, width)
     bar = max(6, width // 22)
     for x in (0, (width - bar) // 2, width - bar):
@@ -156,13 +164,13 @@ def window_view(rng: np.random.Generator, height: int, width: int) -> ByteArray:
 
 
 def lamp_diffuser(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """A lamp's diffuser in its frame."""
+    """Paint (H, W, 3) of a white lamp in a frame of ``FRAME_GRAY``."""
     image = np.full((height, width, 3), 250, np.uint8)
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), (FRAME_GRAY,) * 3, max(2, width // 20))
     return image
 
 
 def radiator_ribs(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """Ribs."""
+    """Paint (H, W, 3) BGR of white vertical ribs, one in 22 px."""
     ribs = 0.16 * np.sin(np.arange(width, dtype=np.float32) * (2 * np.pi / 22))[None, :]
     return textures.shaded((222, 224, 224), ribs + 0.02 * textures.noise(rng, height, width, 40, 40))

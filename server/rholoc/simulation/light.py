@@ -98,7 +98,7 @@ def white_point(kelvin: float) -> FloatArray:
 
 
 def light_scene(scene: Scene, light: Light) -> Lighting:
-    """Light a scene. Deterministic."""
+    """Light a scene; deterministic. White shows four times the median illuminance; brighter is clipped."""
     illuminance = _illuminance(scene, _CONDITIONS[light])
     typical = float(np.median(np.concatenate([e.mean(axis=2).ravel() for e in illuminance])))
     return _lighting(scene.faces, illuminance, 4.0 * typical, _CONDITIONS[light])
@@ -124,7 +124,7 @@ def light_building(building: Building, light: Light) -> Lighting:
 
 
 def _lighting(faces: list[Face], illuminance: list[FloatArray], brightest: float, conditions: _Conditions) -> Lighting:
-    """Faces under their illuminances (rows, columns, 3), in lux; what is white and lit brighter is clipped."""
+    """Faces under their illuminances (rows, columns, 3) [lux]; white lit brighter than ``brightest`` is clipped."""
     white = max(brightest / math.pi, _DARKEST_WHITE)
     glows = {
         Source.LAMP: conditions.lamp_luminance * white_point(conditions.lamp_kelvin),
@@ -175,7 +175,7 @@ def _illuminance(scene: Scene, conditions: _Conditions) -> list[FloatArray]:
 
 
 def _patches(face: Face, spacing_m: float) -> FloatArray:
-    """Patch centres (rows, columns, 3), a little off the face."""
+    """Patch centres (rows, columns, 3) [m] about ``spacing_m`` apart, 1 cm off the face."""
     columns, rows = max(2, round(face.width_m / spacing_m)), max(2, round(face.height_m / spacing_m))
     a, b = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
     return np.asarray(face.points(a, b) + _OFF_SURFACE_M * face.normal)
@@ -187,7 +187,7 @@ def _linear(image: Any) -> FloatArray:
 
 
 def _rectangles(face: Face) -> list[tuple[float, float, float, float]]:
-    """The glowing rectangles of a face as fractions of its width and height: left, top, width, height."""
+    """The glowing rectangles of a face of at least 25 px, as shares of width and height: left, top, width, height."""
     if face.paint.glow is None:
         return []
     rows, columns = face.paint.glow.shape
@@ -197,7 +197,7 @@ def _rectangles(face: Face) -> list[tuple[float, float, float, float]]:
 
 
 def _sources(faces: list[Face], conditions: _Conditions) -> _Emitters:
-    """Windows and lamps as grids of small Lambertian sources."""
+    """Windows and lamps as grids of 3 × 3 small Lambertian sources."""
     places, normals, intensities = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros((0, 3))]
     grid = (np.arange(_SAMPLES_PER_SIDE) + 0.5) / _SAMPLES_PER_SIDE
     for face in faces:
@@ -217,7 +217,9 @@ def _sources(faces: list[Face], conditions: _Conditions) -> _Emitters:
 def _gather(
     scene: Scene, points: FloatArray, normals: FloatArray, emitters: _Emitters, softening_m2: float = 0.0
 ) -> FloatArray:
-    """Illuminance (N, 3) at points: Σ I cosθ cosθ' / d², where nothing stands between."""
+    """Illuminance (N, 3) [lux] at points: Σ I cosθ cosθ' / d², where nothing stands between; ``softening_m2`` is added
+    to one d².
+    """
     total = np.zeros((len(points), 3))
     for place, normal, intensity in zip(emitters.places, emitters.normals, emitters.intensities, strict=True):
         ray = place - points
@@ -233,7 +235,9 @@ def _gather(
 def _sunlight(
     scene: Scene, faces: list[Face], points: FloatArray, normals: FloatArray, conditions: _Conditions
 ) -> FloatArray:
-    """The sun's illuminance (N, 3) where its rays come in through a window's glass."""
+    """The sun's illuminance (N, 3) [lux] where its rays come in through a window's glass; 0 elsewhere and
+    without sun.
+    """
     total = np.zeros((len(points), 3))
     if conditions.sun_illuminance == 0:
         return total
@@ -255,7 +259,7 @@ def _sunlight(
 
 
 def _virtual_lights(points: FloatArray, normals: FloatArray, flux: FloatArray) -> _Emitters:
-    """Patches drawn in proportion to the light they reflect (N, 3) lumen; together they carry all of it."""
+    """64 patches drawn in proportion to the light they reflect (N, 3) [lm], together emitting all of it; none if 0."""
     power = flux.sum(axis=1)
     if power.sum() == 0:  # a room without a source stays dark
         return _Emitters(*np.zeros((3, 0, 3)))
@@ -267,7 +271,7 @@ def _virtual_lights(points: FloatArray, normals: FloatArray, flux: FloatArray) -
 
 
 def _lit(face: Face, illuminance: FloatArray, glows: dict[Source, FloatArray], white: float) -> ByteArray:
-    """A face's paint under its illuminance (rows, columns, 3): encoded luminance, as in :class:`Lighting`."""
+    """A face's image (H, W, 3) under its illuminance (rows, columns, 3): encoded luminance, as in :class:`Lighting`."""
     height, width = face.paint.albedo.shape[:2]
     # Encoding is a power law: the encoded product is the product of the encoded.
     shade = cv2.resize(

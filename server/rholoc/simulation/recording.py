@@ -52,7 +52,7 @@ class SimulatedRecording:
 
     @property
     def truth(self) -> Path:
-        """The file of true poses (Table 6), which no reader of recordings reads."""
+        """Path of the file of true poses (Table 6), which no reader of recordings reads."""
         return self.path / "truth.csv"
 
 
@@ -115,7 +115,10 @@ def simulate_recording(
 def render_view(
     scene: Scene | Building, camera: Camera, pose: Pose, light: Light = Light.ARTIFICIAL, seed: int = 0
 ) -> ByteArray:
-    """One photograph (H, W, 3) BGR of a scene, well exposed, the camera at rest. Lighting is kept for the next call."""
+    """One photograph (H, W, 3) BGR of a scene, well exposed, the camera at rest; ``seed`` is of its noise.
+
+    Lighting is kept for the next call.
+    """
     renderer, white = _lit_renderer(scene, light)
     exposure = expose(meter(renderer.radiance(camera.resized(*_METER_SIZE), [pose])), white)
     return develop(renderer.radiance(camera, [pose] * len(SAMPLES)), exposure, np.random.default_rng(seed))
@@ -142,7 +145,7 @@ def _film(
     scene: Scene | Building,
     readout_s: float,
 ) -> Iterator[ByteArray]:
-    """The frames (H, W, 3) in order, drawn by as many threads as there are cores; NumPy and OpenCV run in parallel."""
+    """Iterate over the frames (H, W, 3) BGR in order, drawn by as many threads as there are cores."""
     renderer, white = _lit_renderer(scene, light)
     gains = _metered(renderer, walk, camera, times)
 
@@ -181,7 +184,7 @@ def _read_out(height: int, readout_s: float) -> list[tuple[tuple[int, int], floa
 
 
 def _metered(renderer: Renderer, walk: Motion, camera: Camera, times: FloatArray) -> FloatArray:
-    """Gains (N, 3) of auto exposure and white balance, which follow the light with some inertia."""
+    """Gains (N, 3) BGR of auto exposure and white balance at times (N,), following the light within half a second."""
     steps = np.arange(times[0], times[-1] + _METER_INTERVAL_S, _METER_INTERVAL_S)
     small = camera.resized(*_METER_SIZE)
     wanted = np.log([meter(renderer.radiance(small, [pose])) for pose in walk.poses(steps)])
@@ -207,7 +210,7 @@ def _write_video(
 
 
 def _write_truth(path: Path, times: FloatArray, T_map_camera: FloatArray) -> None:
-    """Table 6 with rholoc's further columns; confidence is 1, and inliers are not counted."""
+    """Write Table 6 with rholoc's further columns (``TRUTH_COLUMNS``); confidence is 1, and inliers are 0."""
     with path.open("w", encoding="utf-8") as file:
         file.write(TRUTH_COLUMNS + "\n")
         for number, (time, T) in enumerate(zip(times, T_map_camera, strict=True)):

@@ -48,7 +48,7 @@ class Atlas:
 
     @classmethod
     def of(cls, paints: Sequence[ByteArray]) -> Atlas:
-        """Pack the mipmaps of images (H, W, 3), largest first, in rows."""
+        """Pack the mipmaps of images (H, W, 3), seven levels each, highest first, in rows of 8192 px."""
         tiles: list[tuple[int, int, ByteArray]] = []
         scale = np.ones((2, len(paints), _MAX_LEVELS), np.float32)
         place = np.zeros((2, len(paints), _MAX_LEVELS), np.float32)
@@ -164,10 +164,10 @@ class Renderer:
         self._frames = np.array([np.column_stack([f.right, f.down, f.origin]) for f in self._faces])
 
     def radiance(self, camera: Camera, poses: Sequence[Pose], rows: tuple[int, int] | None = None) -> ByteArray:
-        """The picture (H, W, 3): the mean of one sample per pixel at each pose.
+        """The picture (H, W, 3) of encoded luminance: the mean of one sample per pixel at each pose.
 
-        ``poses`` are the camera's along the exposure; the samples' places within the pixel cycle through
-        ``SAMPLES``. ``rows``, from the first to before the last, are all that is drawn.
+        ``poses`` are the camera's along the exposure; the samples' places within the pixel cycle through ``SAMPLES``.
+        Only ``rows``, from the first to before the last, are drawn, None: all.
         """
         top, bottom = rows or (0, camera.height)
         part = _Rows(camera, top, bottom - top)
@@ -179,7 +179,7 @@ class Renderer:
         return np.asarray(((total + half) // len(poses)).astype(np.uint8))
 
     def surface(self, camera: Camera, pose: Pose) -> Surface:
-        """The visible surface at the pixels' centres."""
+        """The visible surface at the pixels' centres from a pose in a room."""
         whole = _Rows(camera, 0, camera.height)
         ids = self._identify(whole, pose, self._paint_orders(pose.position), (0.0, 0.0))[0]
         T = pose.inverse()
@@ -192,7 +192,7 @@ class Renderer:
         return Surface(ids.astype(np.int64), depth, points)
 
     def _paint_orders(self, eye: FloatArray) -> _PaintOrder:
-        """For any room, its walls and its boxes' faces that may be seen from ``eye``, each back to front."""
+        """Function of a room's index: walls, and boxes' faces, that may be seen from ``eye``, each back to front."""
 
         @cache
         def order(room: int) -> tuple[list[int], list[int]]:
@@ -207,7 +207,9 @@ class Renderer:
         return order
 
     def _layers(self, part: _Rows, T: FloatArray, eye: FloatArray, order: _PaintOrder) -> Iterator[_Layer]:
-        """Layers in painting order: walls, the view through their openings, the boxes before them."""
+        """Iterate over layers in painting order: walls, the view through their openings (eight rooms deep), the boxes
+        before them.
+        """
 
         def room_seen(room: int, came_from: int | None, window: FloatArray | None, depth: int) -> Iterator[_Layer]:
             walls, boxes = order(room)
@@ -228,7 +230,9 @@ class Renderer:
     def _identify(
         self, part: _Rows, pose: Pose, order: _PaintOrder, shift: tuple[float, float]
     ) -> tuple[IntArray, dict[int, tuple[int, int, int, int]]]:
-        """The face at each pixel (H, W), sampled ``shift`` from the centres, and the painted faces' bounds."""
+        """The face at each pixel (H, W), sampled ``shift`` (u, v) from the centres, and the painted faces' bounds
+        (rows, columns).
+        """
         T = pose.inverse()
         ids = np.zeros((part.height, part.width), np.int16)
         bounds: dict[int, tuple[int, int, int, int]] = {}
@@ -259,7 +263,7 @@ class Renderer:
     def _sample(
         self, part: _Rows, pose: Pose, order: _PaintOrder, shift: tuple[float, float], dither: float
     ) -> ByteArray:
-        """One sample per pixel: (H, W, 3)."""
+        """One sample per pixel (H, W, 3), ``shift`` from the centres; ``dither`` is added to the mipmap level."""
         ids, bounds = self._identify(part, pose, order, shift)
         map_x = np.zeros(ids.shape, np.float32)
         map_y = np.zeros(ids.shape, np.float32)
@@ -296,7 +300,7 @@ class Renderer:
         return np.asarray(cv2.remap(self._atlas.image, map_x, map_y, cv2.INTER_LINEAR))
 
     def _to_atlas(self, f: int, level: FloatArray, mask: BoolArray, x: FloatArray, y: FloatArray) -> None:
-        """Turn texel-edge coordinates of level 0 into the atlas's pixel coordinates, in place."""
+        """Turn texel-edge coordinates ``x``, ``y`` of level 0 into the atlas's pixels of ``level``, in place."""
         atlas = self._atlas
         chosen = level.astype(np.uint8)
         low, high = int(chosen.min(where=mask, initial=_MAX_LEVELS - 1)), int(chosen.max(where=mask, initial=0))
@@ -315,7 +319,7 @@ def _corners(face: Face) -> FloatArray:
 
 
 def _may_be_seen(part: _Rows, polygons: FloatArray) -> BoolArray:
-    """(F,): whether polygons (F, N, 3) in the camera frame are not wholly beyond one side of the view."""
+    """Mask (F,) of polygons (F, N, 3) in the camera frame not wholly beyond a side of the view, or nearer than 2 cm."""
     x, y, z = np.moveaxis(polygons, 2, 0)
     (fx, fy), (cx, cy) = part.focal_px, part.centre_px
     left, right = -(cx + 1) / fx, (part.width - cx) / fx
@@ -325,12 +329,12 @@ def _may_be_seen(part: _Rows, polygons: FloatArray) -> BoolArray:
 
 
 def _hull(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-    """The bounds (top, bottom, left, right) around both."""
+    """The smallest bounds (top, bottom, left, right) around both."""
     return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
 
 
 def _planes_through(opening: FloatArray) -> FloatArray:
-    """The inward normals (N, 3) of the planes through the eye and the edges of a polygon (N, 3), camera frame."""
+    """The inward unit normals (N, 3) of the planes through the eye and the edges of a polygon (N, 3), camera frame."""
     normals = np.cross(opening, np.roll(opening, -1, axis=0))
     lengths = np.linalg.norm(normals, axis=1)
     normals = normals[lengths > _SMALLEST_EDGE_M2] / lengths[lengths > _SMALLEST_EDGE_M2, None]
@@ -338,7 +342,9 @@ def _planes_through(opening: FloatArray) -> FloatArray:
 
 
 def _clip(polygon: FloatArray, window: FloatArray | None) -> FloatArray:
-    """The part of a polygon (N, 3) on the positive side of the planes through the eye with normals (M, 3)."""
+    """The part of a polygon (N, 3) on the positive side of the planes through the eye with normals (M, 3); None: all of
+    it.
+    """
     if window is None:
         return polygon
     for normal in window:
@@ -349,7 +355,7 @@ def _clip(polygon: FloatArray, window: FloatArray | None) -> FloatArray:
 
 
 def _clip_near(polygon: FloatArray) -> FloatArray:
-    """The part of a polygon (N, 3) in the camera frame that lies before the camera."""
+    """The part of a polygon (N, 3) in the camera frame that is at least 2 cm before the camera; maybe empty."""
     return polygon if len(polygon) < 3 else _clip_at(polygon, polygon[:, 2] - _NEAR_M)
 
 
@@ -368,7 +374,9 @@ def _clip_at(polygon: FloatArray, depth: FloatArray) -> FloatArray:
 
 
 def _spans(polygon: FloatArray, width: int, height: int) -> tuple[int, IntArray, IntArray] | None:
-    """The pixels whose centres a convex polygon (N, 2) covers: the first row, and each row's first and last column."""
+    """The pixels whose centres a convex polygon (N, 2) covers: the first row, and each row's first and last column.
+    None if it covers none in the picture.
+    """
     y = polygon[:, 1]
     top, bottom = max(0, int(np.ceil(y.min()))), min(height - 1, int(np.floor(y.max())))
     if top > bottom or polygon[:, 0].max() < 0 or polygon[:, 0].min() > width - 1:

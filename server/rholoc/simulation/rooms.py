@@ -99,7 +99,7 @@ def make_test_site(seed: int = 0) -> Scene:
 
 
 def make_blank_wall() -> Scene:
-    """A room of the test site's size without any features."""
+    """A room of the test site's size, white and without any features but a lamp, in the same map frame."""
     build = Builder(0)
     white = textures.plaster((236, 238, 238), strength=0.15)
     sizes = {"x": ROOM_SIZE_M[1:], "y": (ROOM_SIZE_M[0], ROOM_SIZE_M[2]), "z": ROOM_SIZE_M[:2]}
@@ -112,7 +112,7 @@ def make_blank_wall() -> Scene:
 
 
 def _block(build: Builder, framed: _Framed, ground: Texture) -> None:
-    """The block that cuts the room to an L."""
+    """Add the block of ``ground`` colour, with ``framed`` pictures, that cuts the room to an L."""
     length, _, height = ROOM_SIZE_M
     edge_x, edge_y = 3.2, 2.2
     board = Decor(0.55, 1.05, 1.35, 0.95, textures.whiteboard)
@@ -131,7 +131,7 @@ def _furnish(
     walnut: tuple[int, int, int],
     pale: tuple[int, int, int],
 ) -> None:
-    """Furniture along the walls; the way between them stays clear."""
+    """Add furniture along the walls; the way between them stays clear. Colours are BGR."""
 
     def jitter(scale: float) -> float:
         return float(rng.uniform(-scale, scale))

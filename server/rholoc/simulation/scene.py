@@ -52,12 +52,12 @@ class Face:
 
     @property
     def width_m(self) -> float:
-        """The length of ``right``."""
+        """Length of ``right`` [m]."""
         return float(np.linalg.norm(self.right))
 
     @property
     def height_m(self) -> float:
-        """The length of ``down``."""
+        """Length of ``down`` [m]."""
         return float(np.linalg.norm(self.down))
 
     @property
@@ -91,18 +91,18 @@ class Box:
 
     @property
     def axes(self) -> FloatArray:
-        """(3, 3), the box's unit axes as rows."""
+        """The box's unit axes as rows (3, 3), map frame."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
     @property
     def corners(self) -> FloatArray:
-        """(8, 3), metres."""
+        """Corners (8, 3) [m], map frame, x of the box counting slowest."""
         signs = np.stack(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"), axis=-1).reshape(-1, 3)
         return np.asarray(self.centre + (signs * self.size) @ self.axes)
 
     def faces(self, inside: bool = False) -> list[Face]:
-        """The painted faces, seen from outside or from ``inside``."""
+        """The painted faces in the order of ``paints``, seen from outside or from ``inside``."""
         return [self._face(name, paint, inside) for name, paint in self.paints.items()]
 
     def _face(self, name: str, paint: Paint, inside: bool) -> Face:
@@ -140,7 +140,9 @@ class Scene:
         return self.room.faces(inside=True) + [face for box in self.boxes for face in box.faces()]
 
     def blocked(self, start: FloatArray, end: FloatArray, margin: float = 1e-4) -> BoolArray:
-        """Whether boxes stand between points ``start`` (..., 3) and ``end`` (..., 3), ends excepted by ``margin``."""
+        """Mask (...) of where a box stands between points ``start`` (..., 3) and ``end`` (..., 3), less ``margin`` of
+        it at either end.
+        """
         start, end = np.broadcast_arrays(np.asarray(start, np.float32), np.asarray(end, np.float32))
         hit = np.zeros(start.shape[:-1], dtype=bool)
         for box in self.boxes:
@@ -193,7 +195,7 @@ class Building:
 
     @property
     def faces(self) -> list[Face]:
-        """All faces, room after room."""
+        """All faces, room after room, as of :attr:`Scene.faces`."""
         return [face for room in self.rooms for face in room.faces]
 
     def moved(self, shift: FloatArray) -> Building:
@@ -206,7 +208,7 @@ class Building:
         return int(np.argmin(self.outside(point[None])[:, 0]))
 
     def outside(self, points: FloatArray) -> FloatArray:
-        """(rooms, N): how far outside each room's walls points (N, 3) are, metres; negative inside."""
+        """Distances (rooms, N) [m] by which points (N, 3) are outside each room's walls; negative inside."""
         return np.stack(
             [
                 (np.abs((points - room.room.centre) @ room.room.axes.T) - 0.5 * room.room.size).max(axis=1)

@@ -37,7 +37,9 @@ class Exposure:
 
 
 def meter(picture: ByteArray) -> FloatArray:
-    """The linear gains (3,) BGR with which ``picture`` (H, W, 3), encoded luminance, is well exposed and balanced."""
+    """The linear gains (3,) BGR that expose ``picture`` (H, W, 3) of encoded luminance to a mean level of 0.5, nearly
+    balanced.
+    """
     linear = (picture.reshape(-1, 3) / 255.0) ** GAMMA
     means = np.maximum(linear.mean(axis=0), 1e-4)
     balance = (means[1] / means) ** _WHITE_BALANCE
@@ -49,14 +51,14 @@ def meter(picture: ByteArray) -> FloatArray:
 
 
 def expose(gains: FloatArray, white_luminance: float) -> Exposure:
-    """The exposure that gives these gains: a longer shutter first, then amplification if that is not enough."""
+    """The exposure that gives these gains (3,): first a shutter of 0.5 to 10 ms, then amplification."""
     saturating = white_luminance / float(gains[1])  # cd/m²
     seconds = float(np.clip(_BASE_GAIN_LUMINANCE_S / saturating, _SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S))
     return Exposure(seconds, gains, white_luminance)
 
 
 def develop(picture: ByteArray, exposure: Exposure, rng: np.random.Generator) -> ByteArray:
-    """A picture of encoded luminance (H, W, 3) as the camera gives it: amplified, noisy, gamma-encoded, 8 bits."""
+    """A picture (H, W, 3) uint8 BGR as the camera gives it: encoded luminance amplified, noisy, gamma-encoded."""
     levels = np.arange(256, dtype=np.float64)[:, None] / 255.0
     linear = levels**GAMMA
     electrons = linear * exposure.white_luminance * exposure.seconds * _ELECTRONS_PER_CD_S
@@ -74,7 +76,7 @@ def develop(picture: ByteArray, exposure: Exposure, rng: np.random.Generator) ->
 
 
 def _noise(rng: np.random.Generator, height: int, width: int) -> FloatArray:
-    """Unit noise (H, W, 3): a random cut from a pool that is drawn once, for speed."""
+    """Noise (H, W, 3) of about unit variance: a random cut from a pool that is drawn once, for speed."""
     y, x = rng.integers(0, _POOL_MARGIN_PX, 2)
     cut = _noise_pool(height, width)[y : y + height, x : x + width]
     return cut[:: -1 if rng.uniform() < 0.5 else 1, :: -1 if rng.uniform() < 0.5 else 1]
@@ -82,7 +84,7 @@ def _noise(rng: np.random.Generator, height: int, width: int) -> FloatArray:
 
 @lru_cache(maxsize=2)
 def _noise_pool(height: int, width: int) -> FloatArray:
-    """Unit noise, correlated between neighbours as demosaicing makes it, in colour more than in brightness."""
+    """Noise (H + 160, W + 160, 3), always the same, correlated between neighbours, in colour more than brightness."""
     rng = np.random.default_rng(0)
     shape = (height + _POOL_MARGIN_PX, width + _POOL_MARGIN_PX)
     common = cv2.GaussianBlur(rng.standard_normal((*shape, 1), dtype=np.float32), (0, 0), 0.5)

@@ -27,12 +27,12 @@ def color(hue: float, saturation: float, value: float) -> tuple[int, int, int]:
 def random_color(
     rng: Rng, saturation: tuple[float, float] = (0.4, 0.95), value: tuple[float, float] = (0.3, 0.9)
 ) -> tuple[int, int, int]:
-    """A colour of any hue."""
+    """BGR bytes of a colour of any hue, its saturation and value in these ranges (within 0..1)."""
     return color(rng.uniform(), rng.uniform(*saturation), rng.uniform(*value))
 
 
 def noise(rng: Rng, height: int, width: int, cell_y: float, cell_x: float) -> FloatArray:
-    """Smooth noise (H, W) float32 of unit variance whose features are about ``cell`` pixels large."""
+    """Smooth noise (H, W) float32 of unit variance whose features are about ``cell_y`` × ``cell_x`` pixels large."""
     rows, columns = max(2, round(height / cell_y) + 2), max(2, round(width / cell_x) + 2)
     field = rng.standard_normal((rows, columns)).astype(np.float32)
     smooth = cv2.resize(field, (width, height), interpolation=cv2.INTER_CUBIC)
@@ -40,13 +40,13 @@ def noise(rng: Rng, height: int, width: int, cell_y: float, cell_x: float) -> Fl
 
 
 def shaded(base: tuple[int, int, int], shade: FloatArray) -> ByteArray:
-    """The colour ``base`` times (1 + ``shade`` (H, W))."""
+    """Image (H, W, 3) of the colour ``base`` (BGR) times (1 + ``shade`` (H, W)), clipped to bytes."""
     image = (1 + shade)[..., None] * np.array(base, np.float32)
     return np.asarray(np.clip(image, 0, 255).astype(np.uint8))
 
 
 def plaster(base: tuple[int, int, int], strength: float = 1.0) -> Texture:
-    """A painted wall: stains too large and grain too fine to give features."""
+    """Texture of a painted wall: stains too large and grain too fine to give features."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         shade = 0.015 * noise(rng, height, width, 300, 300) + 0.008 * noise(rng, height, width, 12, 12)
@@ -57,7 +57,7 @@ def plaster(base: tuple[int, int, int], strength: float = 1.0) -> Texture:
 
 
 def wood(base: tuple[int, int, int], vertical: bool = False) -> Texture:
-    """Grain along the longer way, with knots."""
+    """Texture of grain along the width (or height, if ``vertical``), with knots."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         if vertical:
@@ -76,7 +76,7 @@ def wood(base: tuple[int, int, int], vertical: bool = False) -> Texture:
 
 
 def fabric(base: tuple[int, int, int]) -> Texture:
-    """Woven cloth with flecks and faded places."""
+    """Texture of woven cloth with flecks and faded places."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         shade = 0.08 * noise(rng, height, width, 3, 3) + 0.05 * noise(rng, height, width, 60, 60)
@@ -100,7 +100,7 @@ def fabric(base: tuple[int, int, int]) -> Texture:
 
 
 def planks(base: tuple[int, int, int], plank_px: int = 36) -> Texture:
-    """A parquet floor: every plank has its own tone, grain and length."""
+    """Texture of a parquet floor: every plank, ``plank_px`` wide, has its own tone, grain and length."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         shade = 0.05 * noise(rng, height, width, 2, 60) + 0.03 * noise(rng, height, width, 200, 200)
@@ -127,7 +127,7 @@ def planks(base: tuple[int, int, int], plank_px: int = 36) -> Texture:
 def write_text(
     image: ByteArray, rng: Rng, left: float, top: float, width: float, glyph_px: float, ink: tuple[int, int, int]
 ) -> None:
-    """A line of invented letters, each a few strokes on a grid of points."""
+    """Draw a line of invented letters ``glyph_px`` high into ``image``, from (left, top), up to ``width`` long."""
     x = left
     thickness = max(1, round(glyph_px / 9))
     while x + 0.7 * glyph_px < left + width:
@@ -143,7 +143,7 @@ def write_text(
 
 
 def poster(rng: Rng, height: int, width: int) -> ByteArray:
-    """Saturated shapes on a graded ground, with a headline and small print."""
+    """Image of saturated shapes on a graded ground, with a headline and small print."""
     top, bottom = (
         np.array(random_color(rng, (0.1, 0.8), (0.35, 0.95))),
         np.array(random_color(rng, (0.1, 0.8), (0.35, 0.95))),
@@ -177,7 +177,7 @@ def poster(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def painting(rng: Rng, height: int, width: int) -> ByteArray:
-    """A framed picture: layered hills under a sky, brush strokes all over."""
+    """Image of a framed picture: layered hills under a sky, brush strokes all over."""
     sky = np.array(color(rng.uniform(0.5, 0.7), 0.45, 0.9), np.float32)
     image = np.ascontiguousarray(np.broadcast_to(sky, (height, width, 3)))
     rows = np.arange(height)[:, None]
@@ -204,7 +204,7 @@ def painting(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def books(rng: Rng, height: int, width: int) -> ByteArray:
-    """A row of spines of all colours and heights, titles on them, the shelf's shadow above."""
+    """Image of a row of spines of all colours and heights, titles on them, the shelf's shadow above."""
     image = np.full((height, width, 3), 28, np.uint8)
     left = 0
     while left < width:
@@ -229,7 +229,7 @@ def books(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def cardboard(rng: Rng, height: int, width: int) -> ByteArray:
-    """A box's side: tape, a label with small print, a big stamp."""
+    """Image of a box's side: tape, a label with small print, a big stamp."""
     base = color(0.085 + rng.normal(0, 0.012), rng.uniform(0.35, 0.55), rng.uniform(0.55, 0.75))
     image = shaded(base, 0.03 * noise(rng, height, width, 60, 60) + 0.02 * noise(rng, height, width, 1.5, 14))
     tape = int(width * rng.uniform(0.3, 0.7))
@@ -253,7 +253,7 @@ def cardboard(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def panel(base: tuple[int, int, int], columns: int = 2, rows: int = 1) -> Texture:
-    """A cupboard's front or a door: panels with edges, handles, a few stickers."""
+    """Texture of a cupboard's front or a door: ``columns`` × ``rows`` panels with edges, handles, a few stickers."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         image = wood(base, vertical=height > width)(rng, height, width)
@@ -281,7 +281,7 @@ def panel(base: tuple[int, int, int], columns: int = 2, rows: int = 1) -> Textur
 
 
 def cushions(base: tuple[int, int, int]) -> Texture:
-    """Upholstery with seams and thrown-on cushions."""
+    """Texture of upholstery with seams and, above 90 px, thrown-on cushions."""
     columns = 3
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
@@ -307,7 +307,7 @@ def cushions(base: tuple[int, int, int]) -> Texture:
 
 
 def fabric_pattern(rng: Rng, height: int, width: int) -> ByteArray:
-    """Bands and blots of a few matching colours, as on a rug or a cushion."""
+    """Image of bands and blots of a few matching colours, as on a rug or a cushion."""
     inks = [random_color(rng, (0.3, 0.8), (0.25, 0.85)) for _ in range(5)]
     image = np.full((height, width, 3), inks[0], np.uint8)
     for ink in inks[1:]:
@@ -318,7 +318,7 @@ def fabric_pattern(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def whiteboard(rng: Rng, height: int, width: int) -> ByteArray:
-    """Handwriting, boxes and arrows on white."""
+    """Image of handwriting, boxes and arrows on white."""
     image = shaded((236, 238, 236), 0.01 * noise(rng, height, width, 50, 50))
     for _ in range(6):
         ink = random_color(rng, (0.7, 1.0), (0.2, 0.7))
@@ -346,7 +346,7 @@ def whiteboard(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def screen(rng: Rng, height: int, width: int) -> ByteArray:
-    """A monitor: windows with text on a desktop picture."""
+    """Image of a monitor: windows with text on a desktop picture."""
     image = painting(rng, height, width)
     for _ in range(3):
         w, h = int(width * rng.uniform(0.3, 0.55)), int(height * rng.uniform(0.3, 0.6))
@@ -362,7 +362,7 @@ def screen(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def outdoors(rng: Rng, height: int, width: int) -> ByteArray:
-    """View through a window: sky, houses, trees."""
+    """Image of a view through a window: sky, houses, trees."""
     sky = (
         np.array(color(0.58, 0.3, 1.0), np.float32)
         * (1 + 0.06 * noise(rng, height, width, height / 5, width / 4))[..., None]

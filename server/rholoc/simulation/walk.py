@@ -72,7 +72,7 @@ class Motion(ABC):
     @property
     @abstractmethod
     def pause_times(self) -> FloatArray:
-        """Seconds: the middle of the pause at each waypoint."""
+        """Times [s] of the middle of the pause at each waypoint."""
 
     @property
     @abstractmethod
@@ -81,14 +81,14 @@ class Motion(ABC):
 
     @abstractmethod
     def way(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N,) seconds → where the way leads (N, 3) metres, and metres a second (N,)."""
+        """Where the way leads (N, 3) [m], and speeds (N,) [m/s], at times (N,) [s]."""
 
     @abstractmethod
     def gaze_at(self, times: FloatArray) -> FloatArray:
-        """(N,) seconds → (N, 2) yaw and pitch, radians."""
+        """Yaw and pitch (N, 2) [rad] at times (N,) [s]."""
 
     def positions(self, times: FloatArray) -> FloatArray:
-        """(N,) seconds → (N, 3) metres."""
+        """Positions (N, 3) [m] of the camera, map frame, at times (N,) [s]: the way, with sway and bobbing."""
         times = np.asarray(times, dtype=np.float64)
         way, speed = self.way(times)
         position = way + self.sway(times)
@@ -97,7 +97,7 @@ class Motion(ABC):
         return np.asarray(position - self.origin)
 
     def rotations(self, times: FloatArray) -> FloatArray:
-        """(N,) seconds → R_map_camera (N, 3, 3)."""
+        """R_map_camera (N, 3, 3) at times (N,) [s]."""
         times = np.asarray(times, dtype=np.float64)
         yaw, pitch = self.gaze_at(times).T
         d_yaw, d_pitch, roll = self.tremble(times).T
@@ -110,20 +110,20 @@ class Motion(ABC):
         return np.asarray(upright @ Rotation.from_rotvec(np.stack([zero, zero, roll], axis=1)).as_matrix())
 
     def T_map_camera(self, times: FloatArray) -> FloatArray:
-        """(N,) seconds → (N, 4, 4)."""
+        """T_map_camera (N, 4, 4) at times (N,) [s]."""
         return pose_matrix(self.rotations(times), self.positions(times))
 
     def poses(self, times: FloatArray) -> list[Pose]:
-        """(N,) seconds → N poses."""
+        """List of N poses at times (N,) [s]."""
         return [Pose(T) for T in self.T_map_camera(times)]
 
     def accelerations(self, times: FloatArray) -> FloatArray:
-        """(N,) seconds → (N, 3) m/s² in the map frame, gravity apart."""
+        """Accelerations (N, 3) [m/s²] in the map frame, without gravity, at times (N,) [s]."""
         p = [self.positions(np.asarray(times) + k * _STEP_S) for k in (-2, -1, 0, 1, 2)]
         return np.asarray((-p[0] + 16 * p[1] - 30 * p[2] + 16 * p[3] - p[4]) / (12 * _STEP_S**2))
 
     def angular_velocities(self, times: FloatArray) -> FloatArray:
-        """(N,) seconds → (N, 3) rad/s in the camera frame."""
+        """Angular velocities (N, 3) [rad/s] in the camera frame at times (N,) [s]."""
         before = Rotation.from_matrix(self.rotations(np.asarray(times) - _STEP_S))
         after = Rotation.from_matrix(self.rotations(np.asarray(times) + _STEP_S))
         return np.asarray((before.inv() * after).as_rotvec() / (2 * _STEP_S))
@@ -147,7 +147,7 @@ class Walk(Motion):
 
     @property
     def pause_times(self) -> FloatArray:
-        """(5,) seconds: the middle of the pause at each waypoint; the last pause counts ``PAUSE_S`` of itself."""
+        """Times (5,) [s] of the middle of the pause at each waypoint; the last counts as ``PAUSE_S`` long."""
         return np.concatenate(
             [
                 [0.5 * self.departures[0]],
@@ -162,16 +162,16 @@ class Walk(Motion):
         return WAYPOINT_NAMES
 
     def way(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N,) seconds → where the way leads (N, 3) metres, and metres a second (N,)."""
+        """Where the way leads (N, 3) [m], and speeds (N,) [m/s], at times (N,) [s]."""
         walked, speed = self._progress(times)
         return self.path(walked), speed
 
     def gaze_at(self, times: FloatArray) -> FloatArray:
-        """(N,) seconds → (N, 2) yaw and pitch, radians."""
+        """Yaw and pitch (N, 2) [rad] at times (N,) [s]."""
         return np.asarray(self.gaze(self._progress(times)[0]))
 
     def _progress(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Metres walked and metres a second at the times."""
+        """Metres walked (N,) and speeds (N,) [m/s] at times (N,) [s]."""
         walked = np.full(len(times), self.stations[0])
         speed = np.zeros(len(times))
         for start, end, a, b in zip(self.departures, self.arrivals, self.stations[:-1], self.stations[1:], strict=True):
@@ -223,7 +223,7 @@ def make_walk(number: int = 1, seconds: float = 30.0, seed: int = 0) -> Walk:
 
 
 def measure_waypoints(walk: Motion, seconds: float, seed: int = 0) -> tuple[Waypoint, ...]:
-    """The waypoints that the first ``seconds`` of the walk reach, as a person would measure them.
+    """The waypoints that the first ``seconds`` of the walk reach, as a person would measure them (with 5 mm of noise).
 
     The first walk's ``START`` is the origin by definition. Other walks stop at other places, named ``2.W1`` and so on.
     """
@@ -258,7 +258,8 @@ def measure_imu(
     time_offset_s: float = 0.0,
     seed: int = 0,
 ) -> Imu:
-    """Readings of the phone's IMU on the walk, including gravity's reaction.
+    """Readings of the phone's IMU in the first ``seconds``, including gravity's reaction; ``errors`` None: a phone's
+    usual ones.
 
     A reading stamped t was taken at t − ``time_offset_s`` on the video's clock.
     """
@@ -278,7 +279,7 @@ def measure_imu(
 
 
 def _leg(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Share (N,) of a leg's path after the share ``x`` of its time, and its derivative; twice differentiable."""
+    """Share (N,) of a leg's path after the share ``x`` (N,) of its time, clipped to 0..1, and its derivative."""
     top = 1 / (1 - _RAMP)
     x = np.clip(x, 0.0, 1.0)
     up, down = np.clip(x / _RAMP, 0, 1), np.clip((1 - x) / _RAMP, 0, 1)

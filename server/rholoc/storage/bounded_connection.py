@@ -26,10 +26,10 @@ class BoundedConnection(psycopg.Connection[Any]):
     system of a stopped server still acknowledges packets."""
 
     def wait(self, gen: PQGen[Answer], interval: float = _WAKE_S, timeout: float | None = None) -> Answer:
-        """Run the exchange ``gen`` with the server, as psycopg's own ``wait`` does.
+        """Run the exchange ``gen`` with the server, as psycopg's own ``wait`` does; ``timeout`` None stands for 5 s.
 
         Raises:
-            AnswerTimeout: no answer in time; the connection is closed.
+            AnswerTimeout: no answer in these 5 s; the connection is closed.
         """
         if timeout is not None:
             return super().wait(gen, interval, timeout)

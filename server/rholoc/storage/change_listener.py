@@ -55,7 +55,7 @@ class ChangeListener:
             stopping.wait(at_most_s)
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the listener's own connection, if it has one, ignoring errors; the next wait opens another."""
         if self._connection is not None:
             with suppress(SQLAlchemyError):
                 self._connection.invalidate()  # a listening connection must not return to the pool
@@ -63,7 +63,7 @@ class ChangeListener:
             self._connection = None
 
     def _listening(self) -> psycopg.Connection:
-        """A connection that listens."""
+        """The driver's connection that listens, opened on first use. Raises SQLAlchemyError."""
         if self._connection is None:
             self._connection = self._engine.connect().execution_options(isolation_level="AUTOCOMMIT")
             self._connection.exec_driver_sql(f"LISTEN {_CHANNEL}")

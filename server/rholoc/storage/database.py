@@ -47,7 +47,11 @@ def open_database(data_dir: Path, database_url: str | None = None) -> sa.Engine:
         data_dir: folder of the SQLite file.
         database_url: ``postgresql://…``, or None for the SQLite file.
 
-    Raises: as :func:`database_engine` and :func:`check_database`.
+    Raises:
+        StorageUnavailable: the database does not answer.
+        StorageFull: the disk is full.
+        InvalidInput: not a PostgreSQL URL, PostgreSQL refuses the connection, or SQLite is too old.
+        Conflict: the file is not an SQLite database, or its tables are of a later version.
     """
     engine = database_engine(data_dir, database_url)
     try:
@@ -146,7 +150,9 @@ class _Preparation:
         self._failed_s = 0.0
 
     def ensure(self) -> None:
-        """Prepare the tables once. Threads that wait for another one's attempt share its failure."""
+        """Prepare the tables once. Threads that wait for another one's attempt share its failure. Raises as
+        :func:`_prepare_tables`.
+        """
         if self._done:
             return
         asked_s = time.monotonic()
@@ -164,7 +170,9 @@ class _Preparation:
 
 
 def _prepare_tables(url: sa.URL) -> None:
-    """Create or update the tables of a database."""
+    """Create or update the tables of a database, with a connection of its own. Raises Conflict, StorageUnavailable,
+    OperationalError, StorageFull.
+    """
     if url.get_backend_name() == "sqlite":
         with reporting_full_disk():
             Path(str(url.database)).parent.mkdir(parents=True, exist_ok=True)
@@ -178,7 +186,7 @@ def _prepare_tables(url: sa.URL) -> None:
 
 @contextmanager
 def _reporting_refusal(url: sa.URL) -> Iterator[None]:
-    """Convert the errors of a first connection to rholoc's."""
+    """Convert the errors of a first connection to StorageUnavailable, StorageFull, InvalidInput or Conflict."""
     try:
         yield
     except PoolTimeout as error:
@@ -218,7 +226,7 @@ def is_silence(error: DatabaseError) -> bool:
 
 
 def _is_out_of_space(file: Path) -> bool:
-    """Whether a file's disk is too full for SQLite to open the file."""
+    """Whether a file's disk has less than 128 KiB free: too little for SQLite to open the file."""
     return shutil.disk_usage(file.parent).free < _NO_SPACE_BYTES
 
 
@@ -236,7 +244,7 @@ def _postgres_url(text: str) -> sa.URL:
 
 
 def _trace_statements(engine: sa.Engine) -> None:
-    """Add a span for each statement within a traced operation."""
+    """Make the engine note a span for each statement within a traced operation."""
 
     def begin(connection: sa.Connection, *_: object) -> None:
         connection.info["statement_begun_s"] = time.perf_counter()
@@ -251,7 +259,9 @@ def _trace_statements(engine: sa.Engine) -> None:
 
 
 def _prepare_sqlite(connection: Any, _: object) -> None:
-    """Readers do not block the writer (WAL), writers wait their turn, a commit survives a power cut."""
+    """Configure a new SQLite connection: readers do not block the writer (WAL), writers wait up to 10 s, commits are
+    durable.
+    """
     connection.isolation_level = "IMMEDIATE"
     connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
     _use_wal(connection)
@@ -260,7 +270,9 @@ def _prepare_sqlite(connection: Any, _: object) -> None:
 
 
 def _use_wal(connection: Any) -> None:
-    """Switch to WAL, with retries: SQLite refuses concurrent switches of a new file without waiting."""
+    """Switch to WAL, with retries for 10 s: SQLite refuses concurrent switches of a new file without waiting. Raises
+    sqlite3.OperationalError.
+    """
     given_up_s = time.monotonic() + _BUSY_TIMEOUT_MS / 1000
     while True:
         try:

@@ -48,27 +48,27 @@ class Holdings:
         self._engine = engine
 
     def hold(self, holding: Holding) -> None:
-        """Record a holding, in place of any earlier holder's."""
+        """Record a holding, in place of any earlier holder's of the same thing. Raises SQLAlchemyError."""
         with self._engine.begin() as connection:
             connection.execute(table.delete().where(*_is(holding.kind, holding.name)))
             connection.execute(table.insert().values(**asdict(holding)))
 
     def rename(self, kind: Kind, name: str, new_name: str) -> None:
-        """Rename a held thing."""
+        """Rename a held thing; a holding of the new name is replaced. Raises SQLAlchemyError."""
         with self._engine.begin() as connection:
             connection.execute(table.delete().where(*_is(kind, new_name)))
             connection.execute(table.update().where(*_is(kind, name)).values(name=new_name))
 
     def of(self, keys: Sequence[str]) -> Sequence[Holding]:
-        """Holdings of the named keys and of revoked keys that they had handed on."""
+        """Holdings of the named keys and of revoked keys that they had handed on. Raises SQLAlchemyError."""
         return self._found(sa.or_(table.c.key.in_(keys), table.c.holder.in_(keys)))
 
     def all(self) -> Sequence[Holding]:
-        """Holdings of all keys."""
+        """Holdings of all keys. Raises SQLAlchemyError."""
         return self._found(sa.true())
 
     def drop(self, holdings: Sequence[Holding]) -> None:
-        """Remove holdings, unless their holder has changed."""
+        """Remove holdings, unless their holder has changed. Raises SQLAlchemyError."""
         with self._engine.begin() as connection:
             for one in holdings:
                 connection.execute(table.delete().where(*_is(one.kind, one.name), table.c.key == one.key))

@@ -46,7 +46,7 @@ class ObjectCache:
         """Store a file's content as a new object; returns the object's name. The file becomes the copy.
 
         Raises:
-            StorageUnavailable, StorageFull: as :meth:`ObjectStorage.put`; the file stays where it is.
+            StorageUnavailable, StorageFull: nothing was stored; the file stays where it is.
         """
         blob = uuid.uuid4().hex
         self._objects.put(self._key(blob), file)
@@ -58,7 +58,8 @@ class ObjectCache:
         """Path of an object's copy, fetched if it is missing.
 
         Raises:
-            MissingObject, StorageUnavailable, StorageFull: as :meth:`ObjectStorage.fetch`, or its size differs.
+            MissingObject: there is no such object. StorageUnavailable, StorageFull: it cannot be fetched, or its size
+                differs.
         """
         path = self._path(blob)
         with suppress(FileNotFoundError):
@@ -76,14 +77,18 @@ class ObjectCache:
         return path
 
     def fetch(self, blob: str, size_bytes: int, target: Path) -> None:
-        """Copy an object to ``target``, outside the cache. Raises as :meth:`path`."""
+        """Copy an object to ``target``, outside the cache. Raises MissingObject, StorageUnavailable, StorageFull; then
+        there is no file.
+        """
         size = self._objects.fetch(self._key(blob), target)
         if size != size_bytes:
             target.unlink()
             raise StorageUnavailable(f"The storage gave {size} bytes of a map of {size_bytes}.", "Try again later.")
 
     def read(self, blob: str, start: int, length: int) -> bytes:
-        """``length`` bytes of an object from ``start``, without caching it. Raises as :meth:`ObjectStorage.read`."""
+        """``length`` bytes of an object from ``start``, of its copy or from the storage, without caching. Raises as
+        :meth:`ObjectStorage.read`.
+        """
         with suppress(FileNotFoundError), self._path(blob).open("rb") as file:
             file.seek(start)
             return file.read(length)
@@ -99,7 +104,7 @@ class ObjectCache:
             self.path(after.blob, after.size_bytes)
 
     def has_followed(self, before: MapRow, after: MapRow) -> bool:
-        """Whether :meth:`follow` would fetch nothing."""
+        """Whether :meth:`follow` would fetch nothing: the new file is cached, or the old one is not."""
         return self.has(after.blob) or not self.has(before.blob)
 
     def has(self, blob: str) -> bool:
@@ -141,7 +146,7 @@ class ObjectCache:
         self.make_room(blob)
 
     def sweep(self) -> None:
-        """Remove partial files of interrupted fetches."""
+        """Remove partial files, older than an hour, of interrupted fetches and uploads."""
         old = time.time() - _BROKEN_OFF_AFTER_S
         for path in [*self.folder.glob(".*.part"), *self.folder.glob(".*.arrived"), *self.folder.glob(".*.upload")]:
             with suppress(FileNotFoundError):
@@ -149,7 +154,10 @@ class ObjectCache:
                     path.unlink()
 
     def make_room(self, kept: str = "", size_bytes: int = 0) -> None:
-        """Evict the least recently used copies above the limits.
+        """Evict the least recently used copies above their maximum size, or while a tenth of the disk (1 GiB at most)
+        is not free.
+
+        Nothing is raised if too little could be freed.
 
         Args:
             kept: name of an object not to evict.

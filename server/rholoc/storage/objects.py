@@ -52,9 +52,10 @@ class ObjectStorage:
     In a folder, the key is the object's relative path, and :meth:`put` is durable.
 
     Args:
-        place: a folder, or the URL ``file:///folder``, ``s3://bucket/prefix``, ``gs://bucket/prefix`` or ``az://container/prefix``.
-            Credentials, region and endpoint come from the environment, as each provider's own tools take them
-            (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL`` …); ``AWS_ALLOW_HTTP=true`` allows one without HTTPS.
+        place: a folder, or the URL ``file:///folder``, ``s3://bucket/prefix``, ``gs://bucket/prefix`` or
+            ``az://container/prefix``. Credentials, region and endpoint come from the environment, as each provider's
+            own tools take them (``AWS_ACCESS_KEY_ID``, ``AWS_ENDPOINT_URL`` …); ``AWS_ALLOW_HTTP=true`` allows one
+            without HTTPS.
 
     Raises:
         InvalidInput: not such a URL, or the folder cannot be made.
@@ -89,7 +90,7 @@ class ObjectStorage:
             raise InvalidInput(f"RHOLOC_STORAGE_URL cannot be used: {_first_line(error)}.", "Check it.") from error
 
     def put(self, key: str, content: bytes | Path) -> None:
-        """Store an object atomically.
+        """Store an object atomically, replacing any of that key: bytes, or the content of a file.
 
         Raises:
             StorageUnavailable: the storage does not answer or refuses.
@@ -108,7 +109,7 @@ class ObjectStorage:
         files are copied.
 
         Raises:
-            StorageUnavailable, StorageFull: as :meth:`put`; the folder is not removed.
+            StorageUnavailable, StorageFull: not all files are stored; the folder is not removed.
         """
         if self._folder is None or not self._take_folder(self._folder / prefix, folder):
             for name in names:
@@ -116,7 +117,9 @@ class ObjectStorage:
             shutil.rmtree(folder, ignore_errors=True)
 
     def _take_folder(self, target: Path, folder: Path) -> bool:
-        """Rename a folder into the storage. Returns False if it is in another file system, or there is one already."""
+        """Rename a folder into the storage. Returns False if it is in another file system, or there is one already.
+        Raises StorageUnavailable, StorageFull.
+        """
         with _reporting("write to"):
             target.parent.mkdir(parents=True, exist_ok=True)
             for inner in [folder, *(path for path in folder.rglob("*") if path.is_dir())]:
@@ -179,7 +182,7 @@ class ObjectStorage:
                     (self._folder / key).parent.rmdir()
 
     def list(self, prefix: str) -> Iterator[StoredObject]:
-        """The objects below a folder.
+        """Iterate over the objects below the folder ``prefix``.
 
         Raises:
             StorageUnavailable: the storage does not answer.
@@ -213,7 +216,7 @@ def _traced(operation: str, key: str) -> AbstractContextManager[telemetry.Marks]
 
 @contextmanager
 def _reporting(doing: str) -> Iterator[None]:
-    """Convert the library's exceptions to errors for people."""
+    """Convert exceptions of the storage's library or disk to MissingObject, StorageFull or StorageUnavailable."""
     try:
         yield
     except (NotFoundError, FileNotFoundError) as error:

@@ -96,17 +96,17 @@ class Replica:
 
     @property
     def maps(self) -> Mapping[str, MapRow]:
-        """The maps by name."""
+        """The maps by name, as of the last refresh."""
         return self._maps
 
     @property
     def revision(self) -> int:
-        """Revision of the catalogue at the last refresh."""
+        """Revision of the catalogue at the last refresh; -1 before the first."""
         return self._revision
 
     @property
     def documents(self) -> Mapping[str, bytes]:
-        """The small files by path."""
+        """Content of the small files by path, as of the last refresh."""
         return self._documents
 
     @property
@@ -125,7 +125,10 @@ class Replica:
             self._see_late()
 
     def look_again(self) -> None:
-        """Refresh on a cache miss, at most a few times a second. Only one thread waits for the database at a time."""
+        """Refresh on a cache miss, at most every 0.1 s; errors of the database are ignored.
+
+        Only one thread waits for the database at a time.
+        """
         if time.monotonic() - self._looked_again_s < _LOOK_AGAIN_AFTER_S or not self._looking.acquire(blocking=False):
             return
         try:
@@ -137,7 +140,8 @@ class Replica:
 
     @contextmanager
     def changing(self) -> Iterator[tuple[sa.Connection, int]]:
-        """A transaction that changes the catalogue, and its revision; refreshes at the end.
+        """A transaction that changes the catalogue, and its new revision; committed and refreshed at the end of the
+        block.
 
         Raises:
             SQLAlchemyError: the database does not answer; nothing was changed.
@@ -153,7 +157,7 @@ class Replica:
             _log.warning("catalogue_not_refreshed", exc_info=True)  # the next refresh may succeed
 
     def recall(self, file: Path) -> None:
-        """Load the catalogue's last state from ``file``, and keep that file up to date from now on.
+        """Load the catalogue's last state from ``file``, if it has one, and keep that file up to date from now on.
 
         The first :meth:`refresh` replaces the loaded state.
         """
@@ -164,18 +168,18 @@ class Replica:
             self._documents = {path: b64decode(content) for path, content in kept["documents"].items()}
 
     def follow(self) -> None:
-        """Start a thread that refreshes when other processes change the catalogue."""
+        """Start a thread that refreshes when other processes change the catalogue, at least every 0.5 s."""
         self._follower = threading.Thread(target=self._follow, name="rholoc-catalogue", daemon=True)
         self._follower.start()
 
     def close(self) -> None:
-        """Stop the thread, without waiting for a database that does not answer."""
+        """Stop the thread of :meth:`follow`; waits at most 2 s, not for a database that does not answer."""
         self._stopping.set()
         if self._follower is not None:
             self._follower.join(_STOP_S)
 
     def _changes(self) -> _Changes:
-        """Changes since the replica's revision."""
+        """Changes since the replica's revision. Raises SQLAlchemyError."""
         seen = self._revision
         with self._engine.connect() as connection:
             newest = connection.execute(sa.select(catalogue_table.c.revision)).scalar_one()
@@ -240,7 +244,7 @@ class Replica:
         listener.close()
 
     def _keep(self) -> None:
-        """Save the state for :meth:`recall`, if it has changed."""
+        """Save the state for :meth:`recall`, if it has changed and a file was given; failures are ignored."""
         if self._kept_in is None or self._kept_revision == self._revision:
             return
         revision, maps, documents = self._revision, self._maps, self._documents

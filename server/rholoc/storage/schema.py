@@ -18,11 +18,13 @@ _LOCK_TIMEOUT_S, _RETRY_S = 60.0, 0.02
 
 
 def prepare_tables(connection: sa.Connection) -> None:
-    """Create or update the tables. If several processes start at once, one does so and the others wait.
+    """Create or update the tables, and commit. Another transaction open on the connection is rolled back.
+
+    If several processes start at once, one does so and the others wait: with PostgreSQL a minute, with SQLite 10 s.
 
     Raises:
         Conflict: the tables are of a later release.
-        StorageUnavailable: another process has been creating or updating them for a minute.
+        StorageUnavailable, OperationalError: PostgreSQL, SQLite: another process still creates or updates them.
     """
     newest = 1 + len(UPDATES)
     if _present_schema(connection) == newest:
@@ -52,7 +54,9 @@ def _present_schema(connection: sa.Connection) -> int:
 
 
 def _lock(connection: sa.Connection) -> None:
-    """Keep other processes from changing the tables until the transaction ends."""
+    """Keep other processes from changing the tables until the transaction ends. Raises StorageUnavailable (PostgreSQL,
+    after a minute) or OperationalError (SQLite, after 10 s).
+    """
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql("BEGIN IMMEDIATE")
         return

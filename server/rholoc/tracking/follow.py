@@ -32,11 +32,11 @@ class Answering(Protocol):
     """When the localizer answers. One question is open at a time."""
 
     def ask(self, time_s: float, answer: Callable[[], Localization]) -> None:
-        """Take a question about the frame of ``time_s``."""
+        """Take a question about the frame of ``time_s``; ``answer`` computes the answer, at once or later."""
         ...
 
     def arrived(self, time_s: float) -> Answered | None:
-        """The answer to the open question, if it has arrived by the frame of ``time_s``."""
+        """Take out the answer to the open question, if it has arrived by the frame of ``time_s``; else None."""
         ...
 
 
@@ -47,11 +47,11 @@ class AtOnce:
         self._answered: Answered | None = None
 
     def ask(self, time_s: float, answer: Callable[[], Localization]) -> None:
-        """As :meth:`Answering.ask`."""
+        """Compute the answer about the frame of ``time_s`` now."""
         self._answered = Answered(time_s, answer())
 
     def arrived(self, time_s: float) -> Answered | None:
-        """As :meth:`Answering.arrived`."""
+        """Take out the last answer, whatever ``time_s`` is; None if there is none."""
         answered, self._answered = self._answered, None
         return answered
 
@@ -64,11 +64,11 @@ class InBackground:
         self._pending: tuple[float, Future[Localization]] | None = None
 
     def ask(self, time_s: float, answer: Callable[[], Localization]) -> None:
-        """As :meth:`Answering.ask`."""
+        """Begin to compute the answer about the frame of ``time_s`` in a thread."""
         self._pending = time_s, self._thread.submit(answer)
 
     def arrived(self, time_s: float) -> Answered | None:
-        """As :meth:`Answering.arrived`."""
+        """Take out the answer if it is computed, else None. Raises what computing it raised."""
         if self._pending is None or not self._pending[1].done():
             return None
         (asked_s, future), self._pending = self._pending, None
@@ -95,7 +95,7 @@ class Step:
 
     @property
     def sigma_m(self) -> float:
-        """Expected RMS position error; NaN without a pose."""
+        """Expected RMS position error [m]; NaN without a pose."""
         covariance = self.tracked.covariance
         return math.nan if covariance is None else math.sqrt(sum(covariance[axis][axis] for axis in range(3)))
 
@@ -153,7 +153,7 @@ def follow(
 def _asking(
     localizer: AnyLocalizer, camera: Camera, image: ByteArray, question: Question
 ) -> Callable[[], Localization]:
-    """How a question about an image is answered."""
+    """Function that localizes an image (H, W, 3) BGR with the question's prior, if it has one."""
     prior, sent = None, question.prior
     if sent is not None:
         pose = Pose.from_quaternion(np.array(sent.position), np.array(sent.quaternion_xyzw))
@@ -172,7 +172,7 @@ def _take(track: FollowedTrack, localizer: AnyLocalizer, answered: Answered) -> 
 
 
 def answer_of(found: Localization, metric: bool) -> Answer | None:
-    """What a track makes of an answer: its pose and the alternatives. None where there are none."""
+    """Answer for a track: the pose, if there is one, and the alternatives; None if there is neither."""
     modes = [Answer(one.pose.T_map_camera, one.covariance, one.weight, metric) for one in found.alternatives]
     if found.pose is not None and found.covariance is not None:
         modes.insert(0, Answer(found.pose.T_map_camera, found.covariance, found.recognized, metric))

@@ -56,7 +56,7 @@ class LiveView(PoseMessages):
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port it listens at."""
         return self._server.port
 
     def __enter__(self) -> LiveView:
@@ -68,7 +68,7 @@ class LiveView(PoseMessages):
         self._server.stop()
 
     def repeat(self, channel_id: int) -> None:
-        """Send the last message of a latched topic again, for one who came late. Safe in another thread."""
+        """Send the last message of a latched topic again, for a late subscriber; nothing for others. Thread-safe."""
         topic = self._topics.get(channel_id)
         with self._lock:
             last = None if topic is None else self._last.get(topic)
@@ -89,7 +89,7 @@ class LiveView(PoseMessages):
 
 
 def _calling(subscribed: Callable[[int], None]) -> ServerListener:
-    """Listener that passes on the channels that somebody subscribes to, by id."""
+    """Listener that calls ``subscribed`` with the id of each channel that somebody subscribes to."""
     from foxglove.websocket import ServerListener
 
     class Listener(ServerListener):

@@ -61,11 +61,11 @@ class Encoder:
         self._sequence = 0
 
     def heartbeat(self) -> bytes:
-        """HEARTBEAT of an onboard computer."""
+        """HEARTBEAT of an onboard computer; takes the next sequence number."""
         return self._encoded(_HEARTBEAT, 0, _ONBOARD_CONTROLLER, _NO_AUTOPILOT, 0, _ACTIVE, 3)
 
     def origin(self, earth: SiteOnEarth, time_s: float) -> bytes:
-        """SET_GPS_GLOBAL_ORIGIN; the height is above the ellipsoid."""
+        """SET_GPS_GLOBAL_ORIGIN at ``time_s`` [s since 1970]; the height is above the ellipsoid."""
         degrees = (round(earth.latitude_deg * 1e7), round(earth.longitude_deg * 1e7))
         return self._encoded(_SET_ORIGIN, *degrees, round(earth.height_m * 1000), _SYSTEM, round(time_s * 1e6))
 
@@ -98,7 +98,7 @@ class Encoder:
 
 
 def _checksum(data: bytes) -> int:
-    """CRC-16/MCRF4XX."""
+    """CRC-16/MCRF4XX of the data."""
     crc = 0xFFFF
     for byte in data:
         crc ^= byte
@@ -120,7 +120,7 @@ class _Known:
     velocity: FloatArray
 
     def at(self, now_s: float) -> tuple[float, FloatArray]:
-        """Time and pose at a moment of the monotonic clock, at constant velocity."""
+        """Time [s] and pose (4, 4) at ``now_s`` of the monotonic clock, extrapolated at constant velocity."""
         since_s = now_s - self.arrived_s
         return self.time_s + since_s, moved(self.T_local_body, self.velocity * since_s)
 
@@ -167,7 +167,7 @@ class MavlinkSender:
         self._socket.close()
 
     def take(self, step: Step) -> None:
-        """As :meth:`rholoc.tracking.users.StepUser.take`."""
+        """Send the step's pose from now on, with the velocity since the last; be silent unless it is tracking."""
         if step.answer is not None and step.answer.localization is not None:
             self._quality = step.answer.localization.recognized
         tracked, before = step.tracked, self._known

@@ -68,7 +68,7 @@ def film_times(recording: Recording) -> FloatArray:
 
 
 def recorded_moments(recording: Recording, motion: Motion, odometry: FloatArray | None = None) -> Iterator[Moment]:
-    """A recording's frames in order.
+    """Iterate over a recording's frames in order.
 
     Args:
         recording: the frames, and the IMU.
@@ -92,7 +92,7 @@ def recorded_moments(recording: Recording, motion: Motion, odometry: FloatArray 
 
 
 def paced(moments: Iterator[Moment]) -> Iterator[Moment]:
-    """The moments of a recording at its own pace; those that the consumer is too slow for are left out."""
+    """Iterate over a recording's moments at its own pace; those that come more than 0.1 s late are left out."""
     offset_s: float | None = None
     for moment in moments:
         offset_s = time.monotonic() - moment.time_s if offset_s is None else offset_s
@@ -103,7 +103,7 @@ def paced(moments: Iterator[Moment]) -> Iterator[Moment]:
 
 
 def live_moments(camera: LiveCamera) -> Iterator[Moment]:
-    """The frames of a live camera from now on, always the newest; ends if the camera does."""
+    """Iterate over the newest frames of a live camera. Raises InvalidInput once it gives none."""
     for number, (time_s, image) in enumerate(camera.frames()):
         yield Moment(number, time_s, image)
 

@@ -88,7 +88,7 @@ class MqttSender:
         self._client.loop_stop()
 
     def take(self, step: Step) -> None:
-        """As :meth:`rholoc.tracking.users.StepUser.take`."""
+        """Publish the step, unless the last is less than 0.1 s older by frame time; a pose only while tracking."""
         if step.answer is not None and step.answer.localization is not None:
             self._score = step.answer.localization.recognized
         if step.moment.time_s - self._last_s >= _INTERVAL_S:

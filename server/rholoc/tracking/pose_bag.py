@@ -61,7 +61,7 @@ class PoseBag(PoseMessages):
 
 
 def _latched() -> Any:
-    """The quality of service of ``LATCHED`` topics: late subscribers get the last message too."""
+    """Quality of service of ``LATCHED`` topics: late subscribers get the last message too."""
     from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
     never = QosTime(2_147_483_647, 4_294_967_295)

@@ -84,12 +84,13 @@ class PoseMessages(ABC):
         covariance: FloatArray | None,
         T_map_odom: FloatArray | None = None,
     ) -> None:
-        """Write a pose and its transforms.
+        """Write the robot's pose, its region of 95 %, its path and its transforms; at first also the camera's mounting.
 
         Args:
             time_s: of the frame.
             T_map_camera: (4, 4).
-            covariance: (6, 6) of the camera's position [m] and rotation [rad], map frame; None if unknown.
+            covariance: (6, 6) of the camera's position [m] and rotation [rad], map frame; None if unknown (written as
+                0).
             T_map_odom: (4, 4) if there is odometry.
         """
         T_map_base = T_map_camera @ inverse(self._T_base_camera)
@@ -122,11 +123,11 @@ class PoseMessages(ABC):
             self._write(f"/visual_localization/{name}", time_s, self._store.types["std_msgs/msg/Float64"](data=value))
 
     def status(self, time_s: float, status: str) -> None:
-        """Write the state of a track."""
+        """Write the state of a track at a time [s] as a string message."""
         self._write("/visual_localization/status", time_s, self._store.types["std_msgs/msg/String"](data=status))
 
     def room(self, time_s: float, positions: FloatArray, colours: ByteArray) -> None:
-        """Write points (N, 3) of the map [m] with their colours (N, 3) red, green, blue; not all if there are many."""
+        """Write points (N, 3) of the map [m] with colours (N, 3) red, green, blue; evenly thinned to 100,000."""
         chosen = slice(None, None, 1 + len(positions) // _MAX_POINTS)
         points = np.zeros(len(positions[chosen]), dtype=[("xyz", "<f4", 3), ("bgra", "u1", 4)])
         points["xyz"], points["bgra"][:, :3] = positions[chosen], colours[chosen][:, ::-1]
@@ -143,7 +144,9 @@ class PoseMessages(ABC):
         self._write("/map/points", time_s, cloud)
 
     def picture(self, time_s: float, image: ByteArray, camera: Camera) -> None:
-        """Write a picture (H, W, 3) BGR or (H, W), made smaller, and its intrinsics; at most five a second."""
+        """Write a picture (H, W, 3) BGR or (H, W), at most 480 px wide or high, and its intrinsics; at most five a
+        second.
+        """
         if time_s < self._next_picture_s:
             return
         self._next_picture_s = time_s + _PICTURE_S
@@ -191,7 +194,7 @@ class PoseMessages(ABC):
         self._write("/visual_localization/uncertainty", time_s, marker)
 
     def _path_to(self, time_s: float, T_map_base: FloatArray) -> None:
-        """Write the path with a pose each second; the longer it is, the less often."""
+        """Add a pose to the path each second (the last 600 stay), and write it; the longer, the less often."""
         if time_s >= self._next_pose_s:
             self._next_pose_s = time_s + _PATH_S
             self._path.append(self._make("PoseStamped", header=self._header(time_s, MAP), pose=self._pose(T_map_base)))

@@ -34,7 +34,7 @@ class Tally:
         self._last: Step | None = None
 
     def take(self, step: Step) -> None:
-        """As :meth:`StepUser.take`."""
+        """Add a step to the counts."""
         self._first_s = step.moment.time_s if self._first_s is None else self._first_s
         self._counts[step.tracked.status] += 1
         self._track_s.append(step.track_s)
@@ -42,7 +42,7 @@ class Tally:
         self._last = step
 
     def figures(self) -> dict[str, float | int | None]:
-        """Summary of all steps."""
+        """Summary of all steps by name: frames, seconds, states, questions, answers, resets; None where undefined."""
         last, first_s = self._last, self._first_s
         seconds = 0.0 if last is None or first_s is None else last.moment.time_s - first_s
         return {
@@ -70,7 +70,7 @@ class TableOfTrack:
         self.rows: list[tuple[float, int, np.ndarray, float]] = []
 
     def take(self, step: Step) -> None:
-        """As :meth:`StepUser.take`."""
+        """Add a row for the step if it is tracking."""
         if step.tracked.status is TrackStatus.TRACKING and step.tracked.pose is not None:
             T_map_camera = np.array(step.tracked.pose.T_map_camera)
             self.rows.append((step.moment.time_s, step.moment.number, T_map_camera, step.sigma_m))
@@ -102,7 +102,7 @@ class MessagesOfTrack:
         self._is_begun = False
 
     def take(self, step: Step) -> None:
-        """As :meth:`StepUser.take`."""
+        """Write the step's messages; with the first one the map's landmarks."""
         time_s, tracked = step.moment.time_s, step.tracked
         if not self._is_begun:
             landmarks, self._is_begun = self._map.landmarks, True

@@ -54,7 +54,7 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
 
 
 def _unexpected(error: str) -> MappingFailed:
-    """An unforeseen error, such as a library's, with a message for users."""
+    """MappingFailed for users in place of an unforeseen error, such as a library's."""
     if _SINGULAR in error:
         return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
     return MappingFailed(

@@ -86,14 +86,16 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
 
 
 def _rests(imu: Imu, stops: FloatArray) -> FloatArray:
-    """Times at rest: the waypoints, and the middle of other pauses."""
+    """Times at rest, ascending: the waypoints' ``stops`` (W,), and the middles of pauses over 1 s from all these."""
     middles = pauses(imu).mean(axis=1)
     others = [middle for middle in middles if np.abs(stops - middle).min() > _NOT_A_WAYPOINT_S]
     return np.sort(np.concatenate([stops, others]))
 
 
 def _leg(times: FloatArray, acceleration: FloatArray, rests: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Times from the first to the last of ``rests``, and the displacement (M, 3) since the first."""
+    """Times (M,) from the first to the last of ``rests``, and the displacement (M, 3) since the first; zero velocity at
+    each. ``acceleration`` (N, 3), without gravity, is at ``times`` (N,).
+    """
     t, path = np.array([rests[0]]), np.zeros((1, 3))
     for a, b in pairwise(rests):
         later, moved = _rest_to_rest(times, acceleration, a, b)
@@ -102,7 +104,7 @@ def _leg(times: FloatArray, acceleration: FloatArray, rests: FloatArray) -> tupl
 
 
 def _rest_to_rest(times: FloatArray, acceleration: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
-    """Times from ``a`` to ``b`` and the displacement (M, 3) since ``a``, with zero velocity at both ends."""
+    """Times (M,) from ``a`` to ``b`` and the displacement (M, 3) since ``a``, with zero velocity at both ends."""
     t = np.concatenate([[a], times[(times > a) & (times < b)], [b]])
     felt = np.column_stack([np.interp(t, times, acceleration[:, i]) for i in range(3)])
     dt = np.diff(t)[:, None]
@@ -112,7 +114,7 @@ def _rest_to_rest(times: FloatArray, acceleration: FloatArray, a: float, b: floa
 
 
 def _yaw(moved: FloatArray, measured: FloatArray) -> Rotation:
-    """Least-squares rotation about z from displacements (N, 3) to measured ones."""
+    """Least-squares rotation about z that takes displacements (N, 3) to measured ones (N, 3)."""
     cross = np.sum(moved[:, 0] * measured[:, 1] - moved[:, 1] * measured[:, 0])
     dot = np.sum(moved[:, 0] * measured[:, 0] + moved[:, 1] * measured[:, 1])
     return Rotation.from_euler("z", float(np.arctan2(cross, dot)))

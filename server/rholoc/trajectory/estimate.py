@@ -65,7 +65,9 @@ def estimate_trajectory(
     progress: ProgressListener = silent,
     show: ImageListener | None = None,
 ) -> Trajectory:
-    """The poses of a recording's frames, metric and upright where something measured makes them so.
+    """The poses of a recording's frames: of the keyframes that could be placed, or of the frames with a given pose.
+
+    ``scale`` and ``upright`` of the result tell whether something measured made them metric and upright.
 
     Args:
         recording: with frames, and what else the method needs.
@@ -76,7 +78,7 @@ def estimate_trajectory(
     Raises:
         InvalidRecording: the method needs poses or an IMU that the recording does not have, or a frame is damaged.
         InvalidCamera: the method needs intrinsics that the recording does not have.
-        InvalidWaypoints: there are waypoints, but they do not fix a frame.
+        InvalidWaypoints: there are waypoints, but they do not fix a frame; or INERTIAL has none.
         MappingFailed: too few keyframes could be placed, or what was measured contradicts the reconstruction.
         Cancelled: ``progress`` asked to stop.
     """
@@ -99,7 +101,7 @@ def estimate_trajectory(
 
 
 def _with_poses_in_metres(recording: Recording) -> Recording:
-    """The recording, its poses scaled by a known length where their unit is not stated."""
+    """The recording, its poses scaled by the median of known lengths if no unit is stated; unchanged without any."""
     poses = recording.poses
     if poses is None or poses.metric:
         return recording
@@ -118,9 +120,9 @@ def _with_poses_in_metres(recording: Recording) -> Recording:
 
 
 def _automatic(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
-    """Poses by what the recording has: its own where its pictures agree with them, else pictures, IMU and waypoints.
-
-    Waypoints are measured in the frame that the map is to have, which the recording's own poses need not be in.
+    """Poses by what the recording has: its own (at least three) if its pictures agree, else pictures, IMU and
+    waypoints. Waypoints are measured in the frame that the map is to have, which the recording's own poses need not be
+    in. Raises MappingFailed, InvalidRecording, InvalidCamera, InvalidWaypoints.
     """
     if recording.poses is None or recording.poses.known.sum() < _FEWEST_GIVEN or recording.waypoints:
         return _visual(recording, PoseMethod.VISUAL_INERTIAL, progress, show)
@@ -145,13 +147,13 @@ def _automatic(recording: Recording, progress: ProgressListener, show: ImageList
 
 
 def _because(found: Trajectory, why: str) -> Trajectory:
-    """The trajectory, which says why the recording's own poses were not used."""
+    """The trajectory, its report extended by ``why`` the recording's own poses were not used."""
     note = f"The recording's own poses {why}; its pictures were used."
     return replace(found, report=replace(found.report, why=f"{found.report.why} {note}".strip()))
 
 
 def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
-    """The recording's own poses, which drift, adjusted to its pictures."""
+    """The recording's own poses, which drift, adjusted to its pictures, with a report. Raises MappingFailed."""
     assert recording.poses is not None
     with KeyframeFeatures(recording.frames, (), show, recording.camera) as features:
         flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
@@ -175,13 +177,13 @@ def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show
 
 
 def odometry_from_flow(recording: Recording, flow: Flow, progress: ProgressListener = silent) -> Trajectory:
-    """The poses of keyframes that follow from optical flow, and from the IMU where there is one.
+    """Poses of the keyframes by optical flow, and by the IMU if there is one.
 
-    Nothing corrects it: no feature is matched, no place recognised, no waypoint met. Metric where an IMU is of use.
+    Nothing corrects drift: no feature is matched, no place recognised, no waypoint met. Metric only by an IMU.
 
     Args:
-        recording: whose frames the flow is of.
-        flow: its corners, by :func:`rholoc.trajectory.visual.flow.track_corners`.
+        recording: its waypoints are ignored.
+        flow: corners of its frames, by :func:`rholoc.trajectory.visual.flow.track_corners`.
         progress: is called with each step that is done.
 
     Raises:
@@ -197,7 +199,8 @@ def odometry_from_flow(recording: Recording, flow: Flow, progress: ProgressListe
 def rolling_shutter_of(
     recording: Recording, rows: IntArray, progress: ProgressListener = silent
 ) -> RollingShutter | None:
-    """How the image moves in the frames ``rows`` (K,) while they are read; None if the read-out time is not known.
+    """Image motion in the frames ``rows`` (K,) during their read-out; None if the read-out time or the times are not
+    known.
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
@@ -227,7 +230,7 @@ def _given(recording: Recording) -> Trajectory:
 
 
 def _is_upright(R_map_camera: FloatArray) -> tuple[bool, str]:
-    """Whether the cameras of given poses (K, 3, 3) do not roll about the map's own z axis, and what to say of it."""
+    """Whether z of given poses' frame is within 5° of up by the no-roll prior (False if it fails), and a line on it."""
     prior = up_without_roll(R_map_camera)
     if not prior.holds:
         return False, f"Unknown; the cameras roll by {prior.roll_deg:.1f}°, so nothing shows whether z is up."
@@ -287,7 +290,9 @@ def _placed(
     choices: Sequence[tuple[Waypoint, ...]],
     progress: ProgressListener,
 ) -> Trajectory:
-    """Keyframes placed by what they see, by the IMU, and by waypoints, of which there may be several choices."""
+    """Trajectory of the keyframes placed by what they see, by the IMU (None: not used), and by waypoints. ``choices``
+    are possible assignments of times to the waypoints. Raises MappingFailed if too few could be placed.
+    """
     found = run_in_child(
         reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
     )
@@ -301,7 +306,7 @@ def _placed(
 
 
 def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, progress: ProgressListener) -> Trajectory:
-    """The keyframes that were placed. Raises MappingFailed if they are too few."""
+    """Trajectory of the placed keyframes with its report. Raises MappingFailed below half (of a set: a quarter)."""
     flow, rows = sights.flow, sights.rows
     missing = missing_spans(flow, rows, found.placed)
     share = float(found.placed.mean())
@@ -330,7 +335,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
 
 
 def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[FeatureSet]) -> Sights:
-    """What the keyframes see, corrected for the rolling shutter where its read-out is known."""
+    """Sights of the keyframes ``rows`` (K,) with ``features``, less the rolling shutter if its read-out is known."""
     shutter: RollingShutter | None = None
     if recording.readout_s is not None and flow.timed:
         shutter = measure_rolling_shutter(flow, rows, recording.readout_s)
@@ -354,7 +359,7 @@ def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[Fea
 
 
 def _rows_of(recording: Recording, pairs: Sequence[KnownLength | Mounted]) -> list[tuple[int, int]]:
-    """The two rows of frames that each known length lies between, or each mounting."""
+    """Rows of the two frames that each known length, or each mounting, refers to."""
     numbers = recording.frames.numbers
     return [(int(np.searchsorted(numbers, one.first)), int(np.searchsorted(numbers, one.second))) for one in pairs]
 
@@ -362,9 +367,9 @@ def _rows_of(recording: Recording, pairs: Sequence[KnownLength | Mounted]) -> li
 def _keyframes(
     recording: Recording, imu: Imu | None, flow: Flow, features: KeyframeFeatures | None = None
 ) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
-    """Keyframes by motion and sharpness, and the frames nearest to the waypoints; the waypoints with their times.
-
-    Where those are not known, one frame for each pause, and every way to take pauses for the waypoints.
+    """Keyframe rows (K,) by motion and sharpness, with the frames nearest to the waypoints; choices of waypoint times.
+    If the times are not known, one frame for each pause, and every way to take pauses for the waypoints. Raises
+    MappingFailed for too few keyframes, InvalidWaypoints for too few pauses.
     """
     choices = [recording.waypoints]
     if not times_are_known(recording.waypoints):
@@ -378,7 +383,7 @@ def _keyframes(
 
 
 def _require_keyframes(rows: IntArray, frames: int) -> None:
-    """Raise MappingFailed unless the keyframes (K,), of so many frames, are enough for a map."""
+    """Raise MappingFailed unless there are at least four keyframes (K,), of at least four ``frames``."""
     if frames < _FEWEST_KEYFRAMES:
         raise MappingFailed(
             f"{frames} pictures are too few for a map.", "Take a dozen or more, from places half a step apart."
@@ -389,9 +394,8 @@ def _require_keyframes(rows: IntArray, frames: int) -> None:
 
 def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None) -> IntArray:
     """Keyframes of a film at steps of image motion; of a set all pictures up to ``MAX_PICTURES``, else the least alike.
-
-    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than ``_MAX_COMPARED`` pictures,
-    they are chosen at even steps.
+    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than 1200 pictures, they
+    are chosen at even steps.
     """
     if recording.mounted:
         return _chosen_moments(len(flow.times), _rows_of(recording, recording.mounted))
@@ -420,12 +424,12 @@ def _chosen_moments(count: int, pairs: Sequence[tuple[int, int]]) -> IntArray:
 
 
 def _evenly(rows: IntArray, count: int) -> IntArray:
-    """``count`` of the rows at even steps; all if there are fewer."""
+    """At most ``count`` of the rows at even steps."""
     return rows[np.unique(np.linspace(0, len(rows) - 1, count).round().astype(np.int64))] if len(rows) > count else rows
 
 
 def _rows_at(times: FloatArray, waypoints: Sequence[Waypoint]) -> set[int]:
-    """The frames (times (N,)) that are nearest to waypoints, of those whose time is known."""
+    """Rows of the frames (times (N,)) nearest to the waypoints with a known time."""
     return {int(np.abs(times - at.time).argmin()) for at in waypoints if not np.isnan(at.time)}
 
 
@@ -439,7 +443,9 @@ def _known_camera(recording: Recording) -> Camera:
 
 
 def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
-    """Why a reconstruction is not to be trusted, one line each."""
+    """Reasons not to trust a reconstruction, one line each; empty if none. ``share`` is the share of placed keyframes,
+    ``missing`` a text on the others.
+    """
     doubts = list(found.frame.doubts)
     if share < _WELL_PLACED:
         doubts.append(f"Only {share:.0%} of the keyframes could be placed. {missing}".strip())
@@ -472,18 +478,18 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
 
 
 def _expected_error_m(found: Reconstruction) -> float | None:
-    """Median over the placed keyframes; None if the covariances of half of them have no bound."""
+    """Median expected position error of the placed keyframes, in the map's unit; None if half of them have no bound."""
     return _median_sigma(found.covariances[found.placed, :3, :3])
 
 
 def _expected_error_deg(found: Reconstruction) -> float | None:
-    """As :func:`_expected_error_m`, of the rotations."""
+    """Median expected rotation error of the placed keyframes [deg]; None if half of them have no bound."""
     sigma = _median_sigma(found.covariances[found.placed, 3:, 3:])
     return None if sigma is None else float(np.degrees(sigma))
 
 
 def _median_sigma(covariances: FloatArray) -> float | None:
-    """Median of the root traces of covariances (K, 3, 3), of which NaN counts as infinite; None if it is infinite."""
+    """Median of the root traces of covariances (K, 3, 3), NaN taken as infinite; None if it is infinite."""
     variances = np.nan_to_num(np.trace(covariances, axis1=1, axis2=2), nan=np.inf)
     median = float(np.median(np.sqrt(variances)))
     return median if np.isfinite(median) else None
@@ -564,7 +570,9 @@ def _imu_report(recording: Recording, found: Reconstruction) -> ImuReport | str:
 def _comparison(
     recording: Recording, found: Reconstruction, times: FloatArray, kept: IntArray
 ) -> InertialComparison | None:
-    """How far the paper's own way, the IMU integrated between waypoints, is from the poses."""
+    """Distance of the poses from the paper's method, the IMU integrated between waypoints; None without IMU or
+    waypoints. ``times`` are those of the keyframes ``kept`` (N,). If the integration fails, the result says why.
+    """
     if recording.imu is None or found.imu is None or not found.frame.waypoints:
         return None
     stops = [waypoint.time for waypoint in found.frame.waypoints]

@@ -37,7 +37,8 @@ _ITERATIONS = 30
 
 
 def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatArray) -> FloatArray:
-    """Poses T_map_camera (N, 4, 4) at times ``at`` (N,) [s], all between the first and the last waypoint.
+    """Poses T_map_camera (N, 4, 4) at times ``at`` (N,) [s], all between the first and the last waypoint. If the system
+    is singular, those of :func:`integrate_between_waypoints`.
 
     Raises:
         InvalidWaypoints: the waypoints do not fix a frame.
@@ -98,7 +99,7 @@ def _add_motion(graph: gtsam.NonlinearFactorGraph, imu: Imu, times: FloatArray) 
 
 
 def _resting(imu: Imu, stops: FloatArray) -> FloatArray:
-    """Times within pauses between the first and the last stop, away from the pauses' ends."""
+    """Times within pauses between the first and the last stop, every 0.1 s, at least 0.2 s from the pauses' ends."""
     found = [
         np.arange(start + _INSIDE_S, end - _INSIDE_S, _REST_STEP_S)
         for start, end in pauses(imu)

@@ -13,7 +13,9 @@ from rholoc.worker.worker import run_worker
 
 
 def main() -> None:
-    """Work until the server closes the pipe, on purpose or by dying."""
+    """Work until the server closes standard input, on purpose or by dying; exits with a message if the worker cannot
+    start.
+    """
     configure_process_logs()
     setup = WorkerSetup.from_line(sys.stdin.buffer.readline())
     stop = threading.Event()

@@ -61,7 +61,8 @@ def build_in_process(
     cancel_grace_s: float,
     limits: Limits,
 ) -> Failure | KilledForMemory | MoreMemoryNeeded | None:
-    """Run ``pipeline.build(task)`` in a new process. Returns why there is no map file, or None on success.
+    """Run ``pipeline.build(task)`` in a new process. Returns why there is no map file, or None on success. Errors
+    become a Failure.
 
     Args:
         pipeline: of the service.
@@ -125,7 +126,9 @@ def _died(died: ChildDied) -> Failure:
 def run_build(
     pipeline: Pipeline, task: MappingTask, limits: Limits, listener: ProgressListener
 ) -> Failure | KilledForMemory | MoreMemoryNeeded | None:
-    """Run ``pipeline.build`` in this process. Returns why it failed or needs another worker, or None on success."""
+    """Run ``pipeline.build`` in this process. Returns why it failed or needs another worker, or None on success. Never
+    raises.
+    """
     try:
         return pipeline.build(task, listener)
     except ReconstructionKilled as error:

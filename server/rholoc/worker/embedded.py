@@ -54,16 +54,18 @@ class EmbeddedWorker:
 
     @property
     def trouble(self) -> str | None:
-        """Number of consecutive deaths of the child and its last error; None unless it dies repeatedly."""
+        """A text with the number of consecutive deaths of the child and its last error; None unless it dies
+        repeatedly.
+        """
         return self._trouble
 
     def start(self) -> None:
-        """Start the child."""
+        """Start the child, and a thread that starts it again when it dies."""
         self._program = self._spawn()
         self._keeper.start()
 
     def stop(self) -> None:
-        """Stop the child and requeue its jobs."""
+        """Stop the child, which requeues its jobs; waits up to 15 s before it is killed."""
         self._stopping.set()
         if self._keeper.is_alive():
             self._keeper.join()
@@ -106,7 +108,7 @@ class EmbeddedWorker:
 
 
 def reason_of_death(status: int, errors: Sequence[str]) -> str:
-    """One line on how a process ended, with the last error on its standard error.
+    """One line on how a process ended: its signal or exit status, and the last error on its standard error, if any.
 
     Args:
         status: exit status, negative for a signal.
@@ -118,7 +120,9 @@ def reason_of_death(status: int, errors: Sequence[str]) -> str:
 
 
 def _error_in(line: str) -> str:
-    """The error in a line of a log; empty if it has none."""
+    """The error in a line of a log, at most 300 characters: plain text, or a JSON entry from "warning" on. Empty if it
+    has none.
+    """
     try:
         entry = json.loads(line)
     except ValueError:

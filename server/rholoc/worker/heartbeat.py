@@ -30,7 +30,9 @@ class Heartbeat:
         self._left_before: set[Lease] = set()
 
     def beat(self) -> None:
-        """Record that the worker is alive, and requeue jobs without a living worker."""
+        """Record that the worker is alive, remove dead workers, and requeue jobs without a living worker. Raises
+        SQLAlchemyError.
+        """
         self._workers.beat(self._worker, self._running.offered_bytes)
         self._workers.forget(self._timing.dead_after_s)
         living = [worker.id for worker in self._workers.living(self._timing.dead_after_s)]
@@ -42,13 +44,12 @@ class Heartbeat:
             _log.warning("%d jobs that nobody works on are queued again", requeued)
 
     def end(self) -> None:
-        """Forget the worker."""
+        """Remove the worker from the table."""
         self._workers.remove(self._worker)
 
     def _left_behind(self) -> set[Lease]:
-        """This worker's jobs without a thread, now and at the last heartbeat.
-
-        A full disk or a failing database can prevent a job's end from being recorded.
+        """This worker's jobs without a thread, now and at the last heartbeat; the present ones are kept for the next
+        call. A full disk or a failing database can prevent a job's end from being recorded.
         """
         left = self._leases.held_by(self._worker) - self._running.leases
         found, self._left_before = left & self._left_before, left

@@ -36,7 +36,7 @@ class JobFolders:
         self._max_frame_pixels = max_frame_pixels
 
     def task(self, lease: Lease, work: JobWork, memory_bytes: float) -> MappingTask:
-        """The job's task, its inputs on this machine.
+        """The job's task, its inputs fetched to this machine.
 
         Raises:
             UnknownRecording, UnknownMap, UnknownSite, UnknownCamera: an input was deleted.
@@ -65,7 +65,9 @@ class JobFolders:
         return self._folder(lease) / (_MAP_FILE if work.options.site is None else _LINKS_FILE)
 
     def library(self, note: ActOnPublishing) -> MapLibrary:
-        """The library to publish to; ``note`` is as for :meth:`Stores.library_acting`."""
+        """The library to publish to, refreshed. ``note`` is called in each transaction that publishes to shared
+        storage. Raises SQLAlchemyError.
+        """
         self._stores.refresh()
         return self._stores.library_acting(note)
 
@@ -78,7 +80,7 @@ class JobFolders:
         return SiteLibrary(self._stores.documents(SITES))
 
     def store_notes(self, lease: Lease, work: JobWork) -> None:
-        """Store a run's notes on its recording, if any."""
+        """Store the notes that a run made on its recording, if any."""
         if work.recording:
             notes = notes_in(self._folder(lease) / _NOTES)
             self._stores.recordings.note(work.recording, {name: notes[name] for name in READ_FILES if name in notes})
@@ -107,7 +109,9 @@ class JobFolders:
         return self._stores.data_dir / _WORK / lease.run
 
     def _inputs(self, lease: Lease, work: JobWork) -> Path:
-        """Folder with the maps, the site, the camera and the queries that a job needs."""
+        """Folder with the maps, the site, the camera and the queries that a job needs; raises the errors of
+        :meth:`task`. If the job's file is built already, nothing is fetched.
+        """
         self._stores.refresh()
         inputs = self._folder(lease) / _INPUTS
         inputs.mkdir(exist_ok=True)
@@ -129,7 +133,9 @@ class JobFolders:
         return inputs
 
     def _link_maps(self, names: Sequence[str], folder: Path) -> None:
-        """Give the files of maps that are not in the folder yet a second name there."""
+        """Give the files of the named maps a second name in the folder, unless they have it. Raises UnknownMap and as
+        :meth:`task`.
+        """
         for name in names:
             if not (link := folder / place_of(name)).exists():
                 link_file(self._stores.library.path(name), link)

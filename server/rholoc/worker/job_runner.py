@@ -88,7 +88,7 @@ class JobRunner:
         self._running, self._limits, self._timing, self._stopping = running, limits, timing, stopping
 
     def run(self, claim: Claim) -> None:
-        """Build and publish. Returns when the job has ended, or this worker has lost it.
+        """Build and publish. Returns when the job has ended, was given to another worker, or this worker has lost it.
 
         Raises:
             SQLAlchemyError: the end could not be recorded. The next worker continues.
@@ -107,7 +107,9 @@ class JobRunner:
             self._folders.clear(self._leases.unfinished_runs)
 
     def _outcome(self, claim: Claim) -> tuple[str, ...] | Failure | MoreMemoryNeeded:
-        """Publish and return reasons not to trust the map; or return why there is none."""
+        """Build and publish. Returns reasons not to trust the map, or why there is none. After five dead workers the
+        job fails. Raises Cancelled if this worker has lost the job, SQLAlchemyError if the database does not answer.
+        """
         if claim.deaths >= _MAX_DEATHS:
             return Failure(
                 "internal",
@@ -146,7 +148,9 @@ class JobRunner:
             self._folders.remove(lease)
 
     def _build(self, lease: Lease, work: JobWork) -> Failure | MoreMemoryNeeded | None:
-        """Build in a child process unless the file exists. Returns why nothing was built, or None."""
+        """Build in a child process unless the file exists; store notes on the recording. Returns why nothing was built,
+        or None. A build killed for its memory needs more if some worker has more. Raises Cancelled.
+        """
         if self._folders.built_file(lease, work).exists():
             return None
         stages = StageSpans()
@@ -182,7 +186,9 @@ class JobRunner:
         return max((worker.memory_bytes for worker in living), default=self._running.offered_bytes)
 
     def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...]:
-        """Publish the built file. Returns reasons not to trust it."""
+        """Publish the built file. Returns reasons not to trust it. Raises Cancelled if the lease was lost, and
+        RholocError.
+        """
         if not self._leases.begin_publishing(lease):
             raise Cancelled("This worker no longer has the job.")
         task = self._task(lease, work)
@@ -191,7 +197,9 @@ class JobRunner:
         return reasons
 
     def _furnish(self, claim: Claim) -> None:
-        """Let the pipeline draw the room of a map that is published; without it, the map is as good as before."""
+        """Let the pipeline draw the room of a published map; failures are logged. Removes local copies of the
+        recording.
+        """
         lease, work = claim.lease, claim.work
         if work.options.kind.reads_recording:
             limits = replace(self._limits, memory_bytes=self._running.free_bytes(lease))

@@ -74,9 +74,9 @@ class Pipeline(Protocol):
         ...
 
     def furnish(self, task: MappingTask, library: MapLibrary, check: Callable[[], object], limits: Limits) -> None:
-        """Add to the published map of ``task.built_file`` what people see of the room.
+        """Draw the room's surfaces and add them to the published map of ``task.built_file``.
 
-        Nobody waits for it: a map that has changed meanwhile, or a failure, leaves it as it is.
+        Does nothing if that map has changed meanwhile. Callers must catch errors: the map is as good without.
 
         Args:
             task: the work of a job whose map was published.
@@ -96,8 +96,8 @@ class MappingPipeline:
 
         Reading the recording shows the required memory; if that is too much, the build ends.
 
-        Raises: as :func:`rholoc.recordings.read_recording`, and :func:`rholoc.mapping.build_map`, ``update_map``,
-            ``learn_from_queries`` or :func:`rholoc.worker.site_placing.write_links` do.
+        Raises what :func:`rholoc.recordings.read_recording` raises, and :func:`rholoc.mapping.build_map`,
+        ``update_map``, ``learn_from_queries`` or :func:`rholoc.worker.site_placing.write_links`.
         """
         if task.built_file.exists():
             return None
@@ -118,7 +118,7 @@ class MappingPipeline:
 
         Raises:
             Conflict: the map that was updated is no longer the one in the library.
-            InvalidName, InvalidMap, StorageFull, InvalidInput: as :meth:`rholoc.library.MapLibrary.put_file` does.
+            InvalidName, InvalidMap, StorageFull, InvalidInput: the map cannot be stored.
         """
         map_ = load_map(task.built_file)
         if _updates(task):
@@ -128,7 +128,10 @@ class MappingPipeline:
         return doubts(map_)
 
     def furnish(self, task: MappingTask, library: MapLibrary, check: Callable[[], object], limits: Limits) -> None:
-        """Draw the room's surfaces from the recording, in a child process, and put them into the map."""
+        """Draw the room's surfaces from the recording, in a child process, and put them into the map if there are any.
+
+        Raises Cancelled by ``check``, RholocError, or how the child died.
+        """
         furnished = task.built_file.with_name(f"room-{task.built_file.name}")
         draw = run_in_child(
             write_room, task, furnished, progress=silent, check=check, limits=limits, niceness=BACKGROUND_NICENESS
@@ -138,7 +141,11 @@ class MappingPipeline:
 
 
 def write_room(task: MappingTask, target: Path, progress: ProgressListener) -> bool:
-    """Write the task's built map with the surfaces of its room. Returns False if the recording shows none."""
+    """Write the task's built map with the surfaces of its room to ``target``. Returns False, without a file, if none
+    are shown.
+
+    Raises what :func:`read_recording` raises, and Cancelled.
+    """
     map_ = load_map(task.built_file)
     drawn = draw_room(map_, [_recording_of(task)], progress)
     if drawn is map_:

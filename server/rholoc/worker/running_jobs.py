@@ -24,7 +24,7 @@ class RunningJobs:
 
     @property
     def is_full(self) -> bool:
-        """Whether the worker has as many jobs as it takes on."""
+        """Whether the worker has as many jobs as its capacity allows."""
         with self._changed:
             return len(self._claims) >= self._capacity.jobs
 
@@ -41,17 +41,17 @@ class RunningJobs:
 
     @property
     def unused_bytes(self) -> float:
-        """Memory that no job takes [bytes]."""
+        """Memory that no present job has claimed [bytes]; jobs of unknown need claim none."""
         with self._changed:
             return self._capacity.memory_bytes - sum(claim.memory_bytes for claim in self._claims.values())
 
     def add(self, claim: Claim) -> None:
-        """Add a job."""
+        """Add a job that was taken."""
         with self._changed:
             self._claims[claim.lease] = claim
 
     def drop(self, lease: Lease) -> None:
-        """Remove a job."""
+        """Remove a job; one that is not there is ignored."""
         with self._changed:
             self._claims.pop(lease, None)
             self._changed.notify_all()
@@ -62,16 +62,16 @@ class RunningJobs:
             self._changed.wait_for(lambda: not self._claims, timeout_s)
 
     def free_bytes(self, lease: Lease) -> float:
-        """Upper bound on a job's memory [bytes]: what other jobs have not claimed, at most the limit of one job."""
+        """Upper bound on a job's memory [bytes]: what the other jobs have not claimed, at most the limit of one job."""
         with self._changed:
             others = sum(claim.memory_bytes for claim in self._claims.values() if claim.lease != lease)
         return min(self._job_memory_bytes, self._capacity.memory_bytes - others)
 
     def granted_bytes(self, lease: Lease) -> float:
-        """Upper bound on a job's memory [bytes].
+        """Memory granted to a job [bytes]: :meth:`free_bytes`, or 0 while its need is unknown on a worker of several
+        jobs.
 
-        While the job's need is unknown, it gets no memory beside other jobs. Once its recording was read, it is
-        requeued with its need, for a worker with enough free memory.
+        Once the recording of such a job was read, it is requeued with its need, for a worker with enough free memory.
         """
         with self._changed:
             is_unknown = lease in self._claims and self._claims[lease].memory_bytes == 0

@@ -35,7 +35,7 @@ class WorkerSetup:
 
     @classmethod
     def from_line(cls, line: bytes) -> WorkerSetup:
-        """From the line of :meth:`to_line`."""
+        """The setup that :meth:`to_line` made this line from."""
         values = json.loads(line)
         values["data_dir"], values["maps_dir"] = Path(values["data_dir"]), Path(values["maps_dir"])
         values["capacity"], values["limits"] = Capacity(**values["capacity"]), BuildLimits(**values["limits"])

@@ -67,7 +67,7 @@ def store_links(file: Path, site_name: str, sites: SiteLibrary, library: MapLibr
 
     Raises:
         UnknownSite: it was deleted.
-        Conflict: the site keeps changing.
+        Conflict: the site has changed at each of eleven attempts.
         InvalidInput, StorageFull: nothing was stored.
     """
     pairs = _read(file)

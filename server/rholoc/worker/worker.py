@@ -70,7 +70,7 @@ class Worker:
     def start(self) -> None:
         """Begin to take jobs, in threads and processes of the worker's own.
 
-        A full disk or a database that does not answer is waited for.
+        A full disk or a database that does not answer is retried in the background.
 
         Raises:
             InvalidInput, Conflict: the database cannot be used as it is.
@@ -86,7 +86,9 @@ class Worker:
         _log.info("worker %s started", self.id)
 
     def stop(self) -> None:
-        """Stop within a few seconds and requeue running jobs."""
+        """Stop and requeue running jobs, waiting some seconds for them; without a database other workers requeue them
+        later.
+        """
         self._stopping.set()
         for thread in self._threads:
             thread.join()
@@ -99,11 +101,13 @@ class Worker:
         _log.info("worker %s stopped", self.id)
 
     def _repeating(self, act: Callable[[], None], every_s: float, name: str) -> threading.Thread:
-        """A thread for :meth:`_repeat`."""
+        """A thread, not started, that runs :meth:`_repeat`."""
         return threading.Thread(target=self._repeat, args=(act, every_s, name), name=f"rholoc {name}", daemon=True)
 
     def _repeat(self, act: Callable[[], None], every_s: float, name: str) -> None:
-        """Call ``act`` again and again until the worker stops; log only the first of several failures in a row."""
+        """Call ``act`` every ``every_s`` seconds until the worker stops; log only the first of several failures in a
+        row.
+        """
         is_failing = False
         while not self._stopping.wait(every_s):
             try:
@@ -119,7 +123,9 @@ class Worker:
             pass
 
     def _take(self) -> bool:
-        """Take a job and start it in a thread of its own. Returns whether there was one, and room for it."""
+        """Take a job and start it in a thread of its own. Returns False if the worker is full or stops, or there is no
+        job.
+        """
         if self._running.is_full or self._stopping.is_set():
             return False
         claim = self._leases.take(self.id, self._running.offered_bytes, self._running.unused_bytes)

@@ -217,7 +217,9 @@ def forget(
 
 
 def save_and_print(map_: Map, target: Path, as_json: bool) -> None:
-    """Write a map to a file, and print its page or its figures as JSON."""
+    """Write a map to the file ``target``, and print its page or its figures as JSON. Raises InvalidMap,
+    StorageFull, InvalidInput.
+    """
     from rholoc.maps import save_map
 
     save_map(map_, target)

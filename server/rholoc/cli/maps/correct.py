@@ -310,7 +310,7 @@ def labels(
 
 
 def _correct(map_file: Path, out: Path | None, as_json: bool, corrected: Callable[[Map], Map]) -> None:
-    """Write the map's next version, and print what was corrected."""
+    """Load a map, write its next version to ``out`` or over itself, and print what was corrected."""
     from rholoc.maps import load_map, save_map
     from rholoc.maps.info import info_to_json
 
@@ -325,10 +325,8 @@ def _correct(map_file: Path, out: Path | None, as_json: bool, corrected: Callabl
 
 
 def _vector(text: str, count: int) -> FloatArray:
-    """``count`` coordinates.
-
-    Raises:
-        InvalidInput: the text is something else.
+    """``count`` coordinates (count,) from numbers separated by commas or spaces. Raises InvalidInput: the text is
+    something else.
     """
     import numpy as np
 
@@ -344,11 +342,7 @@ def _vector(text: str, count: int) -> FloatArray:
 
 
 def _corners(text: str) -> FloatArray:
-    """Corners (N, 2) of an outline.
-
-    Raises:
-        InvalidInput: the text holds something else.
-    """
+    """Corners (N, 2) of an outline, "x y, x y, …". Raises InvalidInput: the text is something else."""
     import numpy as np
 
     return np.array([_vector(corner, 2) for corner in text.split(",")])

@@ -34,7 +34,7 @@ def print_page(map_: Map, path: Path) -> None:
 
 
 def map_figures(map_: Map, path: Path) -> dict[str, Any]:
-    """All that a map in a file says about itself, JSON-serialisable."""
+    """All that a map in the file ``path`` says about itself, JSON-serialisable: counts, bytes, and its info."""
     from rholoc.maps.info import info_to_json
 
     counts = {
@@ -49,7 +49,7 @@ def map_figures(map_: Map, path: Path) -> dict[str, Any]:
 
 
 def map_page(map_: Map, path: Path) -> dict[str, str]:
-    """The page's lines by their names, the most important first; lines about which nothing is known are left out."""
+    """The page's lines by their names, the most important first, as texts with units; unknown ones are left out."""
     from rholoc.maps import expected_error_m, trust_of
 
     info = map_.info
@@ -75,13 +75,13 @@ def map_page(map_: Map, path: Path) -> dict[str, str]:
 
 
 def trust_line(trusted: bool | None, reason: str) -> str:
-    """Whether a map is to be trusted, and why (not), for people."""
+    """ "yes", "no" or "unknown" (None), with the reason, for people."""
     word = {True: "yes", False: "no", None: "unknown"}[trusted]
     return f"{word}. {reason}".strip() if reason else word
 
 
 def _room(map_: Map) -> str:
-    """Extent of nine tenths of the landmarks along x, y and z."""
+    """Extent of nine tenths of the landmarks along x, y and z, as text; empty without landmarks."""
     import numpy as np
 
     if not len(map_):

@@ -57,7 +57,7 @@ def prioritize(
 
 @contextmanager
 def open_queue(settings: Settings) -> Iterator[JobQueue]:
-    """The queue of a server, connected. Raises as :meth:`JobQueue.check`."""
+    """The queue of a server, connected. Raises StorageUnavailable, StorageFull, InvalidInput, Conflict."""
     from rholoc.jobs import JobQueue
 
     queue = JobQueue(settings.stores().recordings)

@@ -119,7 +119,7 @@ def _store(data: Data) -> KeyStore:
 
 
 def _limited(limits: KeyLimits) -> str:
-    """A key's limits in words; empty where it has none."""
+    """A key's limits in words; empty if it has none."""
     return ", ".join(
         words.format(value)
         for words, value in (

@@ -119,14 +119,17 @@ def serve(
 
 
 def _end_at_once(status: int) -> NoReturn:
-    """End this process without Python's clean-up, which waits for threads or crashes beside native ones."""
+    """End this process with ``status``, without Python's clean-up, which waits for threads or crashes beside native
+    ones.
+    """
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
 
 
 def phone_link(where: str, keys: KeyStore | None) -> str:
-    """Link that opens the recorder, with a temporary key of scope ``map`` if the server needs keys.
+    """Link that opens the recorder, with a new key of scope ``map`` for two hours if the server needs keys and can
+    store it.
 
     Args:
         where: the server's address.
@@ -144,7 +147,9 @@ def phone_link(where: str, keys: KeyStore | None) -> str:
 
 
 def _https(settings: Settings, port: int, keys: KeyStore | None) -> tuple[Path, str]:
-    """The server's certificate and its address; prints the recorder's address, as a QR code with a key too."""
+    """The server's certificate, made if necessary, and its address; prints the recorder's address, as a QR code with a
+    key too.
+    """
     from rholoc.service.operate.certificates import addresses, server_certificate
 
     everywhere = settings.host in (_EVERYWHERE, "::")
@@ -212,7 +217,7 @@ def opened_keys(settings: Settings) -> KeyStore:
 
 
 def service_settings(**options: object) -> Settings:
-    """The settings: options that were given, else the environment's, else the defaults."""
+    """The settings: options other than None, else the environment's, else the defaults. Raises InvalidInput."""
     from pydantic import ValidationError
 
     from rholoc.service import Settings

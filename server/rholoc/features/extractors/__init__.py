@@ -33,7 +33,7 @@ class Extractor(Protocol):
 
     @property
     def descriptor_bytes(self) -> int:
-        """The length of its descriptors."""
+        """Length of its descriptors [bytes]."""
         ...
 
     @property
@@ -47,7 +47,8 @@ class Extractor(Protocol):
 
 
 def widened(extractor: Extractor, camera: Camera | None) -> Extractor:
-    """An extractor that finds as much in every part of a wide camera's pictures as in ordinary ones.
+    """Extractor with limits multiplied by the camera's breadth, to find as much in every part of a wide picture; itself
+    for a pinhole.
 
     Args:
         extractor: for ordinary pictures.

@@ -25,7 +25,7 @@ class Graph:
         self._numbers = count()
 
     def input(self, name: str, shape: Sequence[int]) -> str:
-        """Declare an input of the network."""
+        """Declare a float32 input of the network; returns its name."""
         self._fields.append(_bytes(11, _value(name, shape)))
         return name
 
@@ -35,19 +35,21 @@ class Graph:
         self._fields.append(_bytes(12, _value(name, shape)))
 
     def constant(self, array: FloatArray | IntArray) -> str:
-        """Weights (float32), or whole numbers such as a shape (int64)."""
+        """Add weights (stored as float32), or whole numbers such as a shape (int64); returns the tensor's name."""
         name = self._new_name()
         self._fields.append(_bytes(5, _tensor(name, array)))
         return name
 
     def add(self, operator: str, *inputs: str, **attributes: Attribute) -> str:
-        """The output of an operator, by ONNX's name for it."""
+        """Add an operator, by ONNX's name for it; returns the name of its output."""
         name = self._new_name()
         self._fields.append(_bytes(1, _node(operator, inputs, name, attributes)))
         return name
 
     def convolution(self, x: str, weights: FloatArray, bias: FloatArray, stride: int = 1) -> str:
-        """A convolution by weights (O, I, K, K), K odd, of a picture with zeros around it, at every ``stride``."""
+        """Add a convolution with weights (O, I, K, K), K odd, zero padding and a ``stride``; returns the name of its
+        output.
+        """
         size = weights.shape[-1]
         geometry = {"kernel_shape": (size, size), "pads": (size // 2,) * 4, "strides": (stride, stride)}
         return self.add("Conv", x, self.constant(weights), self.constant(bias), **geometry)
@@ -111,7 +113,9 @@ def _int(field: int, value: int) -> bytes:
 
 
 def _varint(value: int) -> bytes:
-    """Seven bits a byte, the lowest first; the highest bit says that more follow."""
+    """A non-negative number as Protocol Buffers write it: seven bits a byte, the lowest first; the highest bit says
+    more follow.
+    """
     parts = []
     while value > 127:
         parts.append(value & 127 | 128)

@@ -72,11 +72,11 @@ class OrbExtractor:
 
     @property
     def quick(self) -> OrbExtractor:
-        """This one."""
+        """This extractor itself."""
         return self
 
     def extract(self, image: ByteArray) -> FeatureSet:
-        """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8."""
+        """Features of an image (H, W, 3) BGR or (H, W) grey, channel after channel; none if a side is below 31 px."""
         if min(image.shape[:2]) < _PATCH_PX:
             return FeatureSet.empty(DESCRIPTOR_BYTES)
         sets = []

@@ -50,7 +50,7 @@ class SiftExtractor:
 
     @lazy
     def quick(self) -> SiftExtractor:
-        """The same in smaller pictures."""
+        """The same with ``quick_px`` as ``longest_px``; itself if ``quick_px`` is None."""
         return self if self.quick_px is None else replace(self, longest_px=self.quick_px, quick_px=None)
 
     def extract(self, image: ByteArray) -> FeatureSet:
@@ -86,7 +86,7 @@ def root_sift(descriptors: FloatArray) -> FloatArray:
 
 
 def shortened(descriptors: FloatArray, size: int) -> ByteArray:
-    """Descriptors (N, 128) of length 512 as ``size`` bytes each."""
+    """Descriptors (N, 128) of length 512 as ``size`` bytes each: rounded if 128, else projected and shifted by 128."""
     if size == FULL_BYTES:
         return np.asarray(np.minimum(np.rint(descriptors), 255).astype(np.uint8))
     mean, basis = _basis(size)

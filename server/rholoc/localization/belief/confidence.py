@@ -100,7 +100,12 @@ WEIGHTS = Weights(
 
 
 def confidence_features(verified: Sequence[Verified], covariance: FloatArray) -> ConfidenceFeatures:
-    """Confidence features of jointly verified frames. ``covariance`` (6, 6) is of the frame to answer."""
+    """Confidence features of jointly verified frames.
+
+    Args:
+        verified: evidence for each frame's pose; counts and nats are summed over frames.
+        covariance: (6, 6) of the pose to answer, position [m] first.
+    """
     supports = [one.support for one in verified]
     found, expected = sum(one.found for one in supports), sum(one.expected for one in supports)
     inliers = sum(one.inliers for one in verified)
@@ -122,9 +127,11 @@ def belief_of(verified: Verified) -> Belief:
 
 
 def joint_belief(verified: Sequence[Verified], covariance: FloatArray) -> Belief:
-    """Belief in a pose from jointly verified frames. ``covariance`` (6, 6) is of the frame to answer.
+    """Belief in a pose from jointly verified frames.
 
-    A position with a standard deviation of half a metre or more lowers ``recognized``.
+    ``covariance`` (6, 6) is of the frame to answer. ``recognized`` is multiplied by the probability that this
+    covariance, reduced to its systematic part, leaves the pose within 50 cm and 20°: it falls as the standard deviation
+    nears half a metre.
     """
     belief = belief_by(confidence_features(verified, covariance))
     known = probability_right(covariance / SYSTEMATIC**2, PLACE_M, PLACE_RAD)
@@ -132,13 +139,15 @@ def joint_belief(verified: Sequence[Verified], covariance: FloatArray) -> Belief
 
 
 def belief_by(features: ConfidenceFeatures, weights: Weights = WEIGHTS) -> Belief:
-    """Evaluate the confidence model."""
+    """Evaluate the confidence model: features → probabilities of the right place and, there, of an exact pose."""
     exact = float(expit(_weighed((features.sigma,), weights.exact)))
     return Belief(float(expit(_place_logit(features, weights))), exact)
 
 
 def _place_logit(features: ConfidenceFeatures, weights: Weights) -> float:
-    """Log odds that the place is right."""
+    """Log odds that the place is right, with the weights for those of colours and patches that are known. Colours lower
+    them by at most log 2 against the odds without colours.
+    """
     known: tuple[float, ...] = features.place
     alone, by_colours = weights.place, weights.colours
     if features.has_patches:
@@ -155,7 +164,7 @@ def _weighed(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
 
 
 def _mean_known(supports: Sequence[Support], values: Sequence[float]) -> float:
-    """Mean of the known values, weighted by the number of landmarks found in each frame; NaN if none is known."""
+    """Mean of the values that are not NaN, weighted by each frame's number of found landmarks; NaN if none is known."""
     known = [(one.found, value) for one, value in zip(supports, values, strict=True) if not math.isnan(value)]
     found = sum(weight for weight, _ in known)
     return sum(weight * value for weight, value in known) / found if found else math.nan

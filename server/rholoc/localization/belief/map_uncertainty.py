@@ -25,13 +25,16 @@ _IN_UNTRUSTED_MAP = 0.8
 def with_map_error(index: MapIndex, answer: Localization, of_modes: FloatArray | None = None) -> Localization:
     """Add the map's own error, and other modes of the place, to the covariances and probabilities of an answer.
 
+    In a map that failed a check, ``exact`` is multiplied by 0.8. Covariances are only changed for a pose in a metric
+    map.
+
     Args:
         index: index of the map.
         answer: an answer that treats the map as exact.
-        of_modes: (6, 6) second moment of the modes in the answer's place; None where it has one mode.
+        of_modes: (6, 6) second moment of the modes in the answer's place; None if it has one mode.
 
     Returns:
-        The same answer relative to the real world.
+        The answer relative to the real world, with ``expected_error_m`` if the map has covariances there.
     """
     trusted = index.trust.trusted
     belief = Belief(answer.belief.recognized, answer.belief.exact * (_IN_UNTRUSTED_MAP if trusted is False else 1.0))
@@ -48,7 +51,9 @@ def with_map_error(index: MapIndex, answer: Localization, of_modes: FloatArray |
 
 
 def _widened(answer: Localization, own: FloatArray, others: FloatArray) -> Localization:
-    """The answer with a covariance of ``own`` + ``others`` (6, 6), and as much less sure."""
+    """The answer with covariance ``own`` + ``others`` (6, 6), its probabilities lowered by the ratio in which
+    ``others`` lower the probability of being within 50 cm and 20°, and within 10 cm and 5°.
+    """
     here, exact = widening_factor(own, others, PLACE_M, PLACE_RAD), widening_factor(own, others)
     exact_if_here = min(exact / here, 1.0) if here > 0 else 0.0
     belief = Belief(answer.belief.recognized * here, answer.belief.exact * exact_if_here)
@@ -59,9 +64,13 @@ def gated(answer: Localization, min_recognized: float, query: Query) -> Localiza
     """Withhold the pose if the place is too doubtful, or the pose less exact than the query demands.
 
     Args:
-        answer: an answer with or without a pose.
+        answer: an answer with or without a pose; one without is returned unchanged.
         min_recognized: minimum probability of the right place.
         query: its ``max_sigma_m`` and ``max_sigma_rad`` bound the standard deviations along the worst axes.
+
+    Returns:
+        The answer, or one that is not localized, with reason NOT_RECOGNIZED (the pose becomes its first alternative) or
+        TOO_INEXACT (with a diagnosis).
     """
     if answer.pose is None or answer.covariance is None:
         return answer

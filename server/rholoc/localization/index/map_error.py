@@ -100,7 +100,8 @@ def probability_right(covariance: FloatArray, within_m: float = RIGHT_M, within_
 def widening_factor(
     own: FloatArray, others: FloatArray, within_m: float = RIGHT_M, within_rad: float = RIGHT_RAD
 ) -> float:
-    """Factor 0 to 1 by which further errors lower the probability that a pose is within both bounds.
+    """Factor 0 to 1 by which further errors lower the probability that a pose is within both bounds; 1 if it is 0
+    already.
 
     Args:
         own: (6, 6) covariance of the pose.
@@ -114,9 +115,8 @@ def widening_factor(
 
 @cache
 def _directions() -> FloatArray:
-    """(N, 6) evenly spread unit vectors, deterministic: the additive recurrence of Roberts (2018).
-
-    ``scipy.stats`` has such sequences, but importing it takes a tenth of a server's start-up time.
+    """(512, 6) evenly spread unit vectors, deterministic: the additive recurrence of Roberts (2018). ``scipy.stats``
+    has such sequences, but importing it takes a tenth of a server's start-up time.
     """
     uniform = (0.5 + np.outer(np.arange(1, _DIRECTIONS + 1), _GOLDEN ** -np.arange(1.0, 7.0))) % 1
     normal = ndtri(uniform)

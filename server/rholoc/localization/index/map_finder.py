@@ -93,7 +93,7 @@ class MapFinder:
 
     @property
     def unknown(self) -> list[str]:
-        """Sorted names of the maps that are not indexed yet."""
+        """Sorted names of the maps in the library whose present file is not indexed yet."""
         files = self._files
         return sorted(name for name, file in self._present.items() if files.get(name) != file)
 
@@ -104,11 +104,12 @@ class MapFinder:
     def likeliest(
         self, features_by: Callable[[Extractor], FeatureSet], most: int, among: Collection[str] | None = None
     ) -> list[LikelyMap]:
-        """Rank maps by similarity to a picture. Returns at most ``most``, alternating between kinds of features.
+        """Rank maps by similarity to a picture. Returns at most ``most``, best first, alternating between kinds of
+        features.
 
         Args:
             features_by: returns the picture's features for an extractor; raises InvalidDescriptors if it has none of
-                that kind.
+                that kind, which leaves out the maps of that kind.
             most: maximum number of maps.
             among: names of the maps to consider; default: all.
         """
@@ -123,7 +124,11 @@ class MapFinder:
         return list(islice(in_turn, most))
 
     def refresh(self, is_stopped: Callable[[], bool] = lambda: False) -> None:
-        """Index what has changed in the library. Returns early once ``is_stopped`` is true."""
+        """Index what has changed in the library, unless its stamp is unchanged since a look less than 30 s ago.
+
+        Returns early once ``is_stopped`` is true. Failures of the file or the storage do not propagate: :attr:`trouble`
+        tells them.
+        """
         stamp, now_s = self._library.stamp(), time.monotonic()
         if stamp == self._scanned_stamp and now_s < self._scanned_s + _LOOK_AT_ALL_S:
             return
@@ -156,7 +161,9 @@ class MapFinder:
     # -- what is stored ------------------------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        """Load everything from the file: once, and again after another process has trained a new model."""
+        """Replace everything held by the file's content: at the first call, and once another process has stored a new
+        model. Raises sqlite3.Error or OSError if the file cannot be used.
+        """
         known = {name: model.id for name, model in self._models.items()}
         if self._is_read and self._store.model_ids() in (known, {}):
             return
@@ -185,7 +192,9 @@ class MapFinder:
 
     @contextmanager
     def _noting_trouble(self) -> Iterator[None]:
-        """Log and ignore errors of the file: it only saves time at the next start."""
+        """Suppress errors of the file within the block and note them in :attr:`trouble`: the file only saves time at
+        the next start.
+        """
         try:
             yield
         except (sqlite3.Error, OSError) as error:
@@ -194,7 +203,7 @@ class MapFinder:
     # -- what has changed ----------------------------------------------------------------------------------------------
 
     def _scan(self) -> dict[str, str]:
-        """Names of the library's maps, each with an identifier of its file's version."""
+        """Names of the library's maps → identifier of each file's version (modification time and size)."""
         found = {}
         for name in self._library.names():
             try:
@@ -205,7 +214,10 @@ class MapFinder:
         return found
 
     def _take(self, name: str, file: str, others: Sequence[str]) -> None:
-        """Index a map, from the views that another process has stored or from the map itself."""
+        """Index the version ``file`` of a map, from the views that another process has stored or from the map itself.
+        Where its kind of features has no model yet, one is trained on it and on the maps ``others``. An unreadable map
+        is noted as known, without views.
+        """
         with self._noting_trouble():
             for stored in self._store.views(name):
                 model = self._models.get(stored.features)
@@ -240,7 +252,9 @@ class MapFinder:
         self._files[views.map] = views.file
 
     def _loaded(self, name: str) -> Map | None:
-        """Load a map. Returns None if it cannot be read, or if its extractor is unknown."""
+        """Load a map. None if it cannot be read, or if its extractor is unknown. Raises StorageUnavailable,
+        StorageFull.
+        """
         try:
             map_ = load_map(self._library.path(name))
             get_extractor(map_.info.features)
@@ -251,7 +265,9 @@ class MapFinder:
     # -- what is learned -----------------------------------------------------------------------------------------------
 
     def _learned(self, features: str, names: Sequence[str]) -> Model | None:
-        """Train a model on the first maps with these features. Returns None if there are none."""
+        """Train a model on at most 64 of the maps ``names`` with these features, about 1000 pictures in all. Returns
+        None if none has any.
+        """
         share = max(_MIN_PICTURES, _TRAINING_PICTURES // min(_LEARNED_FROM, len(names)))
         pictures: list[ByteArray] = []
         maps = 0
@@ -268,11 +284,12 @@ class MapFinder:
         return Model.new(features, maps, PictureVectors.learned(pictures, get_extractor(features).metric))
 
     def _relearn(self, changed: Sequence[str], is_stopped: Callable[[], bool]) -> None:
-        """Train models again that were trained on too few maps, and convert their views.
+        """Train models again that were trained on fewer than 64 maps where there are now twice as many, and convert
+        their views.
 
         Args:
             changed: names of maps that are not indexed yet.
-            is_stopped: whether to stop early.
+            is_stopped: whether to stop early; the model at hand is then left as it was.
         """
         for features, before in list(self._models.items()):
             names = [*sorted(self._indexes[features].names - set(changed)), *changed]

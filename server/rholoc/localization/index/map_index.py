@@ -48,10 +48,10 @@ class MapIndex:
         self.visibility = csr_array((ones, seen, map_.view_offsets), shape=(len(map_.views), len(map_)))
 
     def map_covariance(self, landmarks: IntArray, position: FloatArray, views: int) -> FloatArray | None:
-        """Covariance (6, 6) of the map at a ``position`` (3,), from the ``views`` views that saw most of ``landmarks``
-        (M,).
+        """Covariance (6, 6) of the map at a ``position`` (3,) [m], from the ``views`` views that saw most of
+        ``landmarks`` (M,).
 
-        Returns None if the map has no covariances there.
+        Returns None if the map has no covariances, or those views have none.
         """
         if self.map.views.covariances is None:
             return None
@@ -62,7 +62,7 @@ class MapIndex:
 
     @lazy
     def trust(self) -> Trust:
-        """Verdict on the map from its own report."""
+        """Verdict on the map from its own report's checks."""
         return trust_of(self.map.info)
 
     def shared_with(self, view: int) -> FloatArray:
@@ -72,7 +72,7 @@ class MapIndex:
 
     @lazy
     def seen_upright(self) -> bool:
-        """Whether the map's own views come from a camera held upright."""
+        """Whether a camera held upright took the map's views: 80 % lean by less than 4°. False if up is unknown."""
         if not self.map.info.upright or len(self.map.views.T_map_camera) == 0:
             return False
         lean_rad = np.arcsin(np.clip(np.abs(self.map.views.T_map_camera[:, 2, 0]), 0, 1))  # of the camera's x axis
@@ -96,9 +96,7 @@ class MapIndex:
         return np.flatnonzero(seen)
 
     def seen_alike(self, landmarks: IntArray, views: int) -> BoolArray:
-        """Mask (F,) of features seen by the ``views`` views that saw most of ``landmarks`` (M,), and hence from
-        nearby.
-        """
+        """Mask (F,) of features seen by the ``views`` views that saw most of ``landmarks`` (M,), hence from nearby."""
         votes = self.seen_by_views(landmarks)
         seen = np.zeros(len(self.map), dtype=bool)
         seen[self.seen_from(np.argsort(-votes, kind="stable")[:views])] = True
@@ -116,11 +114,11 @@ class MapIndex:
         return self._nearest(self._everywhere, self._medoids, features, some)
 
     def match_everywhere(self, features: FeatureSet) -> Matches:
-        """Match a query's features against the whole map."""
+        """Match each of a query's features with the map's nearest landmark, within the loose limit. Not mutual."""
         return self.nearest_everywhere(features).matches()
 
     def match_within(self, features: FeatureSet, landmarks: IntArray, some: IntArray | None = None) -> Matches:
-        """Mutual nearest-neighbour matches with a subset of the map's landmarks.
+        """Mutual nearest-neighbour matches with the landmarks (P,), within the loose descriptor limit.
 
         With ``some`` (N,), only these rows of the features are matched, and only against each landmark's first
         descriptor, which is faster.
@@ -130,7 +128,9 @@ class MapIndex:
     def nearest_within(
         self, features: FeatureSet, landmarks: IntArray, some: IntArray | None = None
     ) -> NearestLandmarks:
-        """Nearest landmarks within a subset of the map, for the features that :meth:`match_within` would use."""
+        """The four nearest of the landmarks (P,) for each feature, or for the rows ``some`` (N,), as
+        :meth:`match_within` compares them.
+        """
         rows = self.descriptor_rows(landmarks) if some is None else self._medoids[landmarks]
         channels = self.map.landmarks.channels[self.map.descriptors.features[rows]]
         index = DescriptorIndex(self.map.descriptors.values[rows], channels, self.metric)
@@ -144,7 +144,7 @@ class MapIndex:
         radius_px: float,
         some: IntArray | None = None,
     ) -> tuple[Matches, FloatArray]:
-        """Match features with the landmarks that project close to them.
+        """Match features with the landmarks that project close to them and may be visible from the pose.
 
         Args:
             features: the query's N features.
@@ -154,8 +154,8 @@ class MapIndex:
             some: (S,) rows of the features to match; default: all.
 
         Returns:
-            Mutual best matches, and the probability (N,) that each feature matches something within the radius by
-            chance.
+            Mutual best matches within the loose descriptor limit, and the probability (N,) that each feature matches
+            something within the radius by chance.
         """
         present = np.flatnonzero(self.present(T_map_camera[:3, 3]))
         pixels = camera.project((self.landmarks[present] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
@@ -177,7 +177,7 @@ class MapIndex:
         return Matches(detections[mutual], landmarks[mutual], chances), by_chance
 
     def descriptor_rows(self, landmarks: IntArray) -> IntArray:
-        """Rows of all descriptors of the given landmarks."""
+        """Rows of all descriptors of the landmarks (M,), grouped in their order."""
         return ranges(self._first_descriptor[landmarks], self._first_descriptor[landmarks + 1])
 
     def distances_to(self, features: FeatureSet, detections: IntArray, landmarks: IntArray) -> FloatArray:
@@ -196,6 +196,9 @@ class MapIndex:
     def _nearest(
         self, index: DescriptorIndex, rows: IntArray, features: FeatureSet, some: IntArray | None = None
     ) -> NearestLandmarks:
+        """The four nearest entries of ``index`` for each feature, or for the rows ``some``. ``rows`` (E,) are the map's
+        descriptors that the entries stand for; the result names their landmarks, -1 for none.
+        """
         detections = np.arange(len(features)) if some is None else some
         distances, found = index.nearest(features if some is None else features.take(some), _CANDIDATES)
         owners = np.where(found >= 0, self.map.descriptors.features[rows[np.maximum(found, 0)]], -1)
@@ -208,7 +211,9 @@ def _tree(pixels: FloatArray) -> cKDTree:
 
 
 def chance_of_likeness(map_: Map) -> float:
-    """Probability that descriptors of two different landmarks are similar enough for a match, from a sample."""
+    """Probability that descriptors of two different landmarks of one channel are closer than the loose limit, from
+    20,000 random pairs; 0 if no pair qualifies.
+    """
     metric = get_extractor(map_.info.features).metric
     rng = np.random.default_rng(0)
     a, b = rng.integers(0, len(map_.descriptors), (2, _CHANCE_SAMPLES))

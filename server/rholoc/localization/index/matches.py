@@ -70,7 +70,7 @@ class NearestLandmarks:
         return len(self.detections)
 
     def joined(self, others: NearestLandmarks) -> NearestLandmarks:
-        """Concatenation with the nearest landmarks of other features."""
+        """Concatenation with the nearest landmarks of other features; their K must be equal."""
         return NearestLandmarks(
             np.concatenate([self.detections, others.detections]),
             np.concatenate([self.landmarks, others.landmarks]),
@@ -79,8 +79,8 @@ class NearestLandmarks:
         )
 
     def matches(self, mutual: bool = False) -> Matches:
-        """Match each feature with its nearest landmark; if ``mutual``, only if no other feature is nearer to that
-        landmark.
+        """Match each feature with its nearest landmark, if within the loose descriptor limit; if ``mutual``, only if no
+        other feature is nearer to that landmark.
         """
         nearest, distances = self.landmarks[:, 0], self.distances[:, 0]
         other = (self.landmarks != nearest[:, None]) & (self.landmarks >= 0)
@@ -93,18 +93,20 @@ class NearestLandmarks:
         return Matches(self.detections[good], nearest[good], chances)
 
     def pairs(self) -> Matches:
-        """Pair each feature with all its nearest landmarks, each with its probability from the distance alone."""
+        """Pair each feature with each of its nearest landmarks within the loose descriptor limit; probabilities by
+        :func:`guided_chances`.
+        """
         rows, ranks = np.nonzero((self.landmarks >= 0) & (self.distances <= LIMITS[self.metric].loose))
         chances = guided_chances(self.distances[rows, ranks], self.metric)
         return Matches(self.detections[rows], self.landmarks[rows, ranks], chances)
 
 
 def match_chances(distances: FloatArray, rivals: FloatArray, metric: Metric) -> FloatArray:
-    """Probability that matches are true: a logistic function of the distance and of the margin over the rival.
+    """Probability (M,), 0.02 to 0.95, that matches are true: logistic in the distance and in the margin over the rival.
 
     Args:
         distances: (M,) to the matched landmark.
-        rivals: (M,) to the nearest other landmark.
+        rivals: (M,) to the nearest other landmark; not finite if there is none.
         metric: metric of the distances.
     """
     limits = LIMITS[metric]
@@ -114,13 +116,18 @@ def match_chances(distances: FloatArray, rivals: FloatArray, metric: Metric) -> 
 
 
 def guided_chances(distances: FloatArray, metric: Metric) -> FloatArray:
-    """Probability (M,) that matches are true that were searched only near the projected landmark."""
+    """Probability (M,), 0.1 to 0.95, that matches are true that were searched only near the projected landmark.
+
+    Logistic in the descriptor ``distances`` (M,) alone: one half at the metric's strict limit.
+    """
     limits = LIMITS[metric]
     return np.asarray(np.clip(1 / (1 + np.exp((distances - limits.strict) / limits.spread)), 0.1, _MAX_CHANCE))
 
 
 def is_least(distances: FloatArray, groups: IntArray, count: int) -> BoolArray:
-    """Mask (N,) of the smallest distance in each group. ``groups`` (N,) are 0 to count-1, or -1 for none."""
+    """Mask (N,) of the smallest distance in each group (several if equal). ``groups`` (N,) are 0 to count-1, or -1 for
+    none, which forms a group too.
+    """
     least = np.full(count + 1, np.inf, dtype=distances.dtype)
     np.minimum.at(least, groups, distances)
     return np.asarray(distances <= least[groups])

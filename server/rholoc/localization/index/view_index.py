@@ -49,8 +49,8 @@ class LikelyMap:
 
 
 def view_descriptors(map_: Map) -> list[ByteArray]:
-    """For each view of a map the descriptors (N, B) of the landmarks it saw, one each; at most ``MAX_VECTORS``
-    views.
+    """First descriptors (N, B) of the landmarks that each view saw, a list entry for each view in order; of more than
+    ``MAX_VECTORS`` views, so many evenly spaced ones.
     """
     first = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
     views = np.arange(len(map_.views))
@@ -83,7 +83,7 @@ class ViewIndex:
         return {held.maps[number] for number in np.unique(held.owners[held.owners >= 0]).tolist()}
 
     def put(self, given: Mapping[str, FloatArray]) -> None:
-        """Add the view vectors (V, ``DIMENSIONS``) of maps by name, replacing those that a map already has."""
+        """Add the view vectors (V, ``DIMENSIONS``), of unit length, of maps by name, replacing those that a map has."""
         with self._changing:
             held = self._held.without(set(given))
             new = np.concatenate([np.zeros((0, DIMENSIONS), np.float32), *given.values()])
@@ -106,9 +106,11 @@ class ViewIndex:
             self._held = self._held.without(set(names))
 
     def likeliest(self, descriptors: ByteArray, most: int, among: Collection[str] | None = None) -> list[LikelyMap]:
-        """Rank maps by similarity to a picture with descriptors (N, B). Returns at most ``most``, best first.
+        """Rank maps by similarity to a picture with descriptors (N, B): the mean similarity of each map's five best
+        views.
 
-        Considers all maps, or only those named in ``among``.
+        Returns at most ``most`` maps, best first, of all or of those named in ``among``; none for a picture without
+        features.
         """
         query = self.pictures.vectors([descriptors])
         if not query.any():
@@ -143,7 +145,11 @@ class _Held:
 
     @classmethod
     def of(cls, vectors: FloatArray, maps: tuple[str, ...], owners: IntArray) -> _Held:
-        """Index vectors (V, ``DIMENSIONS``), with a number of lists that suits their count."""
+        """Index vectors (V, ``DIMENSIONS``), with a number of lists that suits their count.
+
+        ``owners`` (V,) number the vectors' maps in ``maps``; maps without vectors are dropped and the others
+        renumbered.
+        """
         used, numbers = np.unique(owners, return_inverse=True)
         named = tuple(maps[number] for number in used.tolist())
         index = _empty_index(vectors)
@@ -151,7 +157,9 @@ class _Held:
         return cls(index, named, numbers.astype(np.int32), len(vectors))
 
     def is_outgrown_by(self, owners: IntArray) -> bool:
-        """Whether vectors with these owners (V,) need more lists."""
+        """Whether the lists should be built anew for vectors with these owners (V,): four times as many as they were
+        made for, or a third of removed maps (-1); never below 5000.
+        """
         dead = np.count_nonzero(owners < 0)
         return bool(len(owners) > max(_FEW, _GROWTH * self.made_for) or dead > max(_FEW, _DEAD_SHARE * len(owners)))
 
@@ -162,7 +170,11 @@ class _Held:
         return replace(self, owners=owners)
 
     def search(self, query: FloatArray, among: Collection[str] | None) -> tuple[FloatArray, IntArray]:
-        """Inner products with the vectors nearest to a query (1, D), and their rows; -1 if there are fewer."""
+        """Inner products (1, 200) of a query (1, D) with the nearest vectors, in units of 1/254², and their rows; -1
+        for none.
+
+        Searches all maps, or only those named in ``among``.
+        """
         if among is None:
             return self.index.search(query, _LIKELY_VIEWS)
         named = set(among)
@@ -177,14 +189,14 @@ class _Held:
         return self.index.search(query, _LIKELY_VIEWS, params=chosen)
 
     def vectors(self, rows: IntArray) -> FloatArray:
-        """(R, ``DIMENSIONS``) vectors in the given rows (R,), as quantized."""
+        """(R, ``DIMENSIONS``) vectors in the given rows (R,), as quantized, on their original scale."""
         if len(rows) == 0:
             return np.zeros((0, DIMENSIONS), np.float32)
         return unpacked_vectors(self.index.reconstruct_batch(rows))
 
 
 def _empty_index(vectors: FloatArray) -> faiss.Index:
-    """Empty index trained for vectors like these (V, ``DIMENSIONS``)."""
+    """Empty index for vectors like these (V, ``DIMENSIONS``): exhaustive up to 5000, above that √V trained lists."""
     kind, metric = faiss.ScalarQuantizer.QT_8bit_direct_signed, faiss.METRIC_INNER_PRODUCT
     if len(vectors) <= _FEW:
         return faiss.IndexScalarQuantizer(DIMENSIONS, kind, metric)
@@ -199,15 +211,15 @@ def _empty_index(vectors: FloatArray) -> faiss.Index:
 
 
 def _as_bytes(vectors: FloatArray) -> FloatArray:
-    """Unit vectors (V, D) scaled to whole numbers from -128 to 127, as floats, which the index expects."""
+    """Vectors (V, D) times 254, rounded and clipped to -128…127, as float32, which the index expects."""
     return np.ascontiguousarray(packed_vectors(vectors), dtype=np.float32)
 
 
 def packed_vectors(vectors: FloatArray) -> NDArray[np.int8]:
-    """Unit vectors (V, D) quantized to one byte per number, without further loss when they enter an index."""
+    """Vectors (V, D) quantized to one byte per number: times 254, rounded, clipped to -128…127."""
     return np.asarray(np.clip(np.round(vectors * _STEPS), -128, 127), dtype=np.int8)
 
 
 def unpacked_vectors(packed: NDArray[np.int8] | FloatArray) -> FloatArray:
-    """Float32 vectors from :func:`packed_vectors`."""
+    """Float32 vectors from the bytes of :func:`packed_vectors` (or their values as floats): divided by 254."""
     return np.asarray(packed / np.float32(_STEPS), dtype=np.float32)

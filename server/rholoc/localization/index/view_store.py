@@ -87,13 +87,13 @@ class ViewStore:
         self._connection: sqlite3.Connection | None = None
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the database connection; the next call opens another one."""
         if self._connection is not None:
             self._connection.close()
             self._connection = None
 
     def models(self) -> dict[str, Model]:
-        """All models by the names of their features, without those of unknown extractors."""
+        """All models by the names of their features, except for unreadable ones and unknown extractors."""
         found = {}
         with self._open() as database:
             rows = database.execute("SELECT features, id, maps, data FROM models").fetchall()
@@ -110,7 +110,7 @@ class ViewStore:
             return dict(database.execute("SELECT features, id FROM models").fetchall())
 
     def put_model(self, model: Model, views: Iterable[StoredViews] = ()) -> None:
-        """Store a model and the views it made, replacing the model of the same features and its views."""
+        """Store a model and the views it made; the model of the same features and all its views are deleted."""
         data = io.BytesIO()
         np.savez(data, allow_pickle=False, **model.pictures.arrays())
         row = (model.features, model.id, model.maps, data.getvalue())
@@ -125,12 +125,12 @@ class ViewStore:
             database.execute(_PUT_VIEWS, _row(views))
 
     def drop(self, maps: Iterable[str]) -> None:
-        """Delete the views of maps."""
+        """Delete the views of the named maps; unknown names are ignored."""
         with self._open() as database:
             database.executemany("DELETE FROM views WHERE map = ?", [(name,) for name in maps])
 
     def views(self, map_name: str | None = None) -> Iterator[StoredViews]:
-        """Views of all maps, or of one."""
+        """Views of all maps, or of the map ``map_name``; read lazily within a transaction."""
         query = "SELECT map, file, features, model, vectors FROM views"
         with self._open() as database:
             rows = (
@@ -142,10 +142,12 @@ class ViewStore:
 
     @contextmanager
     def _open(self) -> Iterator[sqlite3.Connection]:
-        """The database in a transaction. A corrupt file is deleted, so that the next call starts with an empty one.
+        """The database in a transaction, opened if it is not. A corrupt file is deleted, so that the next call starts
+        with an empty one.
 
         Raises:
             sqlite3.Error: the file cannot be used.
+            OSError: its folder cannot be made.
         """
         if self._connection is None:
             self._connection = self._connected()

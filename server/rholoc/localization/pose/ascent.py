@@ -58,7 +58,9 @@ class Step:
 
 
 def gains(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
-    """Log-likelihood ratio Σ log((ε + ρ) / ε) (H,) [nats] at each of the poses (H, 4, 4)."""
+    """Log-likelihood ratio Σ log((ε + ρ) / ε) (H,) [nats] of all matches at each of the poses (H, 4, 4), with ``ray``
+    densities.
+    """
     density = ray_densities(evidence, T_map_camera, tolerance_px)
     return np.asarray(np.log1p(density / evidence.epsilon).sum(axis=1))
 
@@ -71,7 +73,8 @@ def ascend(
     dof: Dof,
     iterations: int = 3,
 ) -> Optimum:
-    """Maximize Σ log(ε + ρ) by Gauss–Newton from a pose (4, 4), with a decreasing sequence of tolerances.
+    """Maximize Σ log(ε + ρ) by Gauss–Newton from a pose (4, 4), with a decreasing sequence of tolerances [px], each for
+    at most ``iterations`` steps. Returns the end, rated at the last tolerance.
 
     Densities that are valid only locally are chosen anew for each tolerance.
 
@@ -91,7 +94,7 @@ def end_of_climb(
     dof: Dof,
     iterations: int = 3,
 ) -> FloatArray:
-    """Final pose (4, 4) of :func:`ascend` for Σ log(ε + ρ^power), without the densities there."""
+    """Final pose (4, 4) of :func:`ascend`, without its likelihood and densities."""
     T = T_map_camera
     for step in climb(densities, evidence, T_map_camera, tolerances_px, dof, iterations):
         T = step.T_map_camera
@@ -106,7 +109,7 @@ def climb(
     dof: Dof,
     iterations: int = 3,
 ) -> Iterator[Step]:
-    """Iterate over the poses of :func:`ascend`, beginning with the start."""
+    """Iterate over the poses of :func:`ascend`, from the start on; ``Dof.UPRIGHT`` removes the start's roll."""
     T = upright(T_map_camera) if dof is Dof.UPRIGHT else T_map_camera
     yield Step(T, tolerances_px[0])
     for tolerance_px in tolerances_px:
@@ -124,11 +127,12 @@ def climb(
 def ascend_with_focal(
     evidence: Evidence, T_map_camera: FloatArray, tolerances_px: tuple[float, ...], dof: Dof, iterations: int = 6
 ) -> tuple[Optimum, float, float]:
-    """Gauss–Newton over pose and focal length together, from a pose (4, 4).
+    """Gauss–Newton over pose and focal length together, from a pose (4, 4), with ``ray`` densities and decreasing
+    tolerances [px].
 
     Returns:
-        The optimum; its focal length as a multiple of the evidence's; the standard deviation of that factor's
-        logarithm.
+        The optimum; its focal length as a multiple of the evidence's, ¼ to 4; the standard deviation of that factor's
+        logarithm by the curvature.
     """
     T, scale = T_map_camera, 1.0
     for tolerance_px in tolerances_px:
@@ -160,7 +164,9 @@ def freed_focal(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: floa
 
 
 def _focal_equations(evidence: Evidence, T: FloatArray, tolerance_px: float, dof: Dof) -> tuple[FloatArray, FloatArray]:
-    """Normal equations (7,) and (7, 7) of :func:`normal_equations` with ln(focal length) as seventh parameter."""
+    """Gradient (7,) and Gauss–Newton curvature (7, 7) as of :func:`normal_equations`, with ln(focal length) as seventh
+    parameter.
+    """
     offsets, allowed = RayOffsets.of(evidence, T), squared_tolerances(evidence, T, tolerance_px)
     along = (evidence.landmarks - T[:3, 3]) @ T[:3, :3]  # of the camera frame
     density = np.maximum(1 - (offsets.offset**2).sum(axis=1) / allowed, 0) * (_dot(along, evidence.rays) > 0)
@@ -204,7 +210,9 @@ def refined(evidence: Evidence, T_map_camera: FloatArray, dof: Dof, iterations: 
 
 
 def refinement_equations(evidence: Evidence, T: FloatArray, dof: Dof) -> tuple[FloatArray, FloatArray]:
-    """Gradient (6,) and Gauss–Newton curvature (6, 6) of what :func:`refined` maximizes, at fixed S."""
+    """Gradient (6,) and Gauss–Newton curvature (6, 6) at pose T (4, 4) of what :func:`refined` maximizes plus the log
+    prior on roll, at fixed S. Landmarks behind the camera are left out.
+    """
     along = _dot((evidence.landmarks - T[:3, 3]) @ T[:3, :3], evidence.rays)
     some = evidence.take(np.flatnonzero(along > 0))
     variance = (_DETECTED_PX / evidence.focal_px * along[along > 0]) ** 2
@@ -224,18 +232,21 @@ def optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArra
 
 
 def covariance_at(evidence: Evidence, optimum: Optimum, focal_free: bool = False) -> FloatArray:
-    """Covariance (6, 6) of the pose at an optimum: inverse of :func:`information_at`."""
+    """Covariance (6, 6) of the pose at an optimum, position [m], then rotation [rad]: inverse of
+    :func:`information_at`.
+    """
     information = information_at(evidence, optimum, focal_free)
     return np.asarray(np.linalg.inv(information + 1e-6 * np.eye(len(information)))[:6, :6])
 
 
 def information_at(evidence: Evidence, optimum: Optimum, focal_free: bool = False) -> FloatArray:
-    """Information (6, 6) at an optimum, or (7, 7) with ln(focal length) last if ``focal_free``.
+    """Information (6, 6) at an optimum, or (7, 7) with ln(focal length) last if ``focal_free``; zeros if no match
+    agrees.
 
     Position in metres, rotation in radians (a small rotation in the map frame from the left). Detection noise is
-    estimated from the matches' residuals, and the landmark covariance is added. ``SYSTEMATIC`` accounts for the errors
-    that neighbouring landmarks share, because they were triangulated from the same views. An estimated focal length
-    (``focal_free``) lowers the information on the pose.
+    estimated from the matches' residuals, at least 0.3 px, and the landmark covariance is added. ``SYSTEMATIC`` (a
+    factor 3 on the standard deviations) accounts for the errors that neighbouring landmarks share, because they were
+    triangulated from the same views. An estimated focal length (``focal_free``) lowers the information on the pose.
     """
     agreeing = evidence.take(np.flatnonzero(optimum.density > 0))
     if len(agreeing) == 0:
@@ -269,7 +280,9 @@ def gradient(densities: Densities, evidence: Evidence, T_map_camera: FloatArray,
 
 
 def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:
-    """Gauss–Newton step of at most half a metre and 0.3 rad. Returns None if the curvature is singular."""
+    """Gauss–Newton step of at most half a metre and 0.3 rad, shortened as a whole. None if the curvature is singular or
+    the step not finite. Parameters after the sixth are not bounded.
+    """
     damping = 1e-6 * np.trace(hessian) / len(hessian) + 1e-12
     try:
         step = np.linalg.solve(hessian + damping * np.eye(len(hessian)), gradient_)
@@ -283,7 +296,11 @@ def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:
 def normal_equations(
     local: LocalDensities, epsilon: FloatArray, T: FloatArray, tolerance_px: float, dof: Dof
 ) -> tuple[FloatArray, FloatArray]:
-    """Gradient (6,) and Gauss–Newton curvature (6, 6) of Σ log(ε + ρ) plus the log prior on roll."""
+    """Gradient (6,) and Gauss–Newton curvature (6, 6) of Σ log(ε + ρ) plus the log prior on roll, at pose T (4, 4).
+
+    ``epsilon`` (M,) are the odds of all matches; the first three parameters are the position [m], then a rotation [rad]
+    from the left.
+    """
     slopes = local.at(T, tolerance_px)
     inside = slopes.inside
     weight = 1 / (epsilon[local.matches[inside]] + slopes.density[inside])
@@ -294,7 +311,7 @@ def normal_equations(
 
 
 def roll_prior(T_map_camera: FloatArray, dof: Dof) -> tuple[FloatArray, FloatArray]:
-    """Gradient (6,) and curvature (6, 6) of the log prior on the camera's roll.
+    """Gradient (6,) and curvature (6, 6) of the log prior on the camera's roll, of width 1.5°.
 
     ``UPRIGHT``: a Gaussian, which keeps the camera upright against any evidence. ``AUTO``: a Cauchy distribution of the
     same width, which steadies a nearly upright camera and lets go of a clearly tilted one. ``FREE``: no prior.

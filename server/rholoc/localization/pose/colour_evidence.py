@@ -27,10 +27,11 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
 
     Args:
         shown: (M, 3) uint8, red, green and blue at the M matched features; None if unknown.
-        known: (M, 3) uint8, red, green and blue of their landmarks.
+        known: (M, 3) uint8, red, green and blue of their landmarks; ``UNKNOWN_GREY`` in all three counts as unknown.
 
     Returns:
-        0 by chance, 1 at best, less for few matches. NaN if too few colours are known or the picture has no contrast.
+        0 by chance, 1 at best, times √(M / (M + 6)). NaN if fewer than four colours are known or the picture has no
+            contrast.
     """
     if shown is None or known is None:
         return np.nan
@@ -44,8 +45,8 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
 
 
 def _foretold(inputs: FloatArray, output: FloatArray) -> float:
-    """Share 0 to 1 of the variance of ``output`` (M,) predicted by ``inputs`` (M, D), both centred; NaN if
-    undefined.
+    """Share 0 to 1 of the variance of ``output`` (M,) predicted by ``inputs`` (M, D), both centred; NaN without
+    variance.
     """
     count = len(output)
     total = float(output @ output) * (count / (count - 1)) ** 2  # each from the mean of the others
@@ -58,14 +59,13 @@ def _foretold(inputs: FloatArray, output: FloatArray) -> float:
 
 
 def _opponent(colours: ByteArray) -> FloatArray:
-    """Opponent colours (M, 3): lightness, red–green, yellow–blue."""
+    """Opponent colours (M, 3) of red, green and blue (M, 3): R + G + B, R − G, (R + G) / 2 − B."""
     red, green, blue = colours.T.astype(np.float64)
     return np.stack([red + green + blue, red - green, (red + green) / 2 - blue], axis=1)
 
 
 def _ranks(values: FloatArray) -> FloatArray:
     """Ranks of values (M, ...) along the first axis, equal values having their mean rank, centred, divided by M.
-
     ``scipy.stats`` has them, but importing it takes a tenth of every process's start-up time.
     """
     columns = values.reshape(len(values), -1).T

@@ -65,12 +65,17 @@ class FocalEstimate:
 
     @classmethod
     def unchecked(cls, camera: Camera) -> FocalEstimate:
-        """The camera's own focal length without any doubt, for a pose that is not worth a check."""
+        """The camera's own focal length with ``belief`` 1 and a standard deviation as large as itself, for a pose not
+        worth a check.
+        """
         return cls(camera.focal, camera.focal, 0.0, 1.0)
 
 
 def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
-    """Check the camera's focal length against the matches of a verified pose, if the lens is a pinhole.
+    """Check the camera's focal length against the matches of a verified pose.
+
+    Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if by :func:`_fits` freeing the focal
+    length would hardly change the pose.
 
     Args:
         index: index of the map.
@@ -105,8 +110,9 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
 def _refocused(
     index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray
 ) -> Iterator[tuple[float, Verified]]:
-    """Iterate over (factor, verified pose) for cameras with about ``scale`` × the focal length, converging to the
-    best fit.
+    """Iterate over (factor on the focal length, verified pose) at most three times, from ``scale`` towards the best
+    fit. Ends early once a round would change the factor by less than 0.3 %, nothing is verified, or the field of view
+    is implausible.
     """
     for _ in range(_ROUNDS):
         if not _sensible(query.camera, scale):
@@ -126,11 +132,11 @@ def _refocused(
 
 
 def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> float:
-    """Probability 0 to 1 that a verified pose's focal length is harmless, given poses with other focal lengths.
-
-    A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
-    length fits from some distance. The focal length is therefore considered known no better than by either pose's
-    matches, unless the other one explains much more. Part of any gain comes from errors that the map's landmarks share.
+    """Probability 0 to 1 that a verified pose's focal length is harmless, given others: pairs of a factor on it and a
+    pose. A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any
+    focal length fits from some distance. The focal length is therefore considered known no better than by either pose's
+    matches, unless the other one explains much more (by 5 % of the nats). Part of any gain comes from errors that the
+    map's landmarks share. 1 if no other pose explains more.
     """
     scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
     gain = best.optimum.value - verified.optimum.value
@@ -149,7 +155,8 @@ def _known_to(verified: Verified) -> float:
 
 
 def _belief(moved_m: float, scale: float, sigma: float) -> float:
-    """Probability 0 to 1 that a focal length is harmless.
+    """Probability 0 to 1 that a focal length is harmless: 1 if the pose moves by 5 cm or less, or ``scale`` is within
+    0.8 σ of 1.
 
     Args:
         moved_m: displacement of the pose when the focal length is freed.
@@ -162,15 +169,15 @@ def _belief(moved_m: float, scale: float, sigma: float) -> float:
 
 
 def _spread(sigma: float) -> float:
-    """Relative standard deviation of a focal length, from that of its logarithm by the curvature alone."""
+    """Relative standard deviation of a focal length: 3 × that of its logarithm by the curvature alone, at most 1."""
     return min(_SIGMAS * sigma, 1.0)
 
 
 def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> bool:
-    """Whether matches around the pose and matches with its place both agree with the given focal length.
-
-    True for most frames. Matches around the pose alone would not suffice: a wrong focal length excludes the matches
-    that contradict it.
+    """Whether matches around the pose and matches with its place both agree with the given focal length: freeing it
+    would move the pose by less than 15 mm and gain less than 0.5 nats. False with fewer than ``ENOUGH_MATCHES`` of
+    either. True for most frames. Matches around the pose alone would not suffice: a wrong focal length excludes the
+    matches that contradict it.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     for some in (verified.wide, matches):
@@ -184,7 +191,8 @@ def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -
 
 
 def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) -> tuple[FloatArray, Camera] | None:
-    """Seed pose (4, 4) and camera with unknown focal length: LO-RANSAC for each of several focal lengths.
+    """Seed pose (4, 4) and camera for an unknown focal length: LO-RANSAC for each of ten, from 0.5 to 2 × the longer
+    side.
 
     Args:
         index: index of the map.
@@ -193,7 +201,7 @@ def focal_seed(index: MapIndex, matches: Matches, query: Query, samples: int) ->
         samples: maximum number of samples per focal length.
 
     Returns:
-        None if too few matches agree with any focal length.
+        The pose with the most inliers; None if fewer than eight matches agree with any focal length.
     """
     camera, longer = query.camera, max(query.camera.width, query.camera.height)
     best: tuple[int, FloatArray, Camera] | None = None
@@ -211,9 +219,16 @@ def verify_with_focal(
 ) -> tuple[Verified, FocalEstimate, Query] | None:
     """Ascend over pose and focal length, match again and verify, as :func:`verify` does for a known one.
 
+    Args:
+        index: index of the map.
+        query: the frame, with the guessed camera.
+        T_map_camera: (4, 4) start.
+        matches: matches to begin with.
+
     Returns:
         The verified pose, with a covariance that includes the uncertain focal length; the estimate; the query with the
-        estimated camera. None if too little is found.
+        estimated camera. None if fewer than eight matches are found, or the focal length gives no plausible field of
+            view.
     """
     evidence = evidence_of(index, matches, query.camera.rays(query.features.pixels), query.camera)
     optimum, scale, _ = ascend_with_focal(evidence, T_map_camera, (24.0, 12.0, 6.0), query.dof)
@@ -240,5 +255,5 @@ def verify_with_focal(
 
 
 def _sensible(camera: Camera, scale: float) -> bool:
-    """Whether a camera with ``scale`` × the focal length has a plausible field of view."""
+    """Whether ``scale`` × the camera's focal length is between 0.3 and 3.5 × its longer side."""
     return 0.3 < camera.focal * scale / max(camera.width, camera.height) < 3.5

@@ -49,8 +49,10 @@ def ascend_together(
     dof: Dof,
     iterations: int = 5,
 ) -> list[Optimum]:
-    """Gauss–Newton over the poses (N, 4, 4) of N frames with a decreasing sequence of tolerances. Returns each
-    frame's optimum.
+    """Gauss–Newton over the poses (N, 4, 4) of N frames, with decreasing tolerances [px] of at most ``iterations``
+    steps each.
+
+    Returns each frame's optimum, rated at the last tolerance. ``evidences`` has one entry per frame.
     """
     T = np.array(T_map_cameras, dtype=np.float64)
     for tolerance_px in tolerances_px:
@@ -71,7 +73,9 @@ def ascend_together(
 
 
 def joint_covariances(evidences: Sequence[Evidence], optima: Sequence[Optimum], links: Sequence[Link]) -> FloatArray:
-    """Covariance (N, 6, 6) of each frame's pose, given all frames and links; see :func:`covariance_at`."""
+    """Covariance (N, 6, 6) of each frame's pose (position [m], rotation [rad]), given all frames and links; see
+    :func:`covariance_at`.
+    """
     information = _link_equations(np.array([one.T_map_camera for one in optima]), links)[1]
     for i, (evidence, optimum) in enumerate(zip(evidences, optima, strict=True)):
         own = slice(6 * i, 6 * i + 6)
@@ -81,14 +85,16 @@ def joint_covariances(evidences: Sequence[Evidence], optima: Sequence[Optimum], 
 
 
 def _bounded(slope: FloatArray, curvature: FloatArray) -> FloatArray:
-    """Gauss–Newton step (N, 6), bounded to half a metre and 0.3 rad per axis and frame."""
+    """Gauss–Newton step (N, 6) from a gradient (6N,) and curvature (6N, 6N), shortened as a whole to at most half a
+    metre and 0.3 rad per axis and frame.
+    """
     damping = 1e-9 * np.trace(curvature) / len(curvature) + 1e-6
     step = np.linalg.solve(curvature + damping * np.eye(len(curvature)), slope).reshape(-1, 6)
     return np.asarray(step / max(float((np.abs(step) / _LONGEST_STEP).max()), 1.0))
 
 
 def _link_equations(T: FloatArray, links: Sequence[Link]) -> tuple[FloatArray, FloatArray]:
-    """Gradient (6N,) and curvature (6N, 6N) of the links' log-likelihood with respect to the frames' poses."""
+    """Gradient (6N,) and curvature (6N, 6N) of the links' log-likelihood with respect to the poses T (N, 4, 4)."""
     size = 6 * len(T)
     slope, curvature = np.zeros(size), np.zeros((size, size))
     for link in links:

@@ -21,13 +21,15 @@ _DISTINCT_M, _DISTINCT_RAD = 0.05, np.deg2rad(2.0)
 
 
 def is_seen_from_afar(verified: Verified) -> bool:
-    """Whether so few of the expected landmarks were found that other modes of the place are likely."""
+    """Whether fewer than a quarter of the expected landmarks were found: other modes of the place are likely."""
     support = verified.support
     return support.found < _MAX_FOUND_FROM_AFAR * support.expected
 
 
 def poses_on_arcs(index: MapIndex, verified: Verified) -> Iterator[FloatArray]:
-    """Iterate over poses (4, 4) carried by 8° around what is seen, up, down, left and right."""
+    """Iterate over four poses (4, 4): the verified one carried by 8° up, down, left and right around the median of the
+    landmarks that it sees. None if it sees none.
+    """
     T = verified.optimum.T_map_camera
     seen = verified.matches.landmarks[verified.optimum.density > 0]
     if len(seen) == 0:
@@ -43,7 +45,7 @@ def poses_on_arcs(index: MapIndex, verified: Verified) -> Iterator[FloatArray]:
 
 
 def are_distinct(a: Verified, b: Verified) -> bool:
-    """Whether two poses are different modes, and not one mode that was found twice."""
+    """Whether two poses are different modes (more than 5 cm or 2° apart), and not one mode that was found twice."""
     return a.is_apart(b, _DISTINCT_M, _DISTINCT_RAD)
 
 

@@ -34,7 +34,7 @@ def patch_log_odds(
         landmarks: (M,) rows of the map's landmarks.
 
     Returns:
-        (M,); NaN if the landmark's patch or the detection's orientation is unknown.
+        (M,); NaN if the landmark's patch or the detection's orientation is unknown, all NaN if the map has no patches.
     """
     if map_.landmarks.patches is None:
         return np.full(len(detections), np.nan)
@@ -47,18 +47,20 @@ def patch_log_odds(
 
 
 def turn_log_odds(turned_rad: FloatArray) -> FloatArray:
-    """Log-likelihood ratio (M,) [nats] of deviations from the predicted orientation; NaN for NaN.
+    """Log-likelihood ratio (M,) [nats] of deviations [rad] from the predicted orientation; NaN for NaN.
 
-    True matches follow a Cauchy distribution, false ones a uniform one.
+    True matches follow a Cauchy distribution of half-width 8°, false ones a uniform one.
     """
     sharp = 2 / (_TURN_RAD * (1 + (_wrapped(turned_rad) / _TURN_RAD) ** 2))
     return np.asarray(np.log(_TRUE_SHARE * sharp + 1 - _TRUE_SHARE))
 
 
 def size_log_odds(grown_octaves: FloatArray) -> FloatArray:
-    """Log-likelihood ratio (M,) [nats] of deviations from the predicted size; 0 if not finite.
+    """Log-likelihood ratio (M,) [nats] of deviations from the predicted size [octaves: log₂ of the ratio]; 0 if not
+    finite.
 
-    True matches follow a Cauchy distribution, false ones a Laplace distribution.
+    True matches follow a Cauchy distribution, false ones a Laplace distribution. Deviations beyond 2.5 octaves count as
+    2.5.
     """
     known = np.isfinite(grown_octaves)
     grown = np.clip(np.where(known, grown_octaves, 0.0), -_MAX_OCTAVES, _MAX_OCTAVES)
@@ -68,9 +70,10 @@ def size_log_odds(grown_octaves: FloatArray) -> FloatArray:
 
 
 def patch_agreement(log_odds: FloatArray) -> float:
-    """Mean log-likelihood ratio [nats per match] of the matches that agree with a pose, shrunk if they are few.
+    """Mean of the known log-likelihood ratios (M,) [nats per match] of matches that agree with a pose, as if three more
+    had 0.
 
-    About 2 for a right pose, -1 for a wrong one. NaN if no match has a known ratio (M,).
+    About 2 for a right pose, -1 for a wrong one. NaN if no ratio is known.
     """
     known = log_odds[np.isfinite(log_odds)]
     return float(known.sum() / (len(known) + _FEWEST)) if len(known) else np.nan

@@ -65,7 +65,9 @@ class Support:
 
     @classmethod
     def mean(cls, supports: Sequence[Support]) -> Support:
-        """Mean over several frames. They show much the same scene, so evidence is not added up."""
+        """Mean of each figure over several frames; NaN if it is NaN in one. They show much the same scene, so evidence
+        is not added up.
+        """
         return cls(*np.mean([astuple(one) for one in supports], axis=0).tolist())
 
 
@@ -78,7 +80,7 @@ def support_of(
     by_chance: FloatArray,
     wide: Matches,
 ) -> Support:
-    """Evidence for and against an optimum.
+    """Evidence for and against an optimum, over about eight square cells across the picture; all 0 if no match agrees.
 
     Args:
         index: index of the map.
@@ -118,10 +120,10 @@ def support_of(
 def _beyond_chance(
     index: MapIndex, pixels: FloatArray, camera: Camera, wide: Matches, T_map_camera: FloatArray
 ) -> float:
-    """Nats by which matches concentrate close to their landmarks, beyond what chance predicts from a ring around.
-
-    Chernoff bound on the tail of the Poisson distribution, maximized over thresholds on descriptor distance: chance
-    matches are less similar than true ones, but the similarity of true matches depends on light and viewing distance.
+    """Nats by which matches concentrate within 4 px of their projected landmarks, beyond what chance predicts from a
+    ring of 4 to 14 px. ``pixels`` (N, 2) are those of the query's features. Chernoff bound on the tail of the Poisson
+    distribution, maximized over thresholds on descriptor distance: chance matches are less similar than true ones, but
+    the similarity of true matches depends on light and viewing distance. 0 if there are no more than by chance.
     """
     T = T_map_camera
     shown = camera.project((index.landmarks[wide.landmarks] - T[:3, 3]) @ T[:3, :3])
@@ -134,7 +136,9 @@ def _beyond_chance(
 
 
 def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landmarks: IntArray) -> float:
-    """Agreement between the colours of detections (M,) and of their landmarks (M,)."""
+    """Agreement of the colours of detections (M,) with those of their landmarks (M,), a coefficient of determination: 0
+    by chance, 1 at best. NaN if the query or the map has no colours, or too few of them.
+    """
     shown, known = query.colours, index.map.landmarks.colours
     if shown is None or known is None:
         return np.nan
@@ -144,7 +148,9 @@ def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landm
 def _expected(
     index: MapIndex, agreeing: IntArray, camera: Camera, T_map_camera: FloatArray
 ) -> tuple[IntArray, FloatArray]:
-    """Landmarks (E,) that nearby views saw and this frame should show, and their pixels (E, 2)."""
+    """Rows (E,) of the landmarks that this frame should show, and their pixels (E, 2). They were seen by the ten views
+    that saw most of the landmarks ``agreeing`` (M,), may be visible from the pose, and project into the picture.
+    """
     seen = np.flatnonzero(index.seen_alike(agreeing, _VIEWS_ALIKE))
     rows = seen[index.present(T_map_camera[:3, 3], seen)]
     pixels = camera.project((index.landmarks[rows] - T_map_camera[:3, 3]) @ T_map_camera[:3, :3])
@@ -167,7 +173,9 @@ class _Grid:
         return cls(size_px, across, int(np.ceil(camera.height / size_px)))
 
     def sums(self, pixels: FloatArray, weights: FloatArray | None = None) -> FloatArray:
-        """Sum of ``weights`` (N,), or number of ``pixels`` (N, 2), per cell."""
+        """Sum of ``weights`` (N,), or number of ``pixels`` (N, 2), per cell (C,), row by row. Pixels outside count to
+        the border's cells.
+        """
         column, row = np.clip((pixels // self.size_px).astype(np.int64), 0, (self.columns - 1, self.rows - 1)).T
         cells = row * self.columns + column
         return np.bincount(cells, weights, minlength=self.rows * self.columns).astype(np.float64)

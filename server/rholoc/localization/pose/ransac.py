@@ -24,7 +24,7 @@ def lo_ransac(
     fewest_samples: int = 1000,
     success: float = 0.9999,
 ) -> tuple[FloatArray, int] | None:
-    """Absolute pose (4, 4) with the most inliers, and their number. None if there are too few matches or no inliers.
+    """Absolute pose (4, 4) with the most inliers, and their number. None for fewer than four matches or inliers.
 
     Likelier matches are sampled first (PROSAC, Chum and Matas 2005), improved samples are refined locally, and sampling
     ends once a better sample is improbable.
@@ -58,13 +58,13 @@ def credible_pose(
 ) -> tuple[FloatArray, int] | None:
     """Absolute pose (4, 4) of a query by LO-RANSAC, and the number of its inliers. None if chance explains them.
 
-    Chance explains inliers that are no more than agree on the best of many poses in another room, and inliers whose
-    orientations and sizes are likelier for false matches than for true ones.
+    Chance explains inliers that are no more than agree on the best of many poses in another room (fewer than 4 + M / 80
+    of M matches), and inliers whose orientations and sizes are likelier for false matches than for true ones.
 
     Args:
         index: index of the map.
         query: the frame.
-        matches: matches of its features.
+        matches: matches of its features, in any order.
         tolerance_px: maximum reprojection error of an inlier.
         samples: maximum and minimum number of samples.
     """

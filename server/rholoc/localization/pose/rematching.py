@@ -63,7 +63,7 @@ class Verified:
 
 
 def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Camera) -> Evidence:
-    """Evidence of matches, given the rays (N, 3) of all detections in the camera frame."""
+    """Evidence of matches (M), given the rays (N, 3) of all the query's features in the camera frame."""
     return Evidence.of(
         matches.landmarks,
         rays[matches.detections],
@@ -75,10 +75,11 @@ def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Cam
 
 
 def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optimum, dof: Dof) -> Optimum:
-    """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, if the densities have exact peaks.
+    """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``; rates the end at that tolerance again.
 
     Landmarks that were only seen from elsewhere look different from here and are detected less exactly. They help to
-    find and to believe a pose, but the last steps only use landmarks that nearby views saw too.
+    find and to believe a pose, but the last steps only use landmarks that nearby views saw too. The optimum is returned
+    unchanged if fewer than six of these agree, or if the densities have no exact peaks.
     """
     densities = index.map.densities
     if not densities.has_exact_peaks:
@@ -92,7 +93,7 @@ def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optim
 
 
 def polished(index: MapIndex, query: Query, verified: Verified) -> Verified:
-    """A pose refined once more by matches from farther around. The evidence for it stays what it was.
+    """A pose refined once more by matches within 10 px. The matches and the evidence for it stay what they were.
 
     From afar features are detected less exactly than the narrow radius allows: which of them it lets in would decide.
     """
@@ -105,8 +106,9 @@ def polished(index: MapIndex, query: Query, verified: Verified) -> Verified:
 
 
 def matches_about(index: MapIndex, query: Query, T_map_camera: FloatArray, radius_px: float) -> Matches:
-    """Matches within ``radius_px`` of the landmarks projected at (4, 4); from some features if these suffice, else
-    from all.
+    """Matches within ``radius_px`` of the landmarks projected at a pose (4, 4).
+
+    Only a sample of the features is matched if it has ``ENOUGH_MATCHES``, otherwise all.
     """
     some = query.features.sample
     if len(some) < len(query.features):
@@ -124,7 +126,7 @@ def verify(
     focal_free: bool = False,
     wide: Matches | None = None,
 ) -> Verified | None:
-    """Match again around a pose (4, 4) and ascend, within a wide and then a narrow radius.
+    """Match again around a pose (4, 4) and ascend, within a wide (14 px) and then a narrow (5 px) radius.
 
     Args:
         index: index of the map.
@@ -135,7 +137,7 @@ def verify(
         wide: matches within the first radius, if they are already known.
 
     Returns:
-        None if too few matches are found.
+        The pose with the matches of the narrow radius; None if either radius has fewer than six matches.
     """
     densities, dof = index.map.densities, query.dof
     wide_px, narrow_px = SEARCH_RADII_PX

@@ -33,7 +33,15 @@ _TELLING_NATS = 12.0  # by which much more support one of two poses is twice as 
 
 
 def rival_seeds(index: MapIndex, nearest: NearestLandmarks, query: Query, found: Verified) -> Iterator[FloatArray]:
-    """Iterate over poses (4, 4) that unexplained matches agree with, most voted place first."""
+    """Iterate over poses (4, 4) that unexplained matches agree with, at most one for each of ``RIVAL_PLACES`` places,
+    most voted place first.
+
+    Args:
+        index: index of the map.
+        nearest: nearest landmarks of the query's features.
+        query: the frame.
+        found: the pose for which rivals are sought.
+    """
     looked_at = len(nearest) / max(len(query.features), 1)  # a share of the features
     fewest = fewest_agreeing(looked_at * found.inliers)
     for some in unexplained_by_place(index, nearest, query, found):
@@ -45,14 +53,16 @@ def rival_seeds(index: MapIndex, nearest: NearestLandmarks, query: Query, found:
 
 
 def fewest_agreeing(found: float) -> float:
-    """Minimum number of inliers of a rival, given the verified pose that it competes with."""
+    """Minimum number of inliers of a rival of a pose with ``found`` inliers: a fifth of them, at least eight."""
     return max(_MIN_AGREEING, _MIN_OF_FOUND * found)
 
 
 def unexplained_by_place(
     index: MapIndex, nearest: NearestLandmarks, query: Query, found: Verified
 ) -> Iterator[Matches]:
-    """Iterate over places; yield the matches there that the pose does not explain, likeliest first."""
+    """Iterate over the ``RIVAL_PLACES`` most voted places; yield the matches there that the pose ``found`` does not
+    explain, likeliest first.
+    """
     pairs = _unexplained(index, nearest.pairs(), query, found)
     for place in islice(places_by_votes(index, pairs, _VIEWS_EACH), RIVAL_PLACES):
         there = np.zeros(len(index.map), dtype=bool)
@@ -61,7 +71,9 @@ def unexplained_by_place(
 
 
 def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified) -> Matches:
-    """Matches that the pose does not explain."""
+    """Those of ``pairs`` whose landmark projects at least 24 px away from its feature under the pose, or lies behind
+    the camera.
+    """
     T = found.optimum.T_map_camera
     pixels = query.camera.project((index.landmarks[pairs.landmarks] - T[:3, 3]) @ T[:3, :3])
     off_px = np.linalg.norm(pixels - query.features.pixels[pairs.detections], axis=1)
@@ -69,7 +81,7 @@ def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified)
 
 
 def are_rivals(a: Verified, b: Verified) -> bool:
-    """Whether two poses are of different places, and so exclude each other."""
+    """Whether two poses are of two places, more than ``PLACE_M`` or ``PLACE_RAD`` apart, and so exclude each other."""
     return a.is_apart(b, PLACE_M, PLACE_RAD)
 
 
@@ -78,7 +90,7 @@ def shares(places: FloatArray, nets: FloatArray) -> FloatArray:
 
     Args:
         places: (M,) probability that each is of the right place, if it were the only one.
-        nets: (M,) net evidence for each [nats].
+        nets: (M,) net evidence for each [nats]; a lead of 12 nats multiplies the odds by e.
 
     Returns:
         (M,) factors that add up to 1: the part of each pose's probability that its rivals leave.

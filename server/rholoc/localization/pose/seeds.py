@@ -41,13 +41,14 @@ def vote_for_places(index: MapIndex, matches: Matches, most: int, views_each: in
     """The places with the most votes, at most ``most``, all different.
 
     Each match votes with its probability for the views that saw its landmark (presence). A place is a view together
-    with the views that share most features with it.
+    with the ``views_each`` views that share most features with it, itself among them. Views farther from a prior than
+    its radius and 1 m count a tenth.
     """
     return list(islice(places_by_votes(index, matches, views_each, prior), most))
 
 
 def places_by_votes(index: MapIndex, matches: Matches, views_each: int, prior: Prior | None = None) -> Iterator[Place]:
-    """Iterate over the places of :func:`vote_for_places`; mostly the first one suffices."""
+    """Iterate over the places of :func:`vote_for_places`, most votes first, until no view with votes is left."""
     votes = view_votes(index, matches)
     if prior is not None:
         near = np.linalg.norm(index.view_positions - prior.pose.position, axis=1) < prior.radius_m + 1.0
@@ -59,8 +60,11 @@ def places_by_votes(index: MapIndex, matches: Matches, views_each: int, prior: P
 def groups_by_votes(
     votes: FloatArray, shared_with: Callable[[int], FloatArray], views_each: int
 ) -> Iterator[tuple[int, IntArray]]:
-    """Iterate over views by descending votes (K,), each with the group of views (itself included) that share most
-    features with it.
+    """Iterate over views by descending votes (K,), each with the group of at most ``views_each`` views (itself
+    included) that share most features with it.
+
+    The nearer half of a group is not yielded again. ``shared_with`` returns the number (K,) of features that each view
+    shares with a given one.
     """
     open_ = votes > 0
     while open_.any():
@@ -74,8 +78,8 @@ def groups_by_votes(
 
 
 def view_votes(index: MapIndex, matches: Matches) -> FloatArray:
-    """Votes for each view (K,): sum of the matches' probabilities, normalized by the number of features the view
-    saw.
+    """Votes for each view (K,): sum of its landmarks' match probabilities (at most 1 per landmark), divided by the
+    square root of the number of features that it saw, of at least ``VIEWS_OF_LITTLE``.
     """
     belief = np.bincount(matches.landmarks, weights=matches.chances, minlength=len(index.map))
     votes = np.asarray(index.visibility @ np.minimum(belief, 1.0), dtype=np.float64)
@@ -83,7 +87,9 @@ def view_votes(index: MapIndex, matches: Matches) -> FloatArray:
 
 
 def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | None:
-    """The place around a prior, from the views nearest to it in position and heading. None if there are none."""
+    """The place around a prior, from its nearest ``views_each`` views by :func:`views_by_prior`; its ``votes`` are
+    infinite. None if there are none.
+    """
     chosen = views_by_prior(index.view_positions, index.view_headings, prior)[:views_each]
     if len(chosen) == 0:
         return None
@@ -91,7 +97,10 @@ def place_of_prior(index: MapIndex, prior: Prior, views_each: int) -> Place | No
 
 
 def views_by_prior(positions: FloatArray, headings: FloatArray, prior: Prior) -> IntArray:
-    """Rows of the views at ``positions`` (K, 3) with ``headings`` (K, 3) that agree with a prior, nearest first."""
+    """Rows of the views that agree with a prior, by ascending distance [m] plus angle [rad].
+
+    They are at ``positions`` (K, 3) with ``headings`` (K, 3), and within the prior's radii plus 1 m and 30°.
+    """
     apart_m = np.linalg.norm(positions - prior.pose.position, axis=1)
     turned = angles_between(headings, prior.pose.heading)
     within = (apart_m < prior.radius_m + _BESIDE_M) & (turned < prior.radius_rad + _ASIDE_RAD)
@@ -102,9 +111,11 @@ def views_by_prior(positions: FloatArray, headings: FloatArray, prior: Prior) ->
 def minimal_samples(
     evidence: Evidence, chances: FloatArray, detections: IntArray, samples: int, keep: int
 ) -> FloatArray:
-    """Poses (S, 4, 4), S ≤ ``keep``, from samples of three matches, highest density first.
+    """Poses (S, 4, 4), S ≤ ``keep``, from ``samples`` samples of three matches, highest likelihood first; none for
+    fewer than four matches.
 
-    Matches are drawn with their probabilities.
+    Matches are drawn with their probabilities ``chances`` (M,) from a fixed seed. ``detections`` (M,) are their
+    features: a sample never has one twice.
     """
     if len(chances) < 4:
         return np.zeros((0, 4, 4))
@@ -119,7 +130,9 @@ def minimal_samples(
 
 
 def _draw_triples(rng: np.random.Generator, chances: FloatArray, detections: IntArray, samples: int) -> IntArray:
-    """Random triples (S, 3) of different detections, drawn with the matches' probabilities."""
+    """Random triples (S, 3) of rows of matches with different ``detections`` (M,), drawn in proportion to ``chances``
+    (M,); S ≤ ``samples``.
+    """
     cumulative = np.cumsum(chances)
     draws = np.searchsorted(cumulative, rng.random((samples, 3)) * cumulative[-1])
     a, b, c = (detections[draws[:, i]] for i in range(3))

@@ -17,7 +17,8 @@ DEFAULT_DEGREE = 2
 def fit_densities(
     map_: Map, kind: DensityKind, degree: int = DEFAULT_DEGREE, progress: ProgressListener = silent
 ) -> Map:
-    """The map with densities of form ``kind`` and degree P = ``degree``, fitted to its observations.
+    """The map with densities of form ``kind``, and of degree P = ``degree`` if that form has one, fitted to its
+    observations.
 
     Raises:
         InvalidInput: ``observed`` densities are requested, but the map does not remember its observations.

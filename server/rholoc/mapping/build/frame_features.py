@@ -41,7 +41,8 @@ class FrameFeatures:
         self._shown[row] = self._extracted(image)
 
     def of(self, rows: Sequence[int]) -> Iterator[Shown]:
-        """Iterate over the frames at ``rows`` (ascending), and drop them from the cache.
+        """Iterate over the frames at ``rows`` (ascending). Cached features are used up; at the end the whole cache is
+        dropped.
 
         Raises:
             InvalidRecording: a frame cannot be decoded.
@@ -53,7 +54,8 @@ class FrameFeatures:
         self._shown.clear()
 
     def of_keyframes(self, trajectory: Trajectory, keyframes: IntArray) -> Iterator[Shown]:
-        """Iterate over keyframes (ascending rows of the trajectory), with rolling shutter removed from their features.
+        """Iterate over the frames in rows ``keyframes`` (ascending) of the trajectory, with rolling shutter removed
+        from their features.
 
         Raises:
             InvalidRecording: a frame cannot be decoded.
@@ -68,7 +70,7 @@ class FrameFeatures:
 
 
 def small_picture(image: ByteArray) -> bytes:
-    """A small JPEG of an image (H, W, 3) BGR."""
+    """JPEG of an image (H, W, 3) BGR, reduced to 240 px on its longer side; never enlarged."""
     scale = min(1.0, _PICTURE_PX / max(image.shape[:2]))
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _PICTURE_QUALITY])[1])

@@ -13,19 +13,21 @@ from rholoc.reports import CoachingReport
 
 
 def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray) -> CoachingReport:
-    """Report section on one recording, from its frames' appearance and their poses (N, 4, 4) at times (N,)."""
+    """Report on one recording, from its frames' appearance and the poses (N, 4, 4) at times (N,) [s]; N may be 0."""
     figures = measure_walk(recording, looks, times, T_map_camera)
     return CoachingReport(recording.name, figures, recording.warnings, advise(figures))
 
 
 def advice_line(coaching: Sequence[CoachingReport]) -> str:
-    """All advice of the sections in one line; empty for good walks."""
+    """All advice of the sections in one line, beginning with "next time:"; empty for good walks."""
     texts = [advice.text for section in coaching for advice in section.advice]
     return f"next time: {' '.join(texts)}" if texts else ""
 
 
 def with_advice(failure: MappingFailed, recording: Recording) -> MappingFailed:
-    """Extend a failure's hint by the recording's problems and the advice drawn from its frames and IMU."""
+    """A copy of ``failure`` with the recording's problems, and advice drawn from its frames and IMU, added to its hint;
+    ``failure`` itself if a frame cannot be decoded.
+    """
     try:
         section = coach(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
     except InvalidRecording:

@@ -62,7 +62,7 @@ class Landmarks:
         return np.bincount(self.labels[self.labels >= 0], minlength=len(self))
 
     def presence(self, views: Views) -> Presence:
-        """Presence of each landmark: the directions and distances it was seen from."""
+        """Presence of each landmark: the directions and distances from which ``views`` saw it."""
         rows = self.observed_rows
         return Presence.of(self.positions, views.positions[views.view_of[rows]], self.labels[rows])
 
@@ -74,10 +74,10 @@ class Landmarks:
 
 
 def triangulate(views: Views, labels: IntArray) -> Landmarks:
-    """Triangulate tracks with labels (N,), by robust information sums.
+    """Triangulate tracks with labels (N,), -1 for none, by robust information sums.
 
-    Observations beyond the outlier limit lose their label. Landmarks with an undetermined position are dropped: those
-    with fewer than two observations, unless their range was measured.
+    Observations more than 5 px off lose their label. Landmarks with an undetermined position are dropped, and the
+    others renumbered: those with fewer than two observations, unless their range was measured.
     """
     rows = np.flatnonzero(labels >= 0)
     tracks, count = labels[rows], int(labels.max(initial=-1)) + 1
@@ -93,7 +93,7 @@ def triangulate(views: Views, labels: IntArray) -> Landmarks:
 
 
 def enough_observations(tracks: IntArray, ranges_m: FloatArray, count: int) -> BoolArray:
-    """Mask (count,) of tracks with two observations, or with one whose range (O,) was measured."""
+    """Mask (count,) of tracks with two observations (O,), or with one whose range (O,) was measured (is not NaN)."""
     measured = np.bincount(tracks[np.isfinite(ranges_m)], minlength=count) > 0
     return np.asarray(measured | (np.bincount(tracks, minlength=count) >= 2))
 
@@ -101,7 +101,7 @@ def enough_observations(tracks: IntArray, ranges_m: FloatArray, count: int) -> B
 def with_ranged(views: Views, labels: IntArray) -> IntArray:
     """Labels (N,) of tracks, and new ones of detections without a track whose range was measured.
 
-    Only in views with few tracks of three views: elsewhere they add nothing.
+    Only in views with fewer than 100 detections in tracks of three views: elsewhere they add nothing.
     """
     many = np.bincount(labels[labels >= 0], minlength=1) >= _MIN_VIEWS
     tracked = (labels >= 0) & many[labels]
@@ -120,7 +120,7 @@ def estimate_information(
     focal_px: FloatArray,
     ranges_m: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Λ (count, 3, 3) and η (count, 3) of each track, and the inlier mask (O,) of the observations.
+    """Λ (count, 3, 3) [1/m²] and η (count, 3) [1/m] of each track, and the mask (O,) of observations within 5 px.
 
     Weights decrease with the residual, over narrowing tolerances. The result does not depend on the observations'
     order.
@@ -147,8 +147,10 @@ def estimate_information(
 
 
 def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Landmarks:
-    """Search further observations near each landmark's projections, merge duplicate landmarks, and triangulate
-    again.
+    """Search further observations within 5 px of each landmark's projections, merge duplicate landmarks, and
+    triangulate again.
+
+    Returns new landmarks, numbered anew.
     """
     if len(landmarks) == 0:
         return landmarks
@@ -172,7 +174,7 @@ def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Land
 
 
 def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> BoolArray:
-    """Mask (F,) of well-determined landmarks that are among the best of some view.
+    """Mask (F,) of landmarks with a largest sigma below a tenth of their distance that are among the best of some view.
 
     A landmark stays if it is among the ``per_view`` best of any view, so the map grows with the space it covers, not
     with the duration of the walk. With several walks, the best are those with the highest probability of being seen by
@@ -201,7 +203,7 @@ def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArra
 
 
 def relative_sigmas(views: Views, landmarks: Landmarks) -> FloatArray:
-    """(F,) largest standard deviation of each landmark, divided by its mean viewing distance."""
+    """Largest standard deviation of each landmark (F,), divided by its mean viewing distance."""
     rows = landmarks.observed_rows
     labels = landmarks.labels[rows]
     depth = np.linalg.norm(landmarks.positions[labels] - views.positions[views.view_of[rows]], axis=1)
@@ -235,10 +237,11 @@ def expected_sightings(views: Views, landmarks: Landmarks, walks: IntArray) -> F
 
 
 def representative_rows(views: Views, labels: IntArray, count: int, metric: Metric, most: int) -> list[IntArray]:
-    """For each of ``count`` landmarks the detections with the most representative descriptors, at most ``most``.
+    """For each of ``count`` landmarks the rows of the detections with the most representative descriptors, at most
+    ``most``.
 
     The first is the medoid. Further ones reduce the distances to the other descriptors most, as long as some descriptor
-    is poorly represented. Empty for a landmark without detections labelled (N,) with it.
+    is farther than half the strict limit. Empty for a landmark without detections labelled (N,) with it.
     """
     order = np.argsort(labels, kind="stable")
     bounds = np.searchsorted(labels[order], np.arange(count + 1))
@@ -275,7 +278,9 @@ class _Observed:
     ranges_m: FloatArray
 
     def sums(self, weights: FloatArray, range_weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Λ (count, 3, 3) and η (count, 3) of the tracks, of observations weighted with (O,) and (O,) [1/m²]."""
+        """Sums by track of information matrices Λ (count, 3, 3) and vectors η = Λ position (count, 3), of the rays with
+        weights (O,) and the ranges with weights (O,), both in 1/m².
+        """
         information, eta = observation_information(self.bearings, self.positions, weights)
         known = np.flatnonzero(np.isfinite(self.ranges_m))
         if len(known):  # few recordings have depth
@@ -289,7 +294,9 @@ class _Observed:
         return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:]
 
     def residuals(self, information: FloatArray, eta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Reprojection error (O,) [px] of each observation, its weight (O,) and that of its range (O,) [1/m²]."""
+        """Reprojection error (O,) [px], infinite behind the camera; weights (O,) of the rays and (O,) of the ranges
+        [1/m²].
+        """
         landmarks, _ = landmarks_from_information(information, eta)
         to_landmark = landmarks[self.tracks] - self.positions
         along = np.einsum("ni,ni->n", to_landmark, self.bearings)
@@ -305,9 +312,9 @@ class _Observed:
 def _guided_matches(
     views: Views, landmarks: Landmarks, medoids: IntArray, presence: Presence, k: int, metric: Metric
 ) -> tuple[IntArray, IntArray]:
-    """Mutual best matches of view ``k``: rows (C,) of landmarks and of detections.
-
-    Candidates are visible landmarks within ``_SEARCH_RADIUS_PX`` of a detection, of its channel, and similar enough.
+    """Mutual best matches of view ``k`` as rows of landmarks (C,) and of detections (C,). Candidates are visible
+    landmarks within 5 px of a detection, of its channel, and within the strict descriptor limit.
+    ``medoids`` (F,) are the detections whose descriptors stand for the landmarks.
     """
     T, camera = views.T_map_camera[k], views.cameras[k]
     pixels = camera.project((landmarks.positions - T[:3, 3]) @ T[:3, :3])
@@ -335,7 +342,9 @@ def _guided_matches(
 
 
 def _coincide(views: Views, landmarks: Landmarks, a: IntArray, b: IntArray, k: int) -> BoolArray:
-    """Mask (M,) of landmark pairs a (M,), b (M,) at the same place, given their uncertainty and view ``k``."""
+    """Mask (M,) of landmark pairs a (M,), b (M,) at the same place: χ² < 4 under their covariances and 3 px in view
+    ``k``.
+    """
     apart = landmarks.positions[a] - landmarks.positions[b]
     depth = np.linalg.norm(landmarks.positions[a] - views.positions[k], axis=1)
     floor = (_MERGE_PX * depth / views.cameras[k].focal) ** 2
@@ -345,7 +354,7 @@ def _coincide(views: Views, landmarks: Landmarks, a: IntArray, b: IntArray, k: i
 
 
 def _merged(labels: IntArray, same: IntArray, count: int, view_of: IntArray) -> IntArray:
-    """Labels after merging pairs (M, 2) of landmarks that never appear in the same view."""
+    """Labels (N,), renumbered, after merging pairs (M, 2) of ``count`` landmarks that are never in one view."""
     rows = np.flatnonzero(labels >= 0)
     shown = coo_array(
         (np.ones(len(rows), dtype=np.int32), (labels[rows], view_of[rows])), shape=(count, int(view_of.max()) + 1)
@@ -360,7 +369,7 @@ def _merged(labels: IntArray, same: IntArray, count: int, view_of: IntArray) -> 
 
 
 def _without_doubles(labels: IntArray, view_of: IntArray) -> IntArray:
-    """Renumbered labels without those that occur twice in a view, which confuse two landmarks."""
+    """Renumbered labels (N,); -1 for labels that occur twice in a view, which confuse two landmarks."""
     keys = labels * (int(view_of.max()) + 1) + view_of
     _, key, counts = np.unique(keys, return_inverse=True, return_counts=True)
     single = np.where(counts[key] == 1, labels, -1)

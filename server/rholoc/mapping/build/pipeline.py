@@ -83,10 +83,10 @@ def build_map(
     Several recordings must share a frame: by given poses, or each by its own waypoints.
 
     Raises:
-        InvalidInput: no recording, a density or features that do not exist.
-        InvalidRecording: a recording cannot be read.
+        InvalidInput: no recording, a degree other than 1 to 3, or features or a density that do not exist.
+        InvalidRecording, InvalidCamera: a recording cannot be read or used.
         InvalidWaypoints: its waypoints do not fix a frame.
-        MappingFailed: too few frames could be placed, or too few features are stable; says what to do better.
+        MappingFailed: too few frames are placed, the recordings share no frame, or too few features are stable.
         Cancelled: ``progress`` asked to stop.
     """
     options = options or BuildOptions()
@@ -147,8 +147,8 @@ def _check_common_frame(walks: Sequence[_Walk]) -> None:
 def _look(
     walks: Sequence[_Walk], options: BuildOptions, progress: ProgressListener
 ) -> tuple[Views, HeldOut, list[list[Look]], tuple[bytes, ...] | None]:
-    """Features of all views and of the held-out frames, appearance of each walk's frames, and the views' pictures if
-    kept.
+    """Features of all views and of the held-out frames, appearance of the frames of each walk, and the views' pictures
+    (None if not kept). Features of views are freed from rolling shutter; those held out are not.
     """
     cameras: list[Camera] = []
     poses: list[FloatArray] = []
@@ -182,7 +182,9 @@ def _look(
 
 
 def _ranges(walk: _Walk, row: int, features: FeatureSet) -> FloatArray:
-    """(F,) distances [m] of a frame's features from the camera, by its depth image; NaN where unknown."""
+    """Distances (F,) [m] of a frame's features from the camera, by its depth image; NaN where unknown or without a
+    metric scale.
+    """
     depth, camera = walk.recording.depth, walk.trajectory.camera
     image = (
         None
@@ -198,7 +200,7 @@ def _ranges(walk: _Walk, row: int, features: FeatureSet) -> FloatArray:
 def reconstruct(
     views: Views, extractor: Extractor, progress: ProgressListener, walk_of_view: IntArray | None = None
 ) -> tuple[Landmarks, BoolArray]:
-    """Reconstruct points from views: link tracks, triangulate, extend, select.
+    """Reconstruct points from views: link tracks, triangulate, extend twice, select (400 landmarks per ordinary view).
 
     Args:
         views: K views.
@@ -210,7 +212,7 @@ def reconstruct(
         All F points, and the mask (F,) of those that become landmarks of the map.
 
     Raises:
-        MappingFailed: too few landmarks are stable.
+        MappingFailed: fewer than 60 landmarks are stable.
         Cancelled: ``progress`` asked to stop.
     """
     labels = link_observations(views, extractor.metric, progress)
@@ -257,7 +259,7 @@ def _assemble(
 
 
 def _in_one_frame(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings with all waypoints that are on Earth in metres around the first one of all."""
+    """The recordings with waypoints on Earth converted to metres east, north and up of the first one of all."""
     places = [waypoint.earth for recording in recordings for waypoint in recording.waypoints if waypoint.earth]
     return [
         replace(
@@ -274,7 +276,7 @@ def _in_one_frame(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def _earth(waypoints: Sequence[Waypoint]) -> SiteOnEarth | None:
-    """Pose on Earth of a map whose frame its waypoints fixed; None if they are not on Earth."""
+    """Pose on Earth of a map whose frame its waypoints fixed; None unless all of them (at least one) are on Earth."""
     places = [waypoint.earth for waypoint in waypoints if waypoint.earth is not None]
     if not places or len(places) < len(waypoints):
         return None
@@ -283,13 +285,15 @@ def _earth(waypoints: Sequence[Waypoint]) -> SiteOnEarth | None:
 
 
 def _view_covariances(walks: Sequence[_Walk]) -> FloatArray | None:
-    """(K, 6, 6) of all views, NaN if a trajectory has none; None if no trajectory has any."""
+    """Covariances (K, 6, 6) of all views, NaN if a trajectory has none; None if no trajectory has any."""
     found = _of_views(walks, lambda trajectory: trajectory.covariances, (6, 6))
     return None if found is None else storable_covariances(found)
 
 
 def _second_positions(walks: Sequence[_Walk]) -> FloatArray | None:
-    """(K, 3) float32 of all views in second reconstructions, likewise."""
+    """Positions (K, 3) float32 of all views in second reconstructions, NaN if a trajectory has none; None if all have
+    none.
+    """
     found = _of_views(walks, lambda trajectory: trajectory.second_positions, (3,))
     return None if found is None else found.astype(np.float32)
 

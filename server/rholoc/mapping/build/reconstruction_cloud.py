@@ -17,13 +17,13 @@ _MAX_RELATIVE_SIGMA = 0.1  # of the largest standard deviation against the dista
 
 
 def cloud_of(views: Views, reconstructed: Landmarks, is_landmark: BoolArray, view_sources: IntArray) -> Cloud:
-    """Points with a position uncertainty small enough to draw; empty if the views have no colour.
+    """Points with a largest sigma below a tenth of their distance, at most 500,000; empty if the views have no colour.
 
     Args:
         views: K views.
         reconstructed: all F reconstructed points.
         is_landmark: (F,) mask of the map's landmarks, which are left out.
-        view_sources: (K,) row of the recording that each view comes from.
+        view_sources: (K,) row of the recording that each view comes from; a point gets its first view's.
     """
     colours = views.features.colours
     shown = np.flatnonzero(~is_landmark & (relative_sigmas(views, reconstructed) < _MAX_RELATIVE_SIGMA))

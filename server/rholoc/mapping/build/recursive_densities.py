@@ -62,7 +62,9 @@ def with_learned_densities(before: Map, after: Map, forgetting: float) -> Map:
 def _learned(
     known: ObservedDensities, sightings: Sightings, new: IntArray, forgetting: float
 ) -> tuple[BoolArray, ObservedDensities]:
-    """Mask of the sightings that were used, and the updated densities."""
+    """Mask (V,) of the sightings that were used, and the updated densities. Of the rows ``new``, a density learns those
+    within its radius whose bearing is within 30° of its direction.
+    """
     assert sightings.bearings is not None
     taken = np.zeros(len(sightings.features), dtype=bool)
     coefficients, moments, counts = known.coefficients.copy(), known.moments.copy(), known.counts.copy()
@@ -86,7 +88,7 @@ def _some(sightings: Sightings, rows: IntArray) -> Sightings:
 
 
 def _sorted(a: ObservedDensities, b: ObservedDensities) -> ObservedDensities:
-    """Densities of both sets, sorted by feature."""
+    """Densities of both sets, sorted by feature (stably, ``a`` first), of the degree of ``a``."""
     order = np.argsort(np.concatenate([a.features, b.features]), kind="stable")
 
     def joined(name: str) -> np.ndarray:

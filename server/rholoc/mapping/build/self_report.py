@@ -30,7 +30,8 @@ class HeldOut:
 
 
 def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> MapReport:
-    """Report on a map: statistics of landmarks, coverage, consistency with held-out frames.
+    """Report on a map: statistics of landmarks, coverage, consistency with at most 60 held-out frames (if there are
+    any).
 
     Held-out frames are localized and compared with the trajectory's poses. This measures consistency, not truth: an
     error of the trajectory affects map and frames alike.

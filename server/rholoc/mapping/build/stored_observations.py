@@ -40,7 +40,9 @@ class ObservedRays:
 
 
 def recording_id(recording: Recording) -> str:
-    """Identifier of a recording, independent of its name: 16 hex digits from its times and first frame."""
+    """Identifier of a recording, independent of its name: 16 hex digits of a hash of its times and, if it decodes, its
+    first frame.
+    """
     digest = hashlib.blake2b(recording.frames.times.tobytes(), digest_size=8)
     with contextlib.suppress(InvalidRecording):  # a damaged frame is no matter as long as nobody needs it
         digest.update(next(iter(recording.frames.images([0]))).tobytes())
@@ -71,7 +73,7 @@ def observed_rays(map_: Map) -> ObservedRays:
 def solve_landmarks(
     observations: ObservedRays, count: int, wanted: BoolArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Triangulate the landmarks ``wanted`` (F,) out of F features.
+    """Triangulate the landmarks ``wanted`` (F,) out of F = ``count`` features.
 
     Each landmark depends on its own observations alone, independent of their order and time.
 
@@ -101,6 +103,10 @@ def solve_landmarks(
 def with_landmarks(map_: Map, wanted: BoolArray | None = None) -> Map:
     """The map with landmarks, or those ``wanted`` (F,), triangulated again. Undetermined ones are dropped with their
     features.
+
+    Raises:
+        InvalidInput: the map does not remember its observations.
+        InvalidMap: the result is inconsistent.
     """
     wanted = np.ones(len(map_), dtype=bool) if wanted is None else wanted
     positions, covariances, determined = solve_landmarks(observed_rays(map_), len(map_), wanted)
@@ -114,7 +120,9 @@ def with_landmarks(map_: Map, wanted: BoolArray | None = None) -> Map:
 
 
 def keep_features(map_: Map, kept: BoolArray) -> Map:
-    """The map in ``ray`` form with only the features where ``kept`` (F,) is true, renumbered."""
+    """The map with only the features where ``kept`` (F,) is true, renumbered. Valid for maps in ``ray`` form, whose
+    densities need no change.
+    """
     if kept.all():
         return map_
     number = (np.cumsum(kept) - 1).astype(np.int32)

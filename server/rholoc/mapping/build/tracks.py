@@ -50,7 +50,9 @@ class Views(PosedCameras):
         features: Sequence[FeatureSet],
         ranges_m: FloatArray | None = None,
     ) -> Views:
-        """Views from one camera, pose, time and feature set each, and the ranges (N,) of all; at least one view."""
+        """Views from one camera, pose, time and feature set each; ``ranges_m`` (N,) are of all features, None if all
+        unknown.
+        """
         rays = [
             camera.rays(f.pixels) @ T[:3, :3].T for camera, f, T in zip(cameras, features, T_map_camera, strict=True)
         ]
@@ -79,7 +81,9 @@ class Views(PosedCameras):
 
 
 def neighbour_pairs(views: Views) -> IntArray:
-    """Pairs (P, 2) of views worth matching: adjacent in time, or close in position and heading."""
+    """Sorted pairs (P, 2) of views worth matching: the next seven in time, and each view's ten closest others in
+    position and heading.
+    """
     k = len(views)
     order = np.argsort(views.times, kind="stable")
     pairs = {
@@ -101,8 +105,8 @@ def neighbour_pairs(views: Views) -> IntArray:
 def link_observations(views: Views, metric: Metric, progress: ProgressListener = silent) -> IntArray:
     """Link detections into tracks. Returns labels (N,), -1 for a detection without a track.
 
-    Links are mutual nearest neighbours that agree with the epipolar geometry of the views' poses. The most similar ones
-    are linked first; a track never has two detections in one view.
+    Links are mutual nearest neighbours within the strict descriptor limit that agree with the epipolar geometry of the
+    views' poses. The most similar ones are linked first; a track never has two detections in one view.
     """
     pairs = neighbour_pairs(views)
     feature_sets = [views.of_view(k) for k in range(len(views))]
@@ -121,7 +125,11 @@ def link_observations(views: Views, metric: Metric, progress: ProgressListener =
 
 
 def epipolar_agreement(views: Views, rows: IntArray, i: int, j: int) -> BoolArray:
-    """Mask (M,) of links (M, 2) between views ``i`` and ``j`` within the epipolar limit in both pictures."""
+    """Mask (M,) of links (M, 2), rows of detections in views ``i`` and ``j``, within 4 px of the epipolar plane in both
+    pictures.
+
+    Without a baseline, both bearings must agree within 4 px.
+    """
     baseline = views.positions[j] - views.positions[i]
     b_i, b_j = views.bearings[rows[:, 0]], views.bearings[rows[:, 1]]
     length = np.linalg.norm(baseline)
@@ -139,7 +147,9 @@ def epipolar_agreement(views: Views, rows: IntArray, i: int, j: int) -> BoolArra
 
 
 def _tracks(links: IntArray, view_of: IntArray) -> IntArray:
-    """Union of the links (L, 2) in their order, without links that would put two detections of a view into a track."""
+    """Labels (N,) of the union of the links (L, 2) in their order; -1 for a detection without a link. Links that would
+    put two detections of a view into a track are skipped.
+    """
     parent = np.arange(len(view_of)).tolist()
     seen_in: dict[int, set[int]] = {}
 

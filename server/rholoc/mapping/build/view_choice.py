@@ -13,10 +13,10 @@ _MAX_VIEWS = 2000
 
 
 def choose_views(T_map_camera: FloatArray, hold_out: bool, step: float = VIEW_STEP) -> tuple[IntArray, IntArray]:
-    """Rows of the views and of the held-out frames, from a trajectory's poses (K, 4, 4) in order of time.
+    """Rows of the views and of the held-out frames, ascending, from a trajectory's poses (K, 4, 4) in order of time.
 
-    Every tenth pose is held out. Among the others, a view is taken whenever the camera has moved by ``step`` (metres
-    plus radians), at most 2000 in all.
+    With ``hold_out`` and at least 30 poses, every tenth pose is held out. Among the others, a view is taken whenever
+    the camera has moved by ``step`` (metres plus radians), or by more if that gave more than 2000.
     """
     rows = np.arange(len(T_map_camera))
     held_out = (

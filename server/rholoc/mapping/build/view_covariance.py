@@ -25,8 +25,9 @@ def uncertainty_in(
 ) -> FloatArray:
     """Covariances (K, 6, 6) float32 of poses (K, 4, 4) that were localized in a map.
 
-    The map's own covariance at each pose, plus ``residual_m`` and ``residual_rad``, the standard deviations per axis of
-    the poses relative to the map. NaN if the map has no covariances.
+    The map's own covariance at each pose, the mean of the ten nearest views' by inverse squared distance, plus
+    ``residual_m`` and ``residual_rad``, the standard deviations per axis of the poses relative to the map. NaN if the
+    map has no covariances.
     """
     covariances, positions = map_.views.known_covariances.astype(np.float64), map_.views.positions
     own = np.diag([residual_m**2] * 3 + [residual_rad**2] * 3)
@@ -42,14 +43,14 @@ def uncertainty_in(
 
 
 def moved_covariances(covariances: FloatArray, similarity: Similarity) -> FloatArray:
-    """Covariances (K, 6, 6) of poses after a similarity: positions rotated and scaled, rotations rotated."""
+    """Covariances (K, 6, 6) float32 of poses after a similarity: positions rotated and scaled, rotations rotated."""
     J = np.zeros((6, 6))
     J[:3, :3], J[3:, 3:] = similarity.scale * similarity.rotation, similarity.rotation
     return storable_covariances(J @ covariances.astype(np.float64) @ J.T)
 
 
 def expected_error(map_: Map) -> ExpectedError | None:
-    """Expected error of a map's views; None if unknown."""
+    """Expected errors of a map's views: root mean square, worst with its time, and all. None if no view's is known."""
     errors_m = map_.views.expected_errors_m
     known = np.flatnonzero(np.isfinite(errors_m))
     if len(known) == 0:

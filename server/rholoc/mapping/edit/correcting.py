@@ -36,64 +36,67 @@ _MIN_PLAN_POINTS, _MAX_PLAN_POINTS = 2, 100
 
 
 def set_origin(map_: Map, point: FloatArray) -> Map:
-    """Move the origin to ``point`` (3,) of the present frame.
+    """Next version of the map, its origin moved to ``point`` (3,) of the present frame.
 
     Raises:
-        InvalidInput: the map would be too far from its origin.
+        InvalidInput: a part of the map would be more than 10 km from its origin.
     """
     return _moved(map_, frames.origin_at(point), CorrectionKind.ORIGIN)
 
 
 def set_north(map_: Map, direction: FloatArray) -> Map:
-    """Rotate the map about its origin so that ``direction`` (3,), seen from above, becomes y.
+    """Next version of the map, rotated about its origin so that ``direction`` (3,), seen from above, becomes y.
 
     Raises:
-        InvalidInput: the direction is not level.
+        InvalidInput: the direction is too short, or within 3° of the vertical.
         Conflict: the map is not upright.
     """
     return _moved(_upright(map_), frames.level_direction(direction, _Y_DEG), CorrectionKind.NORTH)
 
 
 def set_wall(map_: Map, direction: FloatArray) -> Map:
-    """Rotate the map about its origin so that ``direction`` (3,) along a wall, seen from above, becomes x.
+    """Next version of the map, rotated about its origin so that ``direction`` (3,), seen from above, becomes x.
 
     Raises:
-        InvalidInput: the direction is not level.
+        InvalidInput: the direction is too short, or within 3° of the vertical.
         Conflict: the map is not upright.
     """
     return _moved(_upright(map_), frames.level_direction(direction, 0.0), CorrectionKind.WALL)
 
 
 def set_up(map_: Map, direction: FloatArray | None = None) -> Map:
-    """Rotate the map so that ``direction`` (3,) becomes z; default: the up direction estimated from its views.
+    """Next version of the map, rotated so that ``direction`` (3,) becomes z; it is upright from then on.
+
+    By default the up direction is estimated from its views.
 
     Raises:
-        InvalidInput: the direction is invalid, or the views do not agree on one.
+        InvalidInput: the direction is shorter than 1e-6, or the views do not agree on one.
     """
     up = frames.estimated_up(map_) if direction is None else direction
     return _moved(map_, frames.upward(up), CorrectionKind.UP, upright=True)
 
 
 def set_distance(map_: Map, start: FloatArray, end: FloatArray, length_m: float) -> Map:
-    """Scale the map so that points ``start`` (3,) and ``end`` (3,) are ``length_m`` apart; it is metric from then on.
+    """Next version of the map, scaled so that points ``start`` (3,) and ``end`` (3,) are ``length_m`` apart; it is
+    metric.
 
     Raises:
-        InvalidInput: the points coincide, or the length is implausible.
+        InvalidInput: the points coincide, the scale is not within 1e-4 to 1e4, or the map gets too large.
     """
     return _moved(map_, frames.measured(start, end, length_m), CorrectionKind.SCALE, metric=True)
 
 
 def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool) -> Map:
-    """Align points (N, 3) of the map with points (N, 2) [m] of a floor plan.
+    """Next version of the map, its points (N, 3) aligned with points (N, 2) [m] of a floor plan by least squares.
 
     Args:
         map_: the map.
-        points: two or more points of the present frame.
+        points: 2 to 100 points of the present frame, not all above each other.
         plan: the corresponding points of the plan.
-        scaled: whether the map takes the plan's scale and becomes metric.
+        scaled: whether the map takes the plan's scale and becomes metric; heights are scaled, but not shifted.
 
     Raises:
-        InvalidInput: there are too few points, or they lie above each other.
+        InvalidInput: there are too few or too many points, they lie above each other, or the scale is implausible.
         Conflict: the map is not upright.
     """
     if len(points) != len(plan) or not _MIN_PLAN_POINTS <= len(points) <= _MAX_PLAN_POINTS:
@@ -108,18 +111,19 @@ def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool)
 def remove_region(
     map_: Map, outline: FloatArray, bottom_m: float | None, top_m: float | None, keep_inside: bool
 ) -> Map:
-    """Remove the landmarks inside a region, or all others.
+    """Next version of the map without the landmarks, cloud points and room surfaces inside a region, or without all
+    others.
 
     Args:
         map_: the map.
-        outline: (N, 2) corners of the region, seen from above.
-        bottom_m: lowest z of the region; None for no bound.
+        outline: (N, 2) corners of the region, seen from above, in the map's unit.
+        bottom_m: lowest z of the region, in the map's unit; None for no bound.
         top_m: highest z of the region; None for no bound.
         keep_inside: whether to remove what is outside instead.
 
     Raises:
         InvalidInput: the outline is not a valid polygon.
-        Conflict: there is nothing to remove, or too little would be left.
+        Conflict: there is no landmark to remove, or fewer than 12 would be left.
     """
     shown = (map_.landmarks.positions, map_.cloud.positions, map_.room.vertices.positions)
     removed = (in_region(positions, outline, bottom_m, top_m) != keep_inside for positions in shown)
@@ -128,17 +132,18 @@ def remove_region(
 
 
 def remove_views(map_: Map, first: int, last: int) -> Map:
-    """Remove the views ``first`` to ``last``, and the landmarks that only they saw.
+    """Next version of the map without the views ``first`` to ``last`` (inclusive), and the landmarks that only they
+    saw.
 
     Raises:
         InvalidInput: there are no such views.
-        Conflict: too little would be left.
+        Conflict: no view, or fewer than 12 landmarks, would be left.
     """
     return _cut(map_, without_views(map_, first, last), CorrectionKind.WALK)
 
 
 def set_names(map_: Map, names: MapNames) -> Map:
-    """Replace the map's names of points and areas.
+    """Next version of the map with other names of points and areas; it has none of the present ones.
 
     Raises:
         InvalidInput: a name or an area is invalid.
@@ -148,10 +153,12 @@ def set_names(map_: Map, names: MapNames) -> Map:
 
 
 def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
-    """Attach a floor plan: the file's ``content`` and its placement; None removes it.
+    """Next version of the map with a floor plan, the file's ``content`` and its placement; with none if ``plan`` is
+    None.
 
     Raises:
-        TooLarge, InvalidInput: it cannot be kept.
+        TooLarge: the file is too large.
+        InvalidInput: it is not a picture that can be shown, or its placement is invalid.
     """
     kept = None if plan is None else check_plan(content, plan)
     planned = replace(map_, info=replace(map_.info, plan=kept), plan=content if kept else b"")
@@ -159,7 +166,8 @@ def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
 
 
 def set_earth(map_: Map, points: FloatArray, places: Sequence[EarthPlace], heading_deg: float | None) -> Map:
-    """Place the map on Earth by points (N, 3) [m] and their places, or by one and the heading of y from true north.
+    """Next version of the map, on Earth by points (N, 3) [m] and their places, or by one and the heading of y [° from
+    north].
 
     Raises:
         InvalidInput: as :meth:`SiteOnEarth.through`, or a number is out of range.
@@ -175,10 +183,10 @@ def set_earth(map_: Map, points: FloatArray, places: Sequence[EarthPlace], headi
 
 
 def set_labels(map_: Map, labels: MapLabels) -> Map:
-    """Replace the map's site, floor and tags.
+    """Next version of the map with other labels: site, floor and tags.
 
     Raises:
-        InvalidInput: one is invalid.
+        InvalidInput: over 20 tags, an empty or repeated one, or a text over 100 characters or not printable.
     """
     info = replace(map_.info, labels=check_labels(labels))
     return replace(map_, info=noted(info, _correction(map_.info, CorrectionKind.LABELS)))

@@ -18,7 +18,8 @@ _MIN_LEFT = 12  # landmarks; fewer than that no camera is localized by
 def in_region(
     positions: FloatArray, outline: FloatArray, bottom_m: float | None = None, top_m: float | None = None
 ) -> BoolArray:
-    """Mask (N,) of positions (N, 3) inside an outline (M, 2), seen from above, and between two heights (even–odd rule).
+    """Mask (N,) of positions (N, 3) inside an outline (M, 2), seen from above (even–odd rule), and between two heights
+    (None: no bound).
 
     Raises:
         InvalidInput: the outline is not a valid polygon.
@@ -34,7 +35,7 @@ def without_landmarks(map_: Map, removed: BoolArray, points_removed: BoolArray, 
     vertices ``vertices_removed`` (V,) of its room.
 
     Raises:
-        Conflict: there are none, or too few would be left.
+        Conflict: ``removed`` has none, or fewer than 12 landmarks would be left.
     """
     if not removed.any():
         raise Conflict("There is no landmark to remove.", "Choose another region.")
@@ -50,7 +51,7 @@ def without_views(map_: Map, first: int, last: int) -> Map:
 
     Raises:
         InvalidInput: there are no such views.
-        Conflict: too little would be left.
+        Conflict: no view, or fewer than 12 landmarks, would be left.
     """
     count = len(map_.views)
     if not 0 <= first <= last < count:
@@ -68,7 +69,8 @@ def keep_views(map_: Map, stays: BoolArray) -> Map:
     """The map in ``ray`` form with only the views where ``stays`` (K,) is true, without landmarks that only the others
     saw.
 
-    If the map remembers its observations, the landmarks are those of a map that never had the other views.
+    If the map remembers its observations, its sources' view counts follow, and the landmarks are those of a map that
+    never had the other views.
     """
     seen = stays[map_.observations.views]
     touched = np.zeros(len(map_), dtype=bool)

@@ -11,11 +11,11 @@ from rholoc.reports import LearningReport
 
 
 def forget_recording(map_: Map, recording: str) -> Map:
-    """The map without what it learned from ``recording``, given by id or by an unambiguous name.
+    """Next version of the map without what it learned from ``recording``, given by id or by an unambiguous name.
 
     Raises:
-        InvalidInput: the map does not remember its observations, never learned the recording, or learned several
-            of that name; lists those that it learned.
+        InvalidInput: the map does not remember its observations, never learned the recording, or learned several of
+            that name; lists those that it learned.
         Conflict: it learned nothing else.
     """
     check_memory(map_, "The map")

@@ -24,10 +24,10 @@ def origin_at(point: FloatArray) -> Similarity:
 
 
 def level_direction(direction: FloatArray, becomes_deg: float) -> Similarity:
-    """Rotation about z that turns ``direction`` (3,), seen from above, to ``becomes_deg`` from x towards y.
+    """Rotation about z that turns ``direction`` (3,), seen from above, to the angle ``becomes_deg`` from x towards y.
 
     Raises:
-        InvalidInput: the direction is too short or vertical.
+        InvalidInput: the direction is too short, or within 3° of the vertical.
     """
     length, level = float(np.linalg.norm(direction)), float(np.linalg.norm(direction[:2]))
     if length < _SHORTEST or level < _MIN_LEVEL * length:
@@ -37,10 +37,10 @@ def level_direction(direction: FloatArray, becomes_deg: float) -> Similarity:
 
 
 def upward(direction: FloatArray) -> Similarity:
-    """Smallest rotation that turns ``direction`` (3,) to z.
+    """Smallest rotation that turns ``direction`` (3,), of any length, to z.
 
     Raises:
-        InvalidInput: the direction is too short.
+        InvalidInput: the direction is shorter than 1e-6.
     """
     length = float(np.linalg.norm(direction))
     if length < _SHORTEST:
@@ -61,7 +61,7 @@ def estimated_up(map_: Map) -> FloatArray:
     alignment and stitching, 2006, section 5.1); otherwise the mean of their up axes.
 
     Raises:
-        InvalidInput: the views do not agree.
+        InvalidInput: the mean of their up axes is shorter than a half: the views do not agree.
     """
     ups, across = -map_.views.T_map_camera[:, :3, 1], map_.views.T_map_camera[:, :3, 0]
     mean = ups.mean(axis=0) if len(ups) else np.zeros(3)
@@ -78,8 +78,7 @@ def levelled(map_: Map) -> FloatArray | None:
     """Rotation (3, 3) for displaying a map that is not upright: up becomes z, walls become parallel to x and y.
 
     Up is estimated from the views; walls from the angle at which the landmarks, seen from above, concentrate most in x
-    and y
-    (least entropy of the histograms). None if the map is upright, or the views do not agree on up.
+    and y (least entropy of the histograms). None if the map is upright or empty, or the views do not agree on up.
     """
     if map_.info.upright or not len(map_):
         return None
@@ -95,7 +94,7 @@ def levelled(map_: Map) -> FloatArray | None:
 
 
 def _entropy(plane: FloatArray, turn: float) -> float:
-    """Entropy of the histograms of points (N, 2) along both axes after a rotation by ``turn``."""
+    """Sum of the entropies [nats] of the histograms of points (N, 2) along both axes rotated by ``turn`` [rad]."""
     cosine, sine = np.cos(turn), np.sin(turn)
     total = 0.0
     for along in (plane @ [cosine, sine], plane @ [-sine, cosine]):
@@ -110,7 +109,7 @@ def measured(start: FloatArray, end: FloatArray, length_m: float) -> Similarity:
     """Scaling that makes points ``start`` (3,) and ``end`` (3,) ``length_m`` apart; the origin stays.
 
     Raises:
-        InvalidInput: the points coincide, or the length is implausible.
+        InvalidInput: the points coincide, or the scale is not within 1e-4 to 1e4.
     """
     distance = float(np.linalg.norm(end - start))
     if distance < _SHORTEST:
@@ -132,7 +131,7 @@ def laid_over(points: FloatArray, plan: FloatArray, scaled: bool) -> tuple[Simil
         The similarity, and the root mean square residual [m].
 
     Raises:
-        InvalidInput: the points coincide when seen from above, or the scale is implausible.
+        InvalidInput: the points coincide when seen from above, or the scale is not within 1e-4 to 1e4.
     """
     a, b = (xy[:, 0] + 1j * xy[:, 1] for xy in (points, plan))
     from_middle, to_middle = a - a.mean(), b - b.mean()

@@ -17,9 +17,9 @@ _FARTHEST_M = 10_000.0  # from the origin: single precision still tells a millim
 
 
 def move_map(map_: Map, similarity: Similarity) -> Map:
-    """Apply a similarity to a map: landmarks, views, densities and reported lengths.
+    """The map in the frame after a similarity: landmarks, views, cloud, room, densities, places and reported lengths.
 
-    Nothing is estimated again. The caller updates the report's coverage.
+    Nothing is estimated again, and the version stays. The caller updates the report's coverage.
 
     Raises:
         InvalidInput: a part of the map would be more than 10 km from the origin.
@@ -59,7 +59,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
 
 
 def moved_names(names: MapNames, similarity: Similarity) -> MapNames:
-    """Names after a similarity."""
+    """Names of points and areas (corners taken at z = 0) in the frame after a similarity."""
     return MapNames(
         tuple(replace(point, position=_moved(point.position, similarity)) for point in names.points),
         tuple(

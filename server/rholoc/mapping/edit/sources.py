@@ -26,14 +26,13 @@ _Sourced = TypeVar("_Sourced", MapDescriptors, MapViews)
 
 
 def join(a: Map, b: Map, same: IntArray) -> Map:
-    """``a`` with everything that ``b`` remembers; both in ``ray`` form and in the frame of ``a``.
+    """``a`` with everything that ``b`` remembers; both in ``ray`` form and in the frame of ``a``, whose version stays.
 
     Args:
         a: a map.
         b: a map of other recordings.
         same: (F_b,) row of the feature of ``a`` that each feature of ``b`` is, or -1 for a new one. Observations that
-            would
-            leave a landmark of ``a`` undetermined are dropped.
+            would leave a landmark of ``a`` undetermined are dropped.
     """
     joined = _joined(a, b, same)
     counted = np.zeros(len(joined), dtype=bool)
@@ -49,8 +48,11 @@ def join(a: Map, b: Map, same: IntArray) -> Map:
 
 
 def without_source(map_: Map, source: int) -> Map:
-    """The map in ``ray`` form without the recording in row ``source``, and without features only it saw or
-    described.
+    """The map in ``ray`` form without the recording in row ``source``, and without features only it saw or described.
+    Landmarks it saw are triangulated again.
+
+    Raises:
+        InvalidInput: the map does not remember its observations.
     """
     memory = check_memory(map_, "The map")
     seen = memory.view_sources[map_.observations.views] != source
@@ -70,14 +72,17 @@ def without_source(map_: Map, source: int) -> Map:
 
 
 def _without_source(table: _Sourced, source: int) -> _Sourced:
-    """A table without the rows of ``source``; later sources are renumbered."""
+    """A table without the number ``source``: its rows are gone already; higher numbers are lowered by one."""
     assert table.sources is not None
     return replace(table, sources=(table.sources - (table.sources > source)).astype(np.int32))
 
 
 def with_sources_once(map_: Map) -> Map:
-    """The map with sources of the same id merged. Of the descriptors they contribute to a feature, the last are
-    kept.
+    """The map with sources of the same id merged into the first. A feature keeps the last two descriptors of each
+    merged source.
+
+    Raises:
+        InvalidInput: the map does not remember its observations.
     """
     memory, sources = check_memory(map_, "The map"), map_.info.sources
     ids = [source.id for source in sources]
@@ -100,7 +105,7 @@ def with_sources_once(map_: Map) -> Map:
 
 
 def _latest(features: IntArray, sources: IntArray) -> BoolArray:
-    """Mask (D,) of the last ``DESCRIPTORS_PER_FEATURE`` descriptors of each source for each feature."""
+    """Mask (D,) of the last ``DESCRIPTORS_PER_FEATURE`` descriptors of each source (D,) for each feature (D,)."""
     order = np.lexsort((np.arange(len(features)), sources, features))[::-1]
     starts = np.append(True, (np.diff(features[order]) != 0) | (np.diff(sources[order]) != 0))
     rank = np.arange(len(order)) - np.maximum.accumulate(np.where(starts, np.arange(len(order)), 0))
@@ -110,13 +115,15 @@ def _latest(features: IntArray, sources: IntArray) -> BoolArray:
 
 
 def _numbers(a: Map, same: IntArray) -> IntArray:
-    """Rows (F_b,) of the second map's features in the joined map."""
+    """Rows (F_b,) of the second map's features in the joined map: ``same`` (F_b,), or for -1 new ones after ``a``."""
     new = same < 0
     return np.asarray(np.where(new, len(a) + np.cumsum(new) - 1, same))
 
 
 def _joined(a: Map, b: Map, same: IntArray) -> Map:
-    """Rows of both maps, with the landmarks unchanged."""
+    """Map of the rows of both maps, ``a`` first, the landmarks' positions unchanged. ``same`` (F_b,): features of
+    ``a``, or -1 for new ones.
+    """
     numbers, views = _numbers(a, same).astype(np.int32), np.int32(len(a.views))
     of_b, first_source = check_memory(b, "The map"), np.int32(len(a.info.sources))
     descriptors = MapDescriptors.concat(

@@ -26,8 +26,8 @@ def as_learned(
     """Next version of a map that has learned: ``after`` (``ray`` form) in the form of ``before``, with an updated
     report.
 
-    ``learned`` is added to the report. With ``forgetting``, ``observed`` densities are updated recursively; without,
-    all densities are fitted again.
+    ``learned`` gives the version and is added to the report. With ``forgetting``, ``observed`` densities are updated
+    recursively; without, all densities are fitted again. Raises Cancelled if ``progress`` asks to stop.
     """
     report = _brought_up(after, before.info.report)
     report = replace(report, learned=_without_old_lessons((*report.learned, learned)))
@@ -39,21 +39,23 @@ def as_learned(
 
 
 def _without_old_lessons(learned: tuple[LearningReport, ...]) -> tuple[LearningReport, ...]:
-    """Learning reports without all but the last ones from queries, of which there is one per night."""
+    """Learning reports without those from queries except the last ten: there is one per night."""
     from_queries = [report for report in learned if report.queries is not None]
     old = from_queries[:-_MAX_LESSONS]
     return tuple(report for report in learned if report not in old)
 
 
 def as_corrected(before: Map, after: Map, correction: Correction) -> Map:
-    """Next version of a map that was corrected: ``after`` in the form of ``before``, with ``correction`` recorded."""
+    """Next version of a map that was corrected: ``after`` in the form of ``before``, with ``correction`` recorded and
+    its statistics updated.
+    """
     if after.info.density is not before.info.density:
         after = fit_densities(after, before.info.density, before.densities.degree)
     return replace(after, info=replace(noted(after.info, correction), report=_brought_up(after, after.info.report)))
 
 
 def noted(info: MapInfo, correction: Correction) -> MapInfo:
-    """Description of a map with one more correction."""
+    """Description of a map with one more correction (the last 1000 are kept), which gives its version and time."""
     kept = (*info.corrections, correction)[-_MAX_CORRECTIONS:]
     return replace(info, version=correction.version, created=correction.created, corrections=kept)
 

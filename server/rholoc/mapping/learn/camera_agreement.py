@@ -19,7 +19,10 @@ _MIN_TELLING = 10  # landmarks that others know of: among fewer, each counts as 
 
 
 def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
-    """Mask (C,) of cameras that are not contradicted by the ``speaking`` (C,) cameras that agree with each other."""
+    """Mask (C,) of cameras that are not contradicted by the ``speaking`` (C,) cameras that agree with each other.
+
+    A camera is contradicted if others miss more than a fifth of the landmarks that it sees.
+    """
     believed = speaking.copy()
     while True:
         contradicted = _contradicted(sights, believed)
@@ -30,7 +33,7 @@ def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
 
 
 def _contradicted(sights: Sights, believed: BoolArray) -> FloatArray:
-    """(C,) share of the landmarks seen by each camera that the ``believed`` other cameras miss."""
+    """Share (C,) of the landmarks seen by each camera that the ``believed`` (C,) other cameras miss by over 1 nat."""
     nats = sights.evidence(believed, _MISPLACED)
     of_others = sights.sums(nats, believed)[sights.landmarks] - nats * believed[sights.cameras]
     missed = np.bincount(sights.cameras, sights.seen & (of_others < -_TELLING_NATS), sights.camera_count)

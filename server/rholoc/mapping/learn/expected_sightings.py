@@ -65,7 +65,7 @@ class Sights:
 
     @property
     def camera_count(self) -> int:
-        """C."""
+        """Number C of cameras."""
         return len(self.occasions)
 
     @classmethod
@@ -109,7 +109,7 @@ class Sights:
         return nats
 
     def sums(self, values: FloatArray | BoolArray, believed: BoolArray) -> FloatArray:
-        """(F,) sum of ``values`` (S,) over the ``believed`` (C,) cameras, per landmark."""
+        """Sum (F,) of ``values`` (S,) over the ``believed`` (C,) cameras, per landmark."""
         counted = values * believed[self.cameras]
         return np.bincount(self.landmarks, counted, self.landmark_count).astype(np.float64)
 
@@ -119,7 +119,7 @@ _NOTHING: _Sight = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=
 
 
 def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
-    """Expected and unobstructed sightings of one camera; empty if it has too few features."""
+    """Expected and unobstructed sightings of one camera; empty if it saw fewer than twelve landmarks."""
     landmarks, chances, seen = _expected(index, one, recorded, by_recording)
     if seen.sum() < _MIN_SEEN:
         return _NOTHING
@@ -128,7 +128,10 @@ def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: Bool
 
 
 def _expected(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
-    """Landmarks (E,) that a camera should see, their probabilities (E,), and whether it saw them (E,)."""
+    """Landmarks (E,) that a camera should see, their probabilities (E,), and whether it saw them (E,), within 6 px.
+    Probabilities are the shares among the ten most similar recorded views (for landmarks ``by_recording`` (F,)) or
+    others.
+    """
     found, _ = index.match_near(one.features, one.camera, one.T_map_camera, _RADIUS_PX)
     saw = np.zeros(len(index.map), dtype=bool)
     saw[found.landmarks] = True
@@ -151,7 +154,7 @@ def _expected(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: B
 
 
 def _hidden(index: MapIndex, one: Looked, landmarks: IntArray, seen: BoolArray) -> BoolArray:
-    """Mask (E,) of landmarks behind one that was seen next to them in the picture."""
+    """Mask (E,) of landmarks within 40 px of one that was ``seen`` (E,) at less than 0.8 × their depth."""
     T = one.T_map_camera
     in_camera = (index.landmarks[landmarks] - T[:3, 3]) @ T[:3, :3]
     pixels, depth = one.camera.project(in_camera), one.camera.depths(in_camera)

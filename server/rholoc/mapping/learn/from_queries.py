@@ -136,13 +136,13 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
 
 
 def _is_held_back(query: AnsweredQuery) -> bool:
-    """Whether a query is reserved for testing, in this night and every other."""
+    """Whether a query is one of the fifth reserved for testing; by a hash of asker and time: always the same ones."""
     digest = hashlib.blake2b(f"{query.asker} {query.time_s:.3f}".encode(), digest_size=8).digest()
     return int.from_bytes(digest) % _HELD_BACK_EVERY == 0
 
 
 def too_few_queries(kept: int) -> Conflict:
-    """Error for a map with too few queries to learn from."""
+    """Error for a map with only ``kept`` queries to learn from."""
     return Conflict(
         f"{kept} queries are kept for the map; it learns from {MIN_QUERIES} at least.",
         "Set RHOLOC_LEARN=true to keep queries, and try again when the map has been asked more often.",
@@ -150,7 +150,7 @@ def too_few_queries(kept: int) -> Conflict:
 
 
 def _placed(localizer: Localizer, queries: Sequence[AnsweredQuery], progress: ProgressListener) -> list[_Placed]:
-    """The queries that are localized confidently in the present map, without a prior."""
+    """The queries that get a pose in the present map, without a prior, of a sigma of at most 5 × the median."""
     occasions = _occasions(queries)
     found = []
     for done, (query, occasion) in enumerate(zip(queries, occasions.tolist(), strict=True)):
@@ -162,14 +162,14 @@ def _placed(localizer: Localizer, queries: Sequence[AnsweredQuery], progress: Pr
 
 
 def _exact(placed: Sequence[_Placed], ratio: float) -> list[_Placed]:
-    """Queries with a position sigma of at most ``ratio`` × the median."""
+    """Queries with a position sigma of at most ``ratio`` × the median of all."""
     sigmas_m = np.sqrt([np.trace(one.covariance[:3, :3]) for one in placed])
     most_m = ratio * np.median(sigmas_m) if len(placed) else np.inf
     return [one for one, sigma_m in zip(placed, sigmas_m, strict=True) if sigma_m <= most_m]
 
 
 def _believed(localizer: Localizer, placed: Sequence[_Placed]) -> list[_Placed]:
-    """Queries that the others, except for held-back ones, do not contradict."""
+    """Queries, held-back ones too, that the others except for the held-back ones do not contradict."""
     teaching = np.array([not _is_held_back(one.query) for one in placed], dtype=bool)
     agree = agreeing(_sights(localizer, placed), teaching)
     return [one for one, agrees in zip(placed, agree.tolist(), strict=True) if agrees]
@@ -182,9 +182,8 @@ def _sights(localizer: Localizer, placed: Sequence[_Placed]) -> Sights:
 
 
 def _settled(placed: Sequence[_Placed], believed: Sequence[_Placed], again: Sequence[_Placed]) -> list[_Placed]:
-    """Poses of the queries that are believed before or after the map has learned.
-
-    Queries with contradicting poses before and after are dropped.
+    """Poses of the queries that are believed before or after the map has learned; of both, the one before. Queries
+    whose two poses are more than 25 cm or 10° apart are dropped.
     """
     before, after = ({id(one.query): one for one in some} for some in (believed, again))
     found = []
@@ -201,7 +200,7 @@ def _settled(placed: Sequence[_Placed], believed: Sequence[_Placed], again: Sequ
 
 
 def _occasions(queries: Sequence[AnsweredQuery]) -> IntArray:
-    """(Q,) number of the occasion: equal for a client's queries that follow each other closely."""
+    """Number (Q,) of the occasion: equal for a client's queries that follow each other within ten minutes."""
     times = np.array([query.time_s for query in queries])
     _, askers = np.unique([query.asker for query in queries], return_inverse=True)
     order = np.lexsort((times, askers))
@@ -212,17 +211,19 @@ def _occasions(queries: Sequence[AnsweredQuery]) -> IntArray:
 
 
 def _is_recorded(map_: Map) -> BoolArray:
-    """(K,) mask of the views from recordings rather than queries."""
+    """Mask (K,) of the views from recordings rather than queries."""
     return ~_is_of_queries(map_.info)[check_memory(map_, "The map").view_sources]
 
 
 def _is_of_queries(info: MapInfo) -> BoolArray:
-    """Mask of the sources that are queries."""
+    """Mask (S,) of the map's sources that are queries."""
     return np.array([source.poses == QUERY_POSES for source in info.sources])
 
 
 def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
-    """Queries that become views: exact, new, from the most common cameras, and spread over the map."""
+    """Queries that become views: of at most 3 × the median sigma, at a new time, from the four most common cameras, and
+    spread over the map.
+    """
     learned = set(known.views.times[~_is_recorded(known)].tolist())
     new = [one for one in _exact(teaching, _MAX_VIEW_SIGMA_RATIO) if one.query.time_s not in learned]
     cameras = [one.query.camera for one in new]
@@ -238,7 +239,9 @@ def _most_views(map_: Map) -> int:
 
 
 def _spread(T_map_camera: FloatArray, most: int) -> list[int]:
-    """Sorted rows of at most ``most`` poses (N, 4, 4), chosen by farthest-point sampling."""
+    """Sorted rows of at most ``most`` poses (N, 4, 4), chosen by farthest-point sampling (metres plus radians) from the
+    last.
+    """
     if len(T_map_camera) <= most:
         return list(range(len(T_map_camera)))
     chosen = [len(T_map_camera) - 1]
@@ -275,7 +278,9 @@ class _Lesson:
 
 
 def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressListener) -> _Lesson:
-    """The localizer's map without vanished landmarks, with queries (except held-back ones) as views."""
+    """The localizer's map without vanished landmarks, with queries (except held-back ones) as views. ``placed`` are the
+    believed queries with their poses.
+    """
     known = localizer.map
     teaching = [one for one in placed if not _is_held_back(one.query)]
     gone = vanished(_sights(localizer, teaching))
@@ -288,7 +293,9 @@ def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressL
 
 
 def _joined(left: Map, fresh: Sequence[_Placed], most: int, progress: ProgressListener) -> tuple[Map, int, int]:
-    """A map extended by the views of queries, with at most ``most`` landmarks; number seen again, number new."""
+    """A map extended by the views of queries, with at most ``most`` landmarks; how many of its landmarks they see
+    again; how many are new.
+    """
     localizer = Localizer(left, min_recognized=LEARNING_RECOGNIZED)
     cameras = [one.query.camera for one in fresh]
     T = np.array([one.T_map_camera for one in fresh])
@@ -311,7 +318,7 @@ def _joined(left: Map, fresh: Sequence[_Placed], most: int, progress: ProgressLi
 
 
 def _some_of_each_view(views: Views, labels: IntArray) -> IntArray:
-    """Labels (N,) of known landmarks, or -1; limited per view to as many as recognition needs."""
+    """Labels (N,) of known landmarks, or -1; of each view at most 120, evenly chosen, as many as recognition needs."""
     kept = np.full_like(labels, -1)
     for k in range(len(views)):
         known = np.flatnonzero(labels[views.offsets[k] : views.offsets[k + 1]] >= 0) + views.offsets[k]
@@ -339,23 +346,21 @@ def _without_like_descriptors(map_: Map, metric: Metric) -> Map:
 
 
 def _source(map_: Map, camera: Camera) -> Source:
-    """The map's source for all queries of one camera."""
+    """A source for all queries of one camera; its id is a hash of the map's and the intrinsics."""
     digest = hashlib.blake2b(repr((map_.info.id, astuple(camera))).encode(), digest_size=8)
     return Source(name=QUERY_POSES, id=digest.hexdigest(), camera=camera, poses=QUERY_POSES)
 
 
 def _seen_repeatedly(views: Views, landmarks: Landmarks, occasions: IntArray) -> BoolArray:
-    """Mask (F,) of landmarks seen on several of the views' occasions (K,)."""
+    """Mask (F,) of landmarks seen on at least two of the views' occasions (K,)."""
     rows = landmarks.observed_rows
     seen = np.unique(np.column_stack([landmarks.labels[rows], occasions[views.view_of[rows]]]), axis=0)
     return np.bincount(seen[:, 0], minlength=len(landmarks)) >= _MIN_OCCASIONS
 
 
 def _needed_most(views: Views, landmarks: Landmarks, known: IntArray, most: int) -> BoolArray:
-    """Mask (F,) of at most ``most`` new landmarks that views need most.
-
-    A view needs the landmarks that most views see, and more of them the fewer of its detections (N,) are ``known`` (not
-    -1).
+    """Mask (F,) of at most ``most`` new landmarks that views need most. A view needs the landmarks that most views see,
+    and more of them the fewer of its detections (N,) are ``known`` (not -1).
     """
     rows = landmarks.observed_rows
     labels, view = landmarks.labels[rows], views.view_of[rows]
@@ -371,13 +376,13 @@ def _needed_most(views: Views, landmarks: Landmarks, known: IntArray, most: int)
 
 
 def _most_landmarks(known: Map) -> int:
-    """Maximum number of landmarks in the next version: as many as now, or slightly more than recordings contributed."""
+    """Maximum number of landmarks in the next version: as many as now, or 1.15 × those that recordings contributed."""
     recorded = np.unique(known.observations.features[_is_recorded(known)[known.observations.views]])
     return max(len(known), int(_MAX_LANDMARKS_RATIO * len(recorded)))
 
 
 def _bounded(map_: Map) -> Map:
-    """The map without its oldest views of queries, if there are too many."""
+    """The map without its oldest views of queries, if these are more than 30 and 0.35 × the recorded views."""
     of_queries = np.flatnonzero(~_is_recorded(map_))
     oldest_first = of_queries[np.argsort(map_.views.times[of_queries], kind="stable")]
     excess = len(of_queries) - _most_views(map_)
@@ -410,7 +415,7 @@ class _Answers:
 
 
 def _answers(localizer: Localizer, frames: Sequence[tuple[Camera, FloatArray, FeatureSet]]) -> _Answers:
-    """Localize frames, each a camera, its true T_map_camera (4, 4) and its features."""
+    """Localize frames, each a camera, its true T_map_camera (4, 4) and its features, and compare the poses found."""
     errors = []
     for camera, T, features in frames:
         pose = localizer.localize(Query(features, camera, Dof.FREE)).pose
@@ -424,7 +429,7 @@ def _answers(localizer: Localizer, frames: Sequence[tuple[Camera, FloatArray, Fe
 
 
 def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, FeatureSet]]:
-    """Held-back queries, whole and split in halves: half a picture is harder to localize."""
+    """Held-back queries as frames, three each: whole, left half, right half. Half a picture is harder to localize."""
     found = []
     for one in held_back:
         features, camera = one.query.features, one.query.camera
@@ -435,7 +440,7 @@ def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, F
 
 
 def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, FeatureSet]]:
-    """Some of the recordings' views that the map remembers, without the features that are ``gone``."""
+    """At most 40 of the recordings' views that the map remembers, as frames without the features ``gone`` (F,)."""
     recorded = np.flatnonzero(_is_recorded(map_))
     chosen = recorded[np.unique(np.linspace(0, len(recorded) - 1, _MAX_REMEMBERED).round().astype(np.int64))]
     frames = remembered_frames(map_)
@@ -448,10 +453,9 @@ def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, Fe
 
 
 def _check_no_worse(before: _Answers, after: _Answers, of: str) -> None:
-    """Compare answers before and after learning. ``of`` names the test queries.
-
-    Raises:
-        MappingFailed: the map answers worse than before.
+    """Compare answers before and after learning. ``of`` names the test queries in messages. Raises MappingFailed: fewer
+    answers are right, a further wrong one is not outweighed by three right ones, or the median error grew by more than
+    a centimetre.
     """
     gained = after.right - before.right
     if gained < 0 or _RIGHT_PER_WRONG * (after.wrong - before.wrong) > gained:

@@ -148,7 +148,10 @@ def update_map(
 
 
 def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, progress: ProgressListener) -> _Walk:
-    """Frames localized one by one; frames without a pose are dropped."""
+    """Views of a recording from frames localized one by one, five per second, at most 240, without those that jump and
+    those less than 0.1 (metres plus radians) from the view before. Raises InvalidCamera without intrinsics,
+    InvalidRecording for a damaged frame, MappingFailed below five frames or a tenth.
+    """
     camera = _camera_of(recording, localizer.map.info)
     times = recording.frames.times
     wanted = (times[-1] - times[0]) * _FRAMES_PER_S if recording.frames.timed else len(times)
@@ -178,7 +181,9 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
 def _aligned_walk(
     localizer: Localizer, recording: Recording, method: PoseMethod, pictures: bool, progress: ProgressListener
 ) -> _Walk:
-    """The recording's own trajectory, aligned with those of its frames that can be localized."""
+    """The recording's own trajectory, aligned with those of at most 24 of its frames that can be localized. Raises
+    MappingFailed for fewer than five views or frames found, or if the two disagree; InvalidRecording.
+    """
     frame_features = _frame_features(localizer, recording, pictures)
     trajectory = estimate_trajectory(recording, method, progress, frame_features.show)
     views, _ = choose_views(trajectory.T_map_camera, hold_out=False, step=_VIEW_STEP)
@@ -207,7 +212,7 @@ def _aligned_walk(
 
 
 def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
-    """Report on an alignment; the version is filled in later."""
+    """Report on an alignment with the number of frames tried and found; its version is 0, to be filled in."""
     return LearningReport(
         version=0,
         frames_tried=found.tried,
@@ -232,7 +237,7 @@ def _collected(frames: Iterable[Shown], count: int, progress: ProgressListener) 
 
 
 def _camera_of(recording: Recording, info: MapInfo) -> Camera:
-    """The recording's camera, or the map's if it has the same size and the recording has none."""
+    """The recording's camera, or the map's if it has the same size and the recording has none. Raises InvalidCamera."""
     if recording.camera is not None:
         return recording.camera
     if recording.frames.size == (info.camera.width, info.camera.height):
@@ -244,7 +249,12 @@ def _camera_of(recording: Recording, info: MapInfo) -> Camera:
 
 
 def recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks, Cloud]:
-    """Feature (N,) of the map for each detection, or -1; landmarks and further points made of the other detections."""
+    """Feature (N,) of the map for each detection, or -1; landmarks made of the other detections; further points made of
+    these.
+
+    A detection within 5 px of a landmark's projection is recognized if its descriptor is within the strict limit. The
+    new landmarks' labels are (N,) too.
+    """
     index, metric = localizer.index, localizer.extractor.metric
     labels = np.full(len(views.features), -1, dtype=np.int64)
     for k in range(len(views)):
@@ -273,7 +283,10 @@ def recognize(localizer: Localizer, views: Views, progress: ProgressListener) ->
 
 
 def seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArray, Landmarks]:
-    """All landmarks in the recording, the map's first; and the feature of the map that each one is, or -1."""
+    """Feature (L,) of the map that each landmark in the recording is, or -1; and all these landmarks, the map's first.
+
+    ``labels`` (N,) are features of the map. Information sums of the map's landmarks are 0.
+    """
     again, number = np.unique(labels[labels >= 0], return_inverse=True)
     together = np.where(new.labels >= 0, new.labels + len(again), -1)
     together[labels >= 0] = number

@@ -30,10 +30,10 @@ _MIN_SHARE = 0.5  # of the times that two features could have been recognised as
 
 
 def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
-    """New map of everything that two maps have learned, in the frame of ``a``.
+    """New map, with an id of its own, of everything that two maps have learned, in the frame of ``a``.
 
     The views that ``b`` remembers are localized in ``a``, which aligns the maps, rigidly if both are metric. Features
-    at the same pixels with similar descriptors are identified. A recording that both have learned counts once.
+    within 5 px with similar descriptors are identified. A recording that both have learned counts once.
 
     Raises:
         InvalidInput: a map does not remember its observations, the features differ, or the densities are not ``ray``.
@@ -68,7 +68,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
 
 
 def _placed_in(a: Map, b: Map) -> Map:
-    """``b`` in the frame of ``a``, with the uncertainty of both maps."""
+    """``b``, which is in the frame of ``a`` already, with the uncertainty of both maps; unchanged if it has none."""
     if b.views.covariances is None:
         return b
     covariances = b.views.covariances + uncertainty_in(a, b.views.T_map_camera)
@@ -102,8 +102,11 @@ def _without_shared(map_: Map, shared: set[str | None]) -> Map:
 
 
 def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
-    """Views that the map remembers, as frames: observed features, each with its first descriptor and its predicted
-    patch.
+    """Views that the map remembers, as cameras and features: the observed ones, each with its first descriptor and
+    predicted patch.
+
+    Raises:
+        InvalidInput: the map does not remember its observations.
     """
     observations = check_memory(map_, "The map")
     first = np.searchsorted(map_.descriptors.features, np.arange(len(map_)))
@@ -127,7 +130,9 @@ def remembered_frames(map_: Map) -> list[tuple[Camera, FeatureSet]]:
 
 
 def _same_features(localizer: Localizer, moved: Map, progress: ProgressListener) -> IntArray:
-    """For each feature of the second map the same one of the first map, or -1; by votes of the views."""
+    """Row (F_b,) of the same feature in the localizer's map for each feature of ``moved``, or -1; by votes of the
+    views. At least two views, and half of those that found a match, must agree; no feature is taken twice.
+    """
     index, metric = localizer.index, localizer.extractor.metric
     frames, poses = remembered_frames(moved), moved.views.T_map_camera
     pairs = [np.zeros((0, 2), dtype=np.int64)]

@@ -63,10 +63,11 @@ def find_frames(
     what: str,
     progress: ProgressListener = silent,
 ) -> Found:
-    """Localize the frames ``rows`` (ascending) of a recording; ``what`` names it in messages.
+    """Localize the frames in rows ``rows`` (ascending) of a recording; ``what`` names it in messages.
 
     Raises:
-        MappingFailed: hardly any frame is found, so the recording shows another place.
+        MappingFailed: none of twelve probes, or fewer than five or a tenth of all, are found: it shows another place.
+        Cancelled: ``progress`` asked to stop.
     """
     T = np.full((len(frames), 4, 4), np.nan)
     probes = rows[np.unique(np.linspace(0, len(rows) - 1, _PROBES).round().astype(np.int64))]
@@ -86,6 +87,7 @@ def find_frames(
 def without_jumps(found: Found, times: FloatArray, what: str) -> Found:
     """Drop localized frames that a hand-held camera could not have reached from the previous or next one.
 
+    Within 2 s it moves by at most 0.1 m + 2 m/s and turns by 5° + 180°/s; a frame without such a neighbour is dropped.
     Frames of another place that are mistaken for the map lie anywhere in it; those of a walk do not.
 
     Args:
@@ -94,7 +96,7 @@ def without_jumps(found: Found, times: FloatArray, what: str) -> Found:
         what: name of the recording in messages.
 
     Raises:
-        MappingFailed: hardly any frame is left.
+        MappingFailed: fewer than five frames, or a tenth of those tried, are left.
     """
     rows = found.rows
     T, elapsed_s = found.T_map_camera[rows], np.diff(times[rows])
@@ -128,13 +130,14 @@ class Alignment:
 
 
 def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool, what: str) -> Alignment:
-    """Align a trajectory (K, 4, 4) with the frames localized in the map; ``what`` names it in messages.
+    """Align a trajectory's poses (K, 4, 4) with those of its frames localized in the map; ``what`` names it in
+    messages.
 
     Robust least squares, rotations first: every frame determines the rotation between the two frames, so walks along a
     line or on the spot can be aligned too. The scale is kept if ``scale_is_known``, but checked.
 
     Raises:
-        MappingFailed: trajectory and map contradict each other; says by how much.
+        MappingFailed: they are off by more than 10 cm or 3° in the median, or fewer than five frames agree.
     """
     own, target = T_own_camera[found.rows], found.T_map_camera[found.rows]
     similarity, distance, angle = _fit(own, target, fixed_scale=scale_is_known)
@@ -153,7 +156,7 @@ def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool,
 
 
 def _fit(own: FloatArray, target: FloatArray, fixed_scale: bool) -> tuple[Similarity, FloatArray, FloatArray]:
-    """Robust similarity, and the residuals of each pose: metres (L,) and radians (L,)."""
+    """Robust similarity from poses ``own`` (L, 4, 4) to ``target`` (L, 4, 4); residuals (L,) [m] and (L,) [rad]."""
     weights = np.ones(len(own))
     for _ in range(_ROUNDS):
         similarity = posed_alignment(own, target, weights, fixed_scale, _MIN_SPREAD_M)
@@ -167,7 +170,9 @@ def _fit(own: FloatArray, target: FloatArray, fixed_scale: bool) -> tuple[Simila
 def _localize(
     localizer: Localizer, frames: Sequence[tuple[Camera, FeatureSet]], row: int, T: FloatArray, last: int | None
 ) -> None:
-    """Fill in the pose of frame ``row``, if it can be localized near the last one or anywhere."""
+    """Write the pose of frame ``row`` into T (K, 4, 4), if it can be localized near frame ``last`` (None: no prior) or
+    anywhere.
+    """
     camera, features = frames[row]
     query = Query(features, camera, Dof.FREE)
     if last is not None:

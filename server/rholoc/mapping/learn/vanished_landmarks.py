@@ -14,7 +14,7 @@ _MIN_OCCASIONS = 2
 def vanished(sights: Sights) -> BoolArray:
     """Mask (F,) of landmarks that are gone.
 
-    A landmark is gone if its absence explains the sightings better by a large factor, on several occasions.
+    Their absence explains the sightings better by ``GONE_NATS``, with at least six misses on at least two occasions.
     """
     everyone = np.ones(sights.camera_count, dtype=bool)
     nats = sights.sums(sights.evidence(everyone), everyone)

@@ -20,7 +20,10 @@ _UNSEEN = 170  # grey of vertices that they do not reach
 
 
 def vertex_colours(views: Sequence[DepthView], vertices: FloatArray, normals: FloatArray, faces: IntArray) -> ByteArray:
-    """Red, green and blue (V, 3) uint8 of a mesh's vertices (V, 3) with unit normals (V, 3), in the map frame."""
+    """Red, green and blue (V, 3) uint8 of a mesh's vertices (V, 3) with unit normals (V, 3), in the map frame.
+
+    Vertices that no view sees take their neighbours' colours along ``faces`` (T, 3), or grey if they have none.
+    """
     sums, weights = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     for view in views:
         weight, shown = _seen_by(view, vertices, normals)
@@ -33,7 +36,9 @@ def vertex_colours(views: Sequence[DepthView], vertices: FloatArray, normals: Fl
 
 
 def _seen_by(view: DepthView, vertices: FloatArray, normals: FloatArray) -> tuple[FloatArray, ByteArray]:
-    """Weights (V,) and colours (V, 3) of vertices in a view; weight 0 where something is in front."""
+    """Weights (V,) and colours (V, 3) of vertices in a view: cosine of incidence over squared distance if the measured
+    depth agrees within 4 %, a thousandth of that without any depth around, 0 where something is in front.
+    """
     z, measured, shown, colours = view.look_at(vertices)
     towards = view.T_map_camera[:3, 3] - vertices
     distance = np.linalg.norm(towards, axis=1)
@@ -49,7 +54,9 @@ def _seen_by(view: DepthView, vertices: FloatArray, normals: FloatArray) -> tupl
 
 
 def _spread(colours: FloatArray, known: BoolArray, faces: IntArray) -> FloatArray:
-    """Colours (V, 3) in which unknown ones are means of their neighbours', step by step."""
+    """Colours (V, 3), changed in place: those not ``known`` (V,) become means of their neighbours', step by step, then
+    smoothed.
+    """
     neighbours = neighbours_of(faces, len(known))
     reached = known.astype(np.float64)
     while (fresh := (reached == 0) & ((count := neighbours @ reached) > 0)).any():

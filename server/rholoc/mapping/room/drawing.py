@@ -34,8 +34,8 @@ def draw_room(map_: Map, recordings: Sequence[Recording], progress: ProgressList
     """The map with the surfaces of its room, as far as its recordings show them.
 
     Depth is measured in pairs of frames, or was recorded with them; what only one pair sees is dropped. The floor and
-    up to four walls are fitted, and close gaps where pictures show no texture. A map whose recordings show too little,
-    or less than the room that it has, stays as it is.
+    up to four walls are fitted, and close gaps where pictures show no texture. A map whose recordings show too little
+    (2000 points), or fewer vertices than the room that it has, stays as it is.
 
     Args:
         map_: the map.
@@ -79,7 +79,7 @@ def _room(map_: Map, recording: Recording, source: int) -> Room | None:
 
 
 def _pairs_of(recording: Recording) -> int:
-    """Number of pairs of frames whose depth a recording's length allows for."""
+    """Number of pairs of frames to measure depth in: 2.5 per second of the recording, 30 to 150."""
     times = recording.frames.times
     length_s = times[-1] - times[0] if recording.frames.timed else len(times) / _FRAMES_PER_SECOND
     return int(np.clip(_PAIRS_PER_SECOND * float(length_s), *_PAIRS))

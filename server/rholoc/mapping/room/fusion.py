@@ -42,12 +42,14 @@ class DistanceGrid:
 
 
 def sampled_points(views: Sequence[DepthView]) -> FloatArray:
-    """Some points (P, 3) of all views, in the map frame."""
+    """Points (P, 3) of known depth, of every fourth pixel and row of all views, in the map frame."""
     return np.concatenate([view.points(_SAMPLED_STEP)[0] for view in views] or [np.zeros((0, 3))])
 
 
 def voxel_size(points: FloatArray, finest: float, surface_voxels: int) -> float:
-    """Edge of a voxel at which points (P, 3) occupy at most ``surface_voxels``, and their box ``MAX_VOXELS``."""
+    """Edge of a voxel, at least ``finest``, at which points (P, 3) occupy at most ``surface_voxels`` voxels, and their
+    box ``MAX_VOXELS``.
+    """
     size = finest
     low, high = np.quantile(points, _OUTER, axis=0)
     while True:
@@ -59,7 +61,9 @@ def voxel_size(points: FloatArray, finest: float, surface_voxels: int) -> float:
 
 
 def fused(views: Sequence[DepthView], points: FloatArray, size: float, R_grid_map: FloatArray) -> DistanceGrid:
-    """Fuse depth views into a grid around ``points`` (P, 3), both in the map frame."""
+    """Fuse depth views into a grid with voxels of ``size`` around ``points`` (P, 3), both in the map frame; the grid's
+    axes are turned by ``R_grid_map`` (3, 3).
+    """
     placed = points @ R_grid_map.T
     low, high = np.quantile(placed, _OUTER, axis=0)
     origin = low - _MARGIN * size
@@ -105,7 +109,9 @@ def _add(grid: DistanceGrid, view: DepthView) -> None:
 
 
 def _box(grid: DistanceGrid, view: DepthView, centre: FloatArray, R: FloatArray) -> tuple[slice, slice, slice] | None:
-    """The part of the grid that a view can see up to its farthest depth."""
+    """The part of the grid that a view can see up to its farthest depth; None if that is empty. ``centre`` (3,) and R
+    (3, 3) are the view's position and rotation in the grid's axes.
+    """
     if not np.isfinite(view.depth).any():
         return None
     farthest = float(np.nanquantile(view.depth, 0.99)) + TRUNCATION * grid.size

@@ -50,7 +50,10 @@ class Wall:
 
 
 def floor_height(mesh: Quads, size: float) -> float:
-    """Height of the lowest large horizontal surface of a mesh with voxels of ``size``; if none, of the lowest part."""
+    """Height of a mesh's lowest horizontal surface with 4 % of what faces up, within voxels of ``size``.
+
+    Without one, the 2 % quantile of the mesh's heights.
+    """
     heights = mesh.vertices[:, 2]
     flat = heights[normals_of(*mesh)[:, 2] > _FLAT]
     lowest = float(np.quantile(heights, 0.02))
@@ -66,7 +69,10 @@ def floor_height(mesh: Quads, size: float) -> float:
 
 
 def walls_of(mesh: Quads, size: float) -> list[Wall]:
-    """The outermost wall on each of four sides at right angles, as far as a mesh shows them."""
+    """The outermost wall on each of four sides at right angles, as far as a mesh with voxels of ``size`` shows them.
+
+    They reach to their common corners and have the height of the tallest.
+    """
     normals = normals_of(*mesh)
     steep = np.abs(normals[:, 2]) < _STEEP
     vertices, normals = mesh.vertices[steep], normals[steep]
@@ -84,7 +90,7 @@ def walls_of(mesh: Quads, size: float) -> list[Wall]:
 
 
 def _main_direction(normals: FloatArray) -> float:
-    """Angle [rad] between 0 and 90° that most steep normals have, but for right angles."""
+    """Angle [rad] between 0 and 90° that most normals (N, 3) have, seen from above and regardless of right angles."""
     angles = np.arctan2(normals[:, 1], normals[:, 0]) % (np.pi / 2)
     counts, edges = np.histogram(angles, bins=_ANGLES, range=(0, np.pi / 2))
     around = sum(np.roll(counts, by) for by in (-2, -1, 0, 1, 2))
@@ -92,7 +98,10 @@ def _main_direction(normals: FloatArray) -> float:
 
 
 def _outermost(mesh: Quads, vertices: FloatArray, normals: FloatArray, angle: float, size: float) -> Wall | None:
-    """The outermost vertical plane that faces a direction, if it is large and tall enough."""
+    """The outermost vertical plane with a normal at ``angle`` [rad], with at most a quarter of the mesh's vertices
+    behind it. None if none has 60 vertices, 0.15 × those of the largest and 0.4 × the room's height. ``vertices`` and
+    ``normals`` (N, 3) are the steep ones.
+    """
     normal = np.array([np.cos(angle), np.sin(angle)])
     points = vertices[normals[:, :2] @ normal > _SAME_DIRECTION]
     offsets = points[:, :2] @ normal
@@ -113,7 +122,9 @@ def _outermost(mesh: Quads, vertices: FloatArray, normals: FloatArray, angle: fl
 
 
 def _fitted(points: FloatArray, normal: FloatArray) -> tuple[FloatArray, float]:
-    """Normal and offset of the vertical plane closest to points, on the side of ``normal``."""
+    """Normal (2,) and offset of the vertical plane closest to points (N, 3), within 20° of ``normal`` (2,), else that
+    one.
+    """
     middle = points[:, :2].mean(axis=0)
     _, _, Vt = np.linalg.svd(points[:, :2] - middle, full_matrices=False)
     own = Vt[1] if Vt[1] @ normal > 0 else -Vt[1]
@@ -123,7 +134,7 @@ def _fitted(points: FloatArray, normal: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _continued(wall: Wall, others: list[Wall], reach: float, top: float) -> Wall:
-    """A wall whose ends reach to the corners with the walls next to it."""
+    """A wall of height ``top`` whose ends move to the corners with adjacent walls, if these are within ``reach``."""
     low, high = wall.ends
     for other in others:
         across = float(other.normal @ wall.along)
@@ -138,7 +149,9 @@ def _continued(wall: Wall, others: list[Wall], reach: float, top: float) -> Wall
 
 
 def close_gaps(grid: DistanceGrid, floor: float, walls: list[Wall]) -> None:
-    """Continue the floor and the walls through voxels that no picture shows, in place."""
+    """Continue the floor and the walls through voxels that no picture shows, in place. The voxels' weight becomes 1e-6.
+    ``floor`` is the floor's height.
+    """
     x, y, z = (
         grid.origin[k] + grid.size * np.arange(n).reshape([-1 if k == j else 1 for j in range(3)])
         for k, n in enumerate(grid.weights.shape)

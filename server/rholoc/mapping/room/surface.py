@@ -26,9 +26,10 @@ class Quads(NamedTuple):
 
 
 def surface_of(grid: DistanceGrid, smallest: float) -> Quads:
-    """The zero crossing of a grid's distances, without pieces that hang in the air.
+    """The zero crossing of a grid's distances, smoothed, without pieces that hang in the air.
 
-    Pieces smaller than ``smallest`` times the largest are left out everywhere, larger ones outside its box.
+    Pieces smaller than ``smallest`` times the largest are left out; those below 0.15 times it only count within its
+    box.
     """
     d, known = grid.distances, grid.known
     cells = np.ones([n - 1 for n in d.shape], dtype=bool)
@@ -44,7 +45,7 @@ def surface_of(grid: DistanceGrid, smallest: float) -> Quads:
 
 
 def _vertices(grid: DistanceGrid, cells: IntArray) -> FloatArray:
-    """A vertex in each cell (V, 3): the mean of the crossings on its edges."""
+    """A vertex (V, 3) in the grid's axes in each cell (V, 3): the mean of the crossings on the cell's edges."""
     at = cells[:, None] + _CORNERS
     d = grid.distances[at[..., 0], at[..., 1], at[..., 2]].astype(np.float64)
     sums, count = np.zeros((len(cells), 3)), np.zeros(len(cells))
@@ -58,7 +59,9 @@ def _vertices(grid: DistanceGrid, cells: IntArray) -> FloatArray:
 
 
 def _faces(d: FloatArray, number: IntArray) -> IntArray:
-    """The quadrilateral (Q, 4) around each edge of the grid on which the distance changes its sign."""
+    """The quadrilateral (Q, 4) around each edge of the grid on which the distance ``d`` (X, Y, Z) changes its sign.
+    ``number`` holds each cell's vertex, -1 for none; quadrilaterals that lack one are left out.
+    """
     found = []
     for axis in range(3):
         b, c = (axis + 1) % 3, (axis + 2) % 3
@@ -81,7 +84,7 @@ def _faces(d: FloatArray, number: IntArray) -> IntArray:
 
 
 def _without_small_pieces(mesh: Quads, smallest: float) -> Quads:
-    """The mesh, smoothed, without small connected pieces, and without middling ones outside the largest one's box."""
+    """The mesh, smoothed, without connected pieces below ``smallest`` × the largest, or 0.15 × it outside its box."""
     count = len(mesh.vertices)
     neighbours = neighbours_of(mesh.faces, count)
     degree = np.asarray(neighbours.sum(axis=1)).reshape(-1, 1)
@@ -101,7 +104,7 @@ def _without_small_pieces(mesh: Quads, smallest: float) -> Quads:
 
 
 def neighbours_of(faces: IntArray, count: int) -> csr_matrix:
-    """Matrix (V, V) of a mesh with ``count`` vertices, 1 between the ends of each edge, else 0."""
+    """Matrix (V, V) of a mesh of polygons (Q, 4) with ``count`` vertices: 1 between the ends of each edge, else 0."""
     a, b = faces.ravel(), np.roll(faces, 1, axis=1).ravel()
     ends = np.concatenate([a, b]), np.concatenate([b, a])
     matrix = csr_matrix(coo_matrix((np.ones(2 * len(a)), ends), (count, count)))

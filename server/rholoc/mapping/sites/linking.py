@@ -31,7 +31,7 @@ class SearchedPair:
 
     @property
     def names(self) -> tuple[str, str]:
-        """Of both maps."""
+        """The names of both maps."""
         return self.first, self.second
 
 
@@ -83,7 +83,7 @@ def add_links(
 ) -> tuple[Site, list[str]]:
     """A site with the links that were found, and why some maps still have no pose.
 
-    Links that the site already has change nothing; links of maps that have left the site or changed since are left out.
+    Links that the site has, or of maps that left it, change nothing; those of maps that changed since become problems.
 
     Args:
         site: as it is now.
@@ -136,7 +136,7 @@ def _search(first: str, second: str, load: Callable[[str], Map], progress: Progr
 
 
 def _with_pair(site: Site, pair: SearchedPair) -> tuple[Site, SearchedPair]:
-    """The site with what was found; the pair without it where it contradicts what the site says."""
+    """The site with the pair's link, and the pair; if it contradicts other links, the same site, and the reason."""
     if pair.link is None:
         return site, pair
     try:
@@ -146,7 +146,7 @@ def _with_pair(site: Site, pair: SearchedPair) -> tuple[Site, SearchedPair]:
 
 
 def _in_one_frame(site: Site, first: str, second: str) -> bool:
-    """Whether it is known how two maps lie to each other: both have a pose, or links lead from one to the other."""
+    """Whether the relative pose of two maps is known: both have a pose, or links lead from one to the other."""
     poses = [one.pose for one in site.maps if one.map in (first, second)]
     if all(pose is not None for pose in poses):
         return True

@@ -96,7 +96,7 @@ class _Graph:
 
     @classmethod
     def of(cls, links: Sequence[SiteLink]) -> _Graph:
-        """Of some links."""
+        """Graph of links, each map's sorted by ``sigma_m``."""
         of_map: dict[str, list[SiteLink]] = defaultdict(list)
         for link in sorted(links, key=lambda link: link.sigma_m):
             of_map[link.first].append(link)
@@ -104,7 +104,7 @@ class _Graph:
         return cls(links, of_map)
 
     def spread(self, known: Mapping[str, FloatArray]) -> dict[str, _Placed]:
-        """All maps that can be reached from those whose poses (4, 4) are known, by the fewest links."""
+        """The maps reached from those with known T_site_map (4, 4), by the fewest links, with summed variances."""
         placed = {name: _Placed(T, (name,), 0.0, 0.0) for name, T in known.items()}
         waiting = deque(known)
         while waiting:
@@ -117,10 +117,10 @@ class _Graph:
         return placed
 
     def check(self, placed: Mapping[str, _Placed]) -> None:
-        """Hold every link against the poses that others led to.
+        """Compare every link with the poses that other links led to.
 
         Raises:
-            InvalidInput: one is further off than it and those allow; it is the one that is furthest.
+            InvalidInput: one is further off than five standard deviations of both; it names the worst.
         """
         worst, worst_share = "", 1.0
         for link in self.links:
@@ -160,7 +160,9 @@ def _beyond(here: _Placed, link: SiteLink, there: str) -> _Placed:
 def _adjusted(
     site: Site, frames: Mapping[str, FramePose], placed: Mapping[str, _Placed]
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Least squares over all links: T_site_map (4, 4) and its covariance (6, 6), in the site's axes, by map."""
+    """Least squares over all links: T_site_map (4, 4) and its covariance (6, 6), position first, in the site's axes, by
+    map. ``frames`` are the poses held fixed, ``placed`` the starting values.
+    """
     if not placed:
         return {}, {}
     number = {name: row for row, name in enumerate(placed)}
@@ -182,7 +184,7 @@ def _adjusted(
 
 
 def _in_site(covariance: FloatArray, T: FloatArray) -> FloatArray:
-    """GTSAM's covariance (rotation, position; in the map's own axes) as position, rotation; in the site's."""
+    """GTSAM's covariance (6, 6) (rotation, position; map's own axes) as (position, rotation) in the site's axes."""
     turn = np.zeros((6, 6))
     turn[:3, 3:] = turn[3:, :3] = T[:3, :3]
     return np.asarray(turn @ covariance @ turn.T)
@@ -192,7 +194,7 @@ def _in_site(covariance: FloatArray, T: FloatArray) -> FloatArray:
 
 
 def find_link(first: str, a: Map, second: str, b: Map, progress: ProgressListener = silent) -> SiteLink:
-    """The pose between two maps: by measured points of the same names, else by views of one localized in the other.
+    """The pose between two maps: by measured points of the same names, else by views of ``b`` localized in ``a``.
 
     Raises:
         InvalidInput: a map has no metric scale; or they neither share three points nor can be held against each other.
@@ -209,10 +211,8 @@ def find_link(first: str, a: Map, second: str, b: Map, progress: ProgressListene
 
 
 def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
-    """By waypoints and named points of the same names; None where they are too few, or on a line.
-
-    Raises:
-        MappingFailed: they disagree.
+    """By waypoints and named points of the same names; None for fewer than three, or if they are on a line (within 0.3
+    m). Raises MappingFailed: one is off by more than 0.3 m.
     """
     of_a, of_b = _points(a), _points(b)
     shared = sorted(of_a.keys() & of_b.keys())
@@ -238,7 +238,7 @@ def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
 
 
 def _points(map_: Map) -> dict[str, tuple[float, float, float]]:
-    """Measured and named points by name."""
+    """Positions [m] of named points and waypoints by name; of the same name, the waypoint's."""
     named = {point.name: point.position for point in map_.info.names.points}
     return named | {waypoint.name: waypoint.position for waypoint in map_.info.waypoints}
 
@@ -258,7 +258,8 @@ def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: Progress
 
 
 def with_link(site: Site, link: SiteLink) -> Site:
-    """The site with a link in place of others between the same two maps that were found as well; poses anew.
+    """The site with a link in place of found ones between the same two maps (given ones stay), and all poses solved
+    again.
 
     Raises:
         InvalidInput: it contradicts others.
@@ -274,10 +275,10 @@ def with_link(site: Site, link: SiteLink) -> Site:
 def pose_in_site(
     member: SiteMap, T_map_camera: FloatArray, covariance: FloatArray | None
 ) -> tuple[FloatArray, FloatArray | None]:
-    """A camera's pose in the frame of a site, T_site_camera (4, 4), and its covariance (6, 6), m and rad, or None.
+    """A camera's pose T_site_camera (4, 4) in the frame of a site, and its covariance (6, 6), m and rad; None for None.
 
     The covariance is of the position, then of a small rotation from the left, each in the axes of the frame; that of
-    the map's own pose is part of it.
+    the map's own pose is added. ``member`` must have a pose.
     """
     assert member.pose is not None
     T_site_map = member.pose.matrix

@@ -101,7 +101,7 @@ def read_coefficient_table(path: Path, called: str = "") -> Map:
 
 
 def _header(name: str, columns: list[str]) -> _Header:
-    """The form implied by the column names, which must be exactly those of that form."""
+    """The form implied by the column names, which must be exactly those of that form. Raises InvalidMap."""
     coefficients = [name for name in columns if name.startswith("a_")]
     last = coefficients[-1].removeprefix("a_").split("_") if coefficients else []
     forms: dict[int, list[type[Densities]]] = {}
@@ -130,14 +130,16 @@ def _header(name: str, columns: list[str]) -> _Header:
 
 
 def _with_columns(forms: list[type[Densities]], columns: list[str]) -> type[Densities]:
-    """Of forms with the same number of variables, the one with most domain columns present; else the first."""
+    """Of forms with the same number of variables, the one with most domain columns, all present; else the first."""
     there = set(columns)
     whole = [form for form in forms if set(form.domain_columns) <= there]
     return max(whole, key=lambda form: len(form.domain_columns), default=forms[0])
 
 
 def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:
-    """Number, from 1, and values of each row; checks the stated number of rows."""
+    """Iterate over the number, from 1, and the values of each row that is not blank. Raises InvalidMap for a row of
+    another length or number, or fewer rows than stated.
+    """
     total, count = "", 0
     for line in lines:
         if not line.strip():
@@ -278,7 +280,9 @@ def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
 
 
 def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Times (K,) and poses (K, 7) of the views; view (V,) and feature (V,) of each observation."""
+    """Times (K,) and poses (K, 7) of the views; view (V,) and feature (V,) of each observation, sorted by view.
+    ``seen_from`` has the text of each feature's views. Raises InvalidMap for an invalid view, or one with two poses.
+    """
     known: dict[str, int] = {}
     saw: dict[int, list[int]] = {}
     for feature, text in enumerate(seen_from):

@@ -94,7 +94,9 @@ def _sightings(map_: Map) -> Sightings:
 
 
 def _pairs(map_: Map, density_features: IntArray) -> list[tuple[int, int, int]]:
-    """Feature, descriptor and density of every row; each descriptor and density of a feature occurs at least once."""
+    """Feature, descriptor and density of every row; each descriptor and density of a feature occurs at least once.
+    Raises InvalidMap for a feature without one.
+    """
     features = np.arange(len(map_) + 1)
     of_descriptors = np.searchsorted(map_.descriptors.features, features)
     of_densities = np.searchsorted(density_features, features)

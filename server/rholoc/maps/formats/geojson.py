@@ -53,7 +53,8 @@ def names_from_geojson(content: bytes, earth: SiteOnEarth | None) -> MapNames:
         earth: the map's pose on Earth, if known.
 
     Raises:
-        InvalidInput: not GeoJSON, a feature cannot be kept, or the map's pose on Earth is needed and not known.
+        InvalidInput: not GeoJSON, a feature cannot be kept or is over 1000 km away, or the pose on Earth is needed and
+            not known.
     """
     document = read_geojson(content)
     in_map = document.get("frame") == _MAP_FRAME
@@ -100,7 +101,7 @@ def features_of(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The features of a FeatureCollection or of a single Feature.
 
     Raises:
-        InvalidInput: the document is something else.
+        InvalidInput: the document is something else, or a feature is not an object.
     """
     found = [document] if document.get("type") == "Feature" else document.get("features")
     if document.get("type") not in ("Feature", "FeatureCollection") or not isinstance(found, list):
@@ -112,7 +113,7 @@ def features_of(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def positions_of(node: Any) -> Iterator[tuple[float, float]]:
-    """The first two coordinates of all positions in a GeoJSON object."""
+    """Iterate over the first two coordinates of all positions in a GeoJSON object, in no particular order."""
     waiting = [node]
     while waiting:
         one = waiting.pop()
@@ -144,7 +145,10 @@ def _coordinates(position: tuple[float, float, float], earth: SiteOnEarth | None
 
 
 def _metres(position: object, earth: SiteOnEarth | None, what: str) -> tuple[float, float, float]:
-    """A position of GeoJSON in the map frame [m]; without a height at that of the map's origin."""
+    """A position of GeoJSON in the map frame [m]; without a height at that of the map's origin. ``earth`` None: it is
+    metres. Raises InvalidInput, which calls the feature ``what``, for no position, or one off the Earth or over 1000 km
+    away.
+    """
     if not _is_position(position):
         raise InvalidInput(f"{what} has no valid coordinates.", "Positions are two or three numbers.")
     values = [float(value) for value in position[:3]]
@@ -165,7 +169,7 @@ def _in_frame(values: list[float], earth: SiteOnEarth) -> FloatArray:
 
 
 def _ring(geometry: Mapping[str, Any], what: str) -> list[Any]:
-    """The corners of a polygon's only ring, each once."""
+    """The corners of a polygon's only ring, each once. Raises InvalidInput, naming ``what``, for several rings."""
     rings = geometry.get("coordinates")
     if geometry.get("type") == "MultiPolygon" and isinstance(rings, list) and len(rings) == 1:
         rings = rings[0]
@@ -176,7 +180,9 @@ def _ring(geometry: Mapping[str, Any], what: str) -> list[Any]:
 
 
 def _properties(feature: Mapping[str, Any]) -> tuple[str, str, dict[str, FieldValue]]:
-    """Name, kind and fields of a feature."""
+    """Name, kind (empty if there is none) and fields of a feature; properties that are lists or objects are
+    left out.
+    """
     properties = feature.get("properties") or {}
     kind = next((str(properties[key]) for key in ("kind", "category") if properties.get(key)), "")
     fields = {
@@ -188,7 +194,7 @@ def _properties(feature: Mapping[str, Any]) -> tuple[str, str, dict[str, FieldVa
 
 
 def plain_label(label: object) -> str:
-    """A label of GeoJSON or IMDF, whose labels are objects of texts by language, as text; empty if there is none."""
+    """Text of a label of GeoJSON or IMDF; of texts by language the English one, else the first. Empty for None."""
     if isinstance(label, dict):
         label = label.get("en") or next(iter(label.values()), None)
     return "" if label is None else str(label)

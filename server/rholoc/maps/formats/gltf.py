@@ -50,7 +50,7 @@ def map_to_gltf(map_: Map) -> bytes:
 
 
 def _walks(map_: Map) -> list[tuple[str, NDArray[Any]]]:
-    """The name of each recording and the rows of its views."""
+    """Name of each recording and the rows of its views; all as the first one's if the map keeps no sources."""
     sources = np.zeros(len(map_.views), dtype=np.int64) if map_.views.sources is None else map_.views.sources
     names = [source.name for source in map_.info.sources] or ["walk"]
     return [(name, np.flatnonzero(sources == row)) for row, name in enumerate(names)]
@@ -66,29 +66,31 @@ class _File:
         }
 
     def positions(self, points: NDArray[Any]) -> int:
-        """The accessor of points (N, 3)."""
+        """Add points (N, 3), N > 0, and return the number of their accessor."""
         stored = points.astype("<f4")
         bounds = {"min": stored.min(axis=0).tolist(), "max": stored.max(axis=0).tolist()}
         return self._accessor(stored.tobytes(), len(points), _FLOAT, "VEC3", bounds)
 
     def colours(self, colours: NDArray[Any]) -> int:
-        """The accessor of colours (N, 3) uint8, stored with alpha because rows must be aligned to four bytes."""
+        """Add colours (N, 3) uint8, with alpha 255, for rows of four bytes; returns their accessor's number."""
         rows = np.column_stack([colours, np.full(len(colours), 255, dtype=np.uint8)])
         return self._accessor(
             rows.astype(np.uint8).tobytes(), len(colours), _UNSIGNED_BYTE, "VEC4", {"normalized": True}
         )
 
     def mesh(self, name: str, attributes: dict[str, int], mode: int) -> int:
-        """The node of a mesh."""
+        """Add a mesh and a node that shows it; return the node's number. ``attributes`` name accessors; ``mode`` is
+        points or lines.
+        """
         mesh = self._add("meshes", {"name": name, "primitives": [{"attributes": attributes, "mode": mode}]})
         return self.node({"name": name, "mesh": mesh})
 
     def node(self, members: dict[str, Any]) -> int:
-        """A node's number."""
+        """Add a node with these members and return its number."""
         return self._add("nodes", members)
 
     def glb(self, root: int, extras: dict[str, Any]) -> bytes:
-        """The file, whose scene has the node ``root``."""
+        """Content of the file, whose scene has the node ``root``; ``extras`` go into its asset."""
         whole: dict[str, Any] = {
             "asset": {"version": "2.0", "generator": "rholoc", "extras": extras},
             "scene": 0,

@@ -17,7 +17,9 @@ _UNKNOWN = -128
 
 
 def packed_patches(patches: FloatArray) -> NDArray[np.int8]:
-    """Patches (F, 3), metres, NaN where not known → (F, 3) int8: on the octahedron, and 8 log₂ length."""
+    """Patches (F, 3), metres, NaN if unknown → (F, 3) int8: a point on the octahedron and 8 log₂ length; -128 if
+    unknown or 0.
+    """
     vectors = patches.astype(np.float64)
     lengths = np.linalg.norm(vectors, axis=1)
     known = np.isfinite(lengths) & (lengths > 0)
@@ -40,13 +42,13 @@ def unpacked_patches(packed: NDArray[np.int8]) -> FloatArray:
 
 
 def storable_patches(patches: FloatArray) -> FloatArray | None:
-    """Patches (F, 3) rounded as map files keep them; None where none is known."""
+    """Patches (F, 3) float32, rounded as map files keep them; None if none is known."""
     rounded = unpacked_patches(packed_patches(patches))
     return None if np.isnan(rounded).all() else rounded
 
 
 def moved_patches(patches: FloatArray | None, similarity: Similarity) -> FloatArray | None:
-    """Patches (F, 3) in another frame, rounded as map files keep them."""
+    """Patches (F, 3) rotated and scaled by a similarity, rounded as map files keep them; None for None."""
     if patches is None:
         return None
     return storable_patches(similarity.scale * patches.astype(np.float64) @ similarity.rotation.T)

@@ -51,7 +51,7 @@ class PlanPlacement:
     m_per_unit: float | None = None
 
     def applied(self, plan: FloorPlan) -> FloorPlan:
-        """The plan, placed so."""
+        """The plan with the given fields in place of its own; a field that is None keeps the plan's value."""
         x, y = plan.corner
         return FloorPlan(
             plan.media_type,
@@ -91,7 +91,7 @@ def level_of_archive(content: bytes, level: str | None) -> bytes:
     """The features of a level of an IMDF archive as a GeoJSON FeatureCollection.
 
     Raises:
-        InvalidInput: as :func:`plan_of_archive`.
+        InvalidInput: it is not IMDF, is damaged or too large, or the level is not clear.
     """
     with _opened(content) as archive:
         collection = _level_features(archive, level, (*_DRAWN[1:], "amenity", "anchor"))
@@ -112,7 +112,7 @@ def read_plan(
         earth: the map's pose on Earth, if known.
 
     Raises:
-        InvalidInput: as :func:`plan_of_archive`, or GeoJSON has no longitude and latitude.
+        InvalidInput: the archive is unusable, or GeoJSON has no longitude and latitude. Pictures are not checked here.
     """
     kind = media_type or media_type_of(content)
     plan = FloorPlan(kind, (0.0, 0.0), 0.0, 1.0)
@@ -128,7 +128,7 @@ def packed_yaml(path: Path) -> bytes:
     """A ``map_server`` yaml and the picture that it names, as an archive for :func:`plan_of_archive`.
 
     Raises:
-        InvalidInput: one of the files cannot be read.
+        InvalidInput: one of the files cannot be read, or the yaml is not one of map_server.
     """
     packed = io.BytesIO()
     try:
@@ -178,7 +178,9 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
 
 
 def _settings(text: bytes) -> dict[str, Any]:
-    """Settings of ``map_server``, checked."""
+    """Settings of ``map_server``: ``image``, ``origin`` (x, y, yaw [rad]) and ``resolution`` [m per pixel]. Raises
+    InvalidInput.
+    """
     try:
         settings = yaml.safe_load(text)
         x, y, yaw = (float(value) for value in settings["origin"])
@@ -197,7 +199,7 @@ def _settings(text: bytes) -> dict[str, Any]:
 
 
 def _placed_picture(picture: bytes, settings: dict[str, Any]) -> tuple[bytes, FloorPlan]:
-    """A picture of ``map_server`` as PNG with dark walls, and where it lies."""
+    """A picture of ``map_server`` as PNG with dark walls, and where it lies. Raises InvalidInput if bad or huge."""
     try:
         with Image.open(io.BytesIO(picture)) as image:
             if image.width * image.height > MAX_PIXELS:
@@ -212,7 +214,9 @@ def _placed_picture(picture: bytes, settings: dict[str, Any]) -> tuple[bytes, Fl
 
 
 def _level_features(archive: zipfile.ZipFile, level: str | None, kinds: tuple[str, ...] = _DRAWN) -> dict[str, Any]:
-    """FeatureCollection of a level's features of some types of IMDF."""
+    """FeatureCollection of a level's features of the given types of IMDF. Raises InvalidInput if no or several levels
+    match. ``level`` is a name, short name, ordinal or id; None is the only level.
+    """
     files = {PurePosixPath(name).name: name for name in archive.namelist()}
     if "level.geojson" not in files:
         raise InvalidInput(
@@ -239,6 +243,6 @@ def _level_features(archive: zipfile.ZipFile, level: str | None, kinds: tuple[st
 
 
 def _level_names(key: str, properties: dict[str, Any]) -> list[str]:
-    """What a level may be called, the best first."""
+    """Texts by which a level may be named: short name, name, ordinal and, last, its id ``key``."""
     names = [plain_label(properties.get(member)) for member in ("short_name", "name", "ordinal")]
     return [*dict.fromkeys(name for name in names if name), key]

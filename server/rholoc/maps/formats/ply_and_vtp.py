@@ -17,7 +17,7 @@ def landmark_sigmas(map_: Map) -> FloatArray:
 
 
 def view_sigmas(map_: Map) -> FloatArray:
-    """The same for each view's position (K,) [m]; 0 if unknown."""
+    """Standard deviation (K,) [m] of each view's position, root mean square over the axes; 0 if unknown."""
     return np.asarray(np.nan_to_num(map_.views.expected_errors_m) / np.sqrt(3))
 
 

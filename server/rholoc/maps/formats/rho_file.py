@@ -62,13 +62,13 @@ class _Stored:
 
 
 def _upper(size: int) -> Callable[[FloatArray], FloatArray]:
-    """Covariances (N, size, size) → their upper triangles (N, …), row by row."""
+    """Function: symmetric matrices (N, size, size) → their upper triangles (N, size · (size + 1) / 2), row by row."""
     rows, columns = np.triu_indices(size)
     return lambda covariances: covariances[:, rows, columns]
 
 
 def _from_upper(size: int) -> Callable[[FloatArray], FloatArray]:
-    """Upper triangles (N, …), row by row → covariances (N, size, size) float32."""
+    """Function that takes upper triangles (N, …), row by row, to symmetric matrices (N, size, size) float32."""
     rows, columns = np.triu_indices(size)
 
     def unpack(triangles: FloatArray) -> FloatArray:
@@ -244,7 +244,7 @@ def load_outline(path: Path) -> MapOutline:
     """Read the description in a map's file and the lengths of its arrays, but not the arrays.
 
     Raises:
-        InvalidMap: it is not a map, or cannot be read.
+        InvalidMap: it is not a map, of another version, or cannot be read.
     """
     return outline_of(_header(path, path.name), path.name)
 
@@ -262,10 +262,12 @@ def header_bytes(start: bytes, called: str) -> int:
 
 
 def outline_of(header: bytes, called: str) -> MapOutline:
-    """Parse the header of a map's file.
+    """Description, array lengths and checksum from the header of a map's file (without the length before it).
+
+    ``called`` names the file in messages.
 
     Raises:
-        InvalidMap: it is not a map's, or describes too many arrays.
+        InvalidMap: it is not a map's, of another format version, or holds more than 5000 texts.
     """
     for count, _ in enumerate(_TOKEN.finditer(header)):
         if count > _MAX_HEADER_TOKENS:
@@ -283,7 +285,7 @@ def outline_of(header: bytes, called: str) -> MapOutline:
 
 
 def _header(path: Path, called: str) -> bytes:
-    """The header of a map's file, checked for its size. Raises InvalidMap."""
+    """The header of a map's file, without the length before it. Raises InvalidMap if too long or unreadable."""
     try:
         with path.open("rb") as file:
             header = file.read(header_bytes(file.read(LENGTH_BYTES), called))
@@ -293,7 +295,7 @@ def _header(path: Path, called: str) -> bytes:
 
 
 def _reason(error: Exception) -> str:
-    """The text of an exception, without the path in operating-system errors."""
+    """Text of an exception; of an operating-system error its reason only, without the path."""
     return error.strerror or type(error).__name__ if isinstance(error, OSError) else str(error)
 
 
@@ -309,7 +311,7 @@ def _check_format(called: str, metadata: Mapping[str, str]) -> None:
 
 
 def _packed(map_: Map) -> Arrays:
-    """The arrays of a map's file, in C order and little-endian, as safetensors expects them."""
+    """The arrays of a map's file by name, in C order and little-endian, as safetensors wants them; indices narrowed."""
     arrays: dict[str, Any] = {
         **_packed_table(map_.landmarks, _LANDMARKS),
         **_packed_table(map_.descriptors, _DESCRIPTORS),
@@ -367,10 +369,8 @@ def _prefix(kind: DensityKind) -> str:
 
 
 def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
-    """The map of a file's arrays; unknown arrays and incomplete observations are ignored.
-
-    Raises:
-        InvalidMap: one is missing, of another type or shape, or contradicts another in length.
+    """The map of a file's arrays; unknown arrays are ignored, and an incomplete memory of the recordings dropped.
+    Raises InvalidMap: one is missing, of another type or shape, or contradicts another in length.
     """
     if not all(name in arrays for name in _MEMORY):
         arrays = {name: array for name, array in arrays.items() if name not in _MEMORY}
@@ -397,10 +397,8 @@ def _unpacked(info: MapInfo, arrays: Arrays) -> Map:
 
 
 def _unpacked_table(table: type[Table], arrays: Arrays, columns: Mapping[str, _Stored]) -> Table:
-    """A map's table from the arrays of its file.
-
-    Raises:
-        InvalidMap: one that is required is missing, or one is of another type or shape.
+    """A map's table from the arrays of its file. Raises InvalidMap: one that is required is missing, or one is of
+    another type or shape.
     """
     optional = {column for column, described in table.columns().items() if described.optional}
     kept = {column: stored for column, stored in columns.items() if stored.name in arrays or column not in optional}
@@ -424,10 +422,8 @@ def _unpacked_room(arrays: Arrays) -> Room:
 
 
 def _unpacked_pictures(arrays: Arrays, views: int) -> tuple[bytes, ...] | None:
-    """The picture (K,) of each view.
-
-    Raises:
-        InvalidMap: there are not as many as views, or their offsets are broken.
+    """The picture of each view (K,), empty for none; None if the file has no pictures. Raises InvalidMap: there are not
+    as many as views, or their offsets are broken.
     """
     if _PICTURES.keys().isdisjoint(arrays):
         return None
@@ -465,10 +461,8 @@ def _packed_pixels(map_: Map, pixels: FloatArray) -> IntArray:
 
 
 def _unpacked_ranges(arrays: Arrays) -> FloatArray | None:
-    """The ranges (V,) of observations; None if the file has none.
-
-    Raises:
-        InvalidMap: they are not as many as the observations, or not positive.
+    """The ranges (V,) of observations; None if the file has none. Raises InvalidMap: they are not as many as the
+    observations, or not positive.
     """
     if "extras/observation_ranges" not in arrays:
         return None
@@ -480,7 +474,7 @@ def _unpacked_ranges(arrays: Arrays) -> FloatArray | None:
 
 
 def _unpacked_pixels(info: MapInfo, views: MapViews, seen_from: IntArray, arrays: Arrays) -> FloatArray | None:
-    """The pixels (V, 2) of observations from views (V,); None if the file has none."""
+    """The pixels (V, 2) of observations from views (V,); None without any. Raises InvalidMap for other lengths."""
     if _PIXELS.keys().isdisjoint(arrays):
         return None
     _check_arrays(arrays, _PIXELS)

@@ -30,7 +30,7 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
     the path), ``channel`` (255) and ``sigma_m`` (0), as in :func:`rholoc.maps.map_to_vtp`.
 
     Raises:
-        InvalidInput: no feature, too many, or one that the map does not have.
+        InvalidInput: no feature, more than ``MAX_SURFACES``, or one that the map does not have.
     """
     chosen = _checked(map_, features)
     ball, triangles = _ball()

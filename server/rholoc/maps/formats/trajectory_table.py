@@ -56,14 +56,14 @@ class TrajectoryTable(PosedCameras):
 
     @property
     def rolls(self) -> FloatArray:
-        """(N,), rotations about the headings against the upright camera, radians."""
+        """Rotations (N,) about the headings against the upright camera [rad], -π to π."""
         upright = np.reshape([rotation_from_heading(heading) for heading in self.headings], (-1, 3, 3))
         R = np.einsum("nij,nik->njk", upright, self.T_map_camera[:, :3, :3])
         return np.asarray(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
 
     @property
     def quaternions_xyzw(self) -> FloatArray:
-        """(N, 4), x, y, z, w with w ≥ 0, of R_map_camera."""
+        """Quaternions (N, 4), x, y, z, w with w ≥ 0, of R_map_camera."""
         if len(self) == 0:
             return np.zeros((0, 4))
         quaternions = Rotation.from_matrix(self.T_map_camera[:, :3, :3]).as_quat()
@@ -96,7 +96,7 @@ def write_trajectory_csv(path: Path, table: TrajectoryTable) -> None:
 
 
 def trajectory_csv(table: TrajectoryTable) -> str:
-    """The text of Table 6."""
+    """The text of Table 6 with its header; unknown values are written as ``nan``."""
     values = np.column_stack(
         [
             table.times,
@@ -147,7 +147,7 @@ def read_trajectory_csv(path: Path) -> TrajectoryTable:
 
 
 def _read_values(path: Path) -> tuple[list[str], FloatArray]:
-    """The known columns' names and their values (N, C)."""
+    """The names of the known columns and their values (N, C). Raises InvalidTrajectory for a bad file or value."""
     try:
         rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
     except OSError as error:
@@ -191,7 +191,9 @@ def _whole(values: FloatArray, name: str, path: Path) -> IntArray:
 
 
 def _rotations(columns: dict[str, FloatArray], path: Path) -> FloatArray:
-    """R_map_camera (N, 3, 3), from quaternions where there are any, else from headings and rolls."""
+    """R_map_camera (N, 3, 3), from quaternions where there are any, else from headings and rolls (0 without that
+    column). Raises InvalidTrajectory if one is not of unit length (within 1 %), or a roll is not finite.
+    """
     headings = np.column_stack([columns[name] for name in ("hx", "hy", "hz")])
     _require_unit(headings, "heading", path)
     if all(name in columns for name in ("qx", "qy", "qz", "qw")):

@@ -10,7 +10,8 @@ from rholoc.geometry import FloatArray
 
 
 def image_data(origin: FloatArray, spacing: tuple[float, float, float], fields: Mapping[str, FloatArray]) -> bytes:
-    """The file for named fields of values (z, y, x) on a grid with a corner (3,) and a spacing, metres.
+    """The file for named fields of values (Z, Y, X) of one shape on a grid with a corner (3,) and a spacing (x, y, z)
+    [m].
 
     ParaView shows the first field.
     """

@@ -27,7 +27,7 @@ class Owner(StrEnum):
 
 
 def polydata(*pieces: str) -> bytes:
-    """A file of these pieces."""
+    """Content of a VTP file with these pieces, written by :func:`piece`."""
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="PolyData" version="0.1" byte_order="LittleEndian">',

@@ -94,7 +94,7 @@ class BagFrames:
         """The images (H, W, 3) BGR of the rows, which must increase.
 
         Raises:
-            InvalidRecording: a picture is damaged or of an unknown encoding, or the bag is.
+            InvalidRecording: a picture is damaged, of an unknown encoding or another size, or the bag is damaged.
         """
         if len(rows) == 0:
             return
@@ -151,6 +151,6 @@ def decoded(message: Any, topic: str) -> ByteArray:
 
 
 def picture_size(message: Any, topic: str) -> tuple[int, int]:
-    """Width and height of a message's picture; raises as :func:`decoded` does."""
+    """Width and height of a message's picture. Raises InvalidRecording if it is damaged or of an unknown encoding."""
     image = decoded(message, topic)
     return image.shape[1], image.shape[0]

@@ -32,7 +32,9 @@ class DepthImage:
     camera: Camera
 
     def at(self, points: FloatArray) -> FloatArray:
-        """Depths (N,) [m] at the projections of points (N, 3) in the camera frame; NaN outside or if unreliable."""
+        """Depths (N,) [m] at the nearest pixels to the projections of points (N, 3) in the camera frame; NaN outside or
+        if unreliable.
+        """
         pixels = self.camera.project(points)
         inside = (points[:, 2] > 0) & self.camera.contains(pixels)
         u, v = np.round(pixels[inside]).astype(np.int64).T
@@ -69,7 +71,7 @@ class DepthImages:
         return np.where(np.isin(values, self.unknown), np.nan, values * self.unit_m)
 
     def of_frame(self, row: int, camera: Camera) -> DepthImage | None:
-        """Depth image of frame ``row``, taken by ``camera``; None if the frame has no readable one."""
+        """Depth image of frame ``row``, taken by ``camera``; None if unreadable, or of another aspect ratio."""
         metres = self.read(row)
         if metres is None:
             return None
@@ -80,12 +82,12 @@ class DepthImages:
         return DepthImage(metres, _on_surfaces(metres), own)
 
     def select(self, rows: IntArray) -> DepthImages:
-        """The depth images of the frames ``rows``."""
+        """The depth images of the frames in rows ``rows`` (M,)."""
         return replace(self, paths=tuple(self.paths[row] for row in rows))
 
 
 def _on_surfaces(metres: FloatArray) -> BoolArray:
-    """Mask (H, W) of known depths that differ little from their neighbours': at edges, depths are mixed."""
+    """Mask (H, W) of known depths below 10 m that differ by less than 5 % from their 8 neighbours', as at edges."""
     known = np.nan_to_num(metres, nan=0.0).astype(np.float32)
     around = np.ones((3, 3), np.uint8)
     least, most = cv2.erode(known, around), cv2.dilate(known, around)

@@ -89,10 +89,10 @@ def read_image(path: Path | str, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteAr
 
 
 def read_grey(path: Path) -> IntArray:
-    """An image file of one channel → its values (H, W), all of their up to 16 bits.
+    """An image file of one channel → its values (H, W), all of their up to 16 bits. EXIF orientation is ignored.
 
     Raises:
-        InvalidImage: the file cannot be read or decoded, or has several channels.
+        InvalidImage: the file cannot be read or decoded, has several channels, or more than 50 megapixels.
     """
     with _opened(path, DEFAULT_MAX_PIXELS) as image:
         if not (image.mode == "L" or image.mode.startswith("I")):
@@ -116,7 +116,7 @@ def image_size(
 
 
 def exif_focal_px(path: Path) -> float | None:
-    """Focal length [px] from the 35 mm equivalent in a file's EXIF data; None if missing.
+    """Focal length [px] from the 35 mm equivalent in a file's EXIF data; None if missing or not 5 to 1000 mm.
 
     The equivalent refers to the diagonal angle of view.
 

@@ -55,7 +55,7 @@ class ImageFolderFrames:
 
 
 def find_images(folder: Path) -> tuple[Path, ...]:
-    """The image files of a folder, or of its subfolder ``frames`` or ``images``; empty if there are none."""
+    """The image files of a folder, else of its subfolder ``frames`` or ``images``, by name; empty if there are none."""
     for subfolder in _SUBFOLDERS:
         paths = _images_in(folder / subfolder)
         if paths:
@@ -71,7 +71,7 @@ def read_image_folder(
     Times come from ``times_csv`` (``frame,timestamp``), else from number / ``fps``; without either they are unknown.
 
     Raises:
-        InvalidRecording: a file has no image header, or the table of times lacks a frame.
+        InvalidRecording: there are no files, one has no image header, or the table of times is broken or lacks a frame.
     """
     numbers, order = numbered(paths)
     ordered = [paths[place] for place in order]
@@ -99,7 +99,10 @@ def image_frames(
     times: FloatArray | None,
     cameras: Sequence[Camera] | None = None,
 ) -> ImageFolderFrames | UnifiedPictures:
-    """Frames from image files with known numbers.
+    """Frames from image files with known numbers: as they are, or resampled to one camera if their sizes or lenses
+    differ.
+
+    Focal lengths by EXIF within 2 % count as one lens. Without times, rows serve as times.
 
     Args:
         paths: N files.
@@ -109,7 +112,8 @@ def image_frames(
             longer sides of pictures without it.
 
     Raises:
-        InvalidRecording: there are no files, or one is missing or has no image header.
+        InvalidRecording: there are no files, or one is missing, has no image header, a side below 16 px or over 8K
+            pixels.
     """
     if not paths:
         raise InvalidRecording("The recording lists no images.")
@@ -153,7 +157,9 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
 
 
 def number_in_name(path: Path) -> int | None:
-    """The last digits of a file's name as a number; None if there are none, or far too many."""
+    """The last digits of a file's name, without suffix, as a number; None for none, over 25 digits, or beyond
+    64 bits.
+    """
     match = _LAST_DIGITS.search(path.stem)
     number = int(match[1]) if match and len(match[1]) <= _MAX_DIGITS else -1
     return number if 0 <= number <= _MAX_FRAME_NUMBER else None

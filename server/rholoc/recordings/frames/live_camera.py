@@ -47,7 +47,8 @@ class LiveCamera:
         self._reader = threading.Thread(target=self._read, daemon=True)
 
     def frames(self) -> Iterator[tuple[float, ByteArray]]:
-        """Arrival time [s, Unix epoch] and image (H, W, 3) BGR of the newest frame, each at most once.
+        """Iterate over arrival time [s, Unix epoch] and image (H, W, 3) BGR of the newest frame, each at most once.
+        Call it once.
 
         Raises:
             InvalidInput: no frame has arrived for five seconds, or the camera was unplugged.
@@ -75,7 +76,7 @@ class LiveCamera:
                 self._arrived.notify()
 
     def stop(self) -> bool:
-        """Stop reading. Returns False if the camera still keeps its reader waiting."""
+        """Stop reading, waiting up to five seconds. Returns False if the camera still keeps its reader waiting."""
         self._ended = True
         if self._reader.is_alive():
             self._reader.join(_SILENCE_S)
@@ -84,10 +85,11 @@ class LiveCamera:
 
 @contextmanager
 def opened_camera(source: str) -> Iterator[LiveCamera]:
-    """A live camera for which :func:`is_live` is true.
+    """A live camera for which :func:`is_live` is true, released after the block.
 
     Raises:
         InvalidInput: there is none, or it gives no pictures.
+        InvalidRecording: its pictures have a side below 16 px, or more than 8K pixels.
     """
     capture = cv2.VideoCapture(int(source)) if source.isdecimal() else cv2.VideoCapture(source)
     if not capture.isOpened():
@@ -102,5 +104,5 @@ def opened_camera(source: str) -> Iterator[LiveCamera]:
 
 
 def _shown(source: str) -> str:
-    """The source without a password."""
+    """The source without user name and password."""
     return re.sub(r"//[^/@]*@", "//", source)

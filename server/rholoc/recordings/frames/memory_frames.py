@@ -34,7 +34,7 @@ class MemoryFrames:
 
     @property
     def numbers(self) -> IntArray:
-        """(N,) 0..N-1."""
+        """Numbers (N,): 0..N-1."""
         return np.arange(len(self.pictures))
 
     @property
@@ -44,5 +44,5 @@ class MemoryFrames:
         return width, height
 
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
-        """The pictures of the given rows."""
+        """Iterate over the pictures of the given rows."""
         return (self.pictures[row] for row in rows)

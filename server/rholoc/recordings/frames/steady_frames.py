@@ -43,7 +43,7 @@ class SteadyFrames:
 
     @property
     def numbers(self) -> IntArray:
-        """(N,) the source's."""
+        """Numbers (N,) of the source's frames."""
         return self.source.numbers
 
     @property
@@ -52,7 +52,10 @@ class SteadyFrames:
         return self.common.width, self.common.height
 
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
-        """The images (H, W, 3) BGR of the rows, which must increase."""
+        """Iterate over the images (H, W, 3) BGR of the rows, which must increase, resampled to the common camera.
+
+        Raises InvalidRecording if a frame cannot be decoded.
+        """
         for row, image in zip(rows, self.source.images(rows), strict=True):
             yield resampled(image, self.cameras[row], self.common)
 
@@ -60,7 +63,9 @@ class SteadyFrames:
 def with_logged_intrinsics(recording: Recording) -> Recording:
     """The recording with the median of its logged intrinsics as its camera, its frames resampled to it if they change.
 
-    Unchanged where intrinsics were not logged for every frame, or are implausible for the frames' size.
+    Changes are more than 0.2 % of a focal length or 1 px of the principal point. Unchanged where intrinsics were not
+    logged for every frame, or are implausible: a focal length not 0.3 to 4 × the longer side, or a principal point 0.1
+    × it off the centre.
     """
     logged, (width, height) = recording.frame_intrinsics, recording.frames.size
     if logged is None or not np.isfinite(logged).all() or 0 in (width, height):

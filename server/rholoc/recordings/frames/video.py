@@ -65,6 +65,7 @@ class VideoFrames:
 
         Raises:
             InvalidRecording: a frame cannot be decoded.
+            ValueError: rows do not increase.
         """
         with _opened(self.path) as capture:
             position = -1

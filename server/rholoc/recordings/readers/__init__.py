@@ -97,7 +97,9 @@ def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
 
 
 def _with_additions(recording: Recording, folder: Path) -> Recording:
-    """The recording with the intrinsics, mounting, read-out time and waypoints of files added to the folder."""
+    """The recording with the intrinsics, mounting, read-out time and waypoints of files added to the folder. Raises
+    InvalidCamera, InvalidWaypoints.
+    """
     description = own.read_description(folder)
     if description.camera is not None and 0 not in recording.frames.size:
         recording = replace(recording, camera=description.camera.fitted(*recording.frames.size))

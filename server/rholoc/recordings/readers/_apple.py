@@ -24,7 +24,7 @@ _R_ARKIT_OPENCV: FloatArray = np.diag([1.0, -1, -1, 1])
 
 
 def read_arkit_poses(path: Path, frames: FrameSource, start_s: float = 0.0) -> GivenPoses | None:
-    """ARKit's poses of frames from a table without header, ``time, x, y, z, qw, qx, qy, qz``; times count from
+    """ARKit's poses, z up, of frames from a table without header, ``time, x, y, z, qw, qx, qy, qz``; times count from
     ``start_s``. None where there is no such file.
 
     Raises:

@@ -60,12 +60,12 @@ def camera_of_model(model: str, size: tuple[int, int], parameters: Sequence[floa
 
 
 def lens_of_model(model: str) -> Lens | None:
-    """The lens of a model; None where it is not supported."""
+    """The lens of a camera model by its name; None where it is not supported."""
     known = _MODELS.get(model)
     return None if known is None else known.lens
 
 
 def unsupported(model: str) -> RecordingWarning:
-    """Warning about unusable intrinsics."""
+    """Warning that intrinsics of the camera model ``model`` are ignored."""
     text = f"The camera's model is {model}, which is not supported: its intrinsics are ignored."
     return RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text)

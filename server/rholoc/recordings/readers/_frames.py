@@ -97,7 +97,9 @@ def untimed_images(paths: Sequence[Path], cameras: Sequence[Camera] | None = Non
 
 
 def camera_of(frames: ImageFolderFrames | UnifiedPictures, cameras: Sequence[Camera] | None) -> Camera | None:
-    """Camera of the frames of images with known ``cameras``; None if unknown."""
+    """Camera of the frames of images with known ``cameras``: the common one if resampled; None if ``cameras`` is.
+    Raises InvalidCamera.
+    """
     if cameras is None:
         return None
     return frames.common if isinstance(frames, UnifiedPictures) else cameras[0].fitted(*frames.size)
@@ -109,7 +111,9 @@ def depth_images(
     unknown: tuple[int, ...] = (0,),
     camera: Camera | None = None,
 ) -> DepthImages | None:
-    """:class:`DepthImages` of files that may be missing; None if all are."""
+    """:class:`DepthImages` of one file per frame, with its attributes; missing files become None. None if all are
+    missing.
+    """
     found = tuple(path if path is not None and path.is_file() else None for path in paths)
     return DepthImages(found, unit_m, unknown, camera) if any(found) else None
 
@@ -135,7 +139,7 @@ def find_video(folder: Path, name: str = "video") -> Path | None:
 
 
 def require_video(folder: Path, name: str) -> Path:
-    """As :func:`find_video`, but raises InvalidRecording without videos."""
+    """The video called ``name``, or the folder's only one. Raises InvalidRecording if none, or unclear."""
     video = find_video(folder, name)
     if video is None:
         raise InvalidRecording(f"The folder {folder.name} contains no video.", "Pack the video with the tables.")

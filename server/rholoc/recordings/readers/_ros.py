@@ -34,15 +34,17 @@ def vector(value: Any) -> tuple[float, float, float]:
 def camera_of_info(
     info: Any, size: tuple[int, int], is_rectified: bool
 ) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    """The camera of a CameraInfo message of ROS 1 or 2; None if it is not calibrated, or its lens is not known.
+    """The camera of a CameraInfo message of ROS 1 or 2, fitted to ``size``, and warnings.
+
+    None if it is not calibrated, or (with a warning) its lens is not known.
 
     Args:
         info: the message.
-        size: of the pictures.
+        size: of the pictures, width and height.
         is_rectified: whether the pictures are without distortion: then the projection matrix P holds.
 
     Raises:
-        InvalidCamera: its values are impossible.
+        InvalidCamera: its values are impossible, or of another aspect ratio.
     """
     K, P, D = (np.asarray(getattr(info, name, getattr(info, name.upper(), ()))).ravel() for name in "kpd")
     if is_rectified:
@@ -79,7 +81,7 @@ class Mounting:
 
     @classmethod
     def of(cls, messages: Iterable[Any]) -> Mounting:
-        """From messages of static transforms."""
+        """Tree of the static transforms in some messages. Raises InvalidTrajectory for an invalid one."""
         parents: dict[str, tuple[str, FloatArray]] = {}
         for one in (transform for message in messages for transform in message.transforms):
             child, parent = (str(name).lstrip("/") for name in (one.child_frame_id, one.header.frame_id))
@@ -113,6 +115,6 @@ def pose_of(message: Any, topic: str) -> FloatArray:
 
 
 def _pose(position: Any, q: Any, source: str) -> FloatArray:
-    """Pose (4, 4) from a message's position and quaternion."""
+    """Pose (4, 4) from a message's position and quaternion. Raises InvalidTrajectory, naming ``source``."""
     row = np.array([[position.x, position.y, position.z, q.x, q.y, q.z, q.w]], dtype=np.float64)
     return np.asarray(poses_from_rows(row, source)[0])

@@ -53,7 +53,7 @@ def with_unused_files(recording: Recording, folder: Path, tables: tuple[str, ...
 
 
 def _described(top: str, paths: list[PurePath]) -> str:
-    """Name of a single file, or name and number of files of a subfolder."""
+    """Name of a file at the top, path of the only file in the subfolder ``top``, or its name and number of files."""
     return (
         top if len(paths[0].parts) == 1 else paths[0].as_posix() if len(paths) == 1 else f"{top}/ ({len(paths)} files)"
     )

@@ -54,7 +54,7 @@ _MAX_NAMED = 3
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a bag."""
+    """Whether the folder has a ROS bag, or is one."""
     return bool(_bags(folder))
 
 
@@ -62,7 +62,8 @@ def read(folder: Path, topics: Sequence[str] = ()) -> Recording:
     """Read the folder's bag.
 
     Raises:
-        InvalidRecording: there are several bags, or as for :func:`read_bag`.
+        InvalidRecording: there are several bags, or the bag is damaged, has no pictures, or lacks a topic.
+        InvalidCamera, InvalidTrajectory: its intrinsics are impossible, or its poses.
     """
     bags = _bags(folder)
     if len(bags) > 1:
@@ -106,7 +107,7 @@ def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
 
 
 def _bags(folder: Path) -> list[Path]:
-    """The bags of a folder; the folder itself if it is one of ROS 2."""
+    """The bags of a folder by name; the folder itself if it is one of ROS 2."""
     if (folder / "metadata.yaml").is_file():
         return [folder]
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in BAG_SUFFIXES and path.is_file())
@@ -122,7 +123,10 @@ class _Topics:
 
     @classmethod
     def of(cls, reader: AnyReader, asked: Sequence[str]) -> _Topics:
-        """Raises InvalidRecording if a topic that was asked for is missing, or if there are no pictures."""
+        """Topics of an open bag; ``picture`` is the one asked for, or the one with most pictures.
+
+        Raises InvalidRecording if a topic that was asked for is missing, or if there are no pictures.
+        """
         connections = tuple(one for one in reader.connections if one.msgcount > 0)
         names = {one.topic for one in connections}
         for topic in asked:
@@ -137,11 +141,11 @@ class _Topics:
         return cls(connections, tuple(asked), chosen)
 
     def of_types(self, *types: str) -> list[Connection]:
-        """Connections of some types."""
+        """Connections with messages of these types."""
         return [one for one in self.connections if one.msgtype in types]
 
     def chosen(self, *types: str) -> Connection | None:
-        """The connection of some types that was asked for, or that has most messages."""
+        """The connection of these types that was asked for, else the one with most messages; None if there is none."""
         return _chosen(self.of_types(*types), self.asked)
 
 
@@ -151,7 +155,7 @@ def _chosen(connections: Sequence[Connection], asked: Sequence[str]) -> Connecti
 
 
 def _is_picture(reader: AnyReader, connection: Connection) -> bool:
-    """Whether a topic of images shows pictures, not depths."""
+    """Whether a topic of images shows pictures, not depths, by its first message."""
     message = _first(reader, connection)
     if connection.msgtype == COMPRESSED_IMAGE:
         return "compressedDepth" not in str(message.format)
@@ -164,7 +168,7 @@ def _first(reader: AnyReader, connection: Connection) -> Any:
 
 
 def _messages(reader: AnyReader, connection: Connection) -> Iterable[tuple[int, Any]]:
-    """When each message of the connection's topic was logged [ns], and the message."""
+    """Iterate over when each message of the connection's topic was logged [ns], and the message."""
     publishers = [one for one in reader.connections if one.topic == connection.topic]
     for _, logged_ns, raw in reader.messages(publishers):
         yield logged_ns, reader.deserialize(raw, connection.msgtype)
@@ -174,7 +178,7 @@ def _messages(reader: AnyReader, connection: Connection) -> Iterable[tuple[int, 
 
 
 def _frames(path: Path, reader: AnyReader, found: _Topics) -> tuple[BagFrames, str, tuple[RecordingWarning, ...]]:
-    """The pictures, their coordinate frame, and warnings about other picture topics."""
+    """The pictures, their coordinate frame, and warnings about other picture topics. Raises InvalidRecording."""
     topic = found.picture
     logged: list[int] = []
     stamps: list[int] = []
@@ -198,7 +202,9 @@ def _frames(path: Path, reader: AnyReader, found: _Topics) -> tuple[BagFrames, s
 def _camera(
     path: Path, reader: AnyReader, found: _Topics, size: tuple[int, int]
 ) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    """The intrinsics by the bag's CameraInfo, else by a file beside it."""
+    """The intrinsics by the bag's CameraInfo, else by ``sensors.txt`` beside it, and warnings; None without either.
+    Raises InvalidCamera.
+    """
     infos = found.of_types(_CAMERA_INFO)
     asked = [one for one in infos if one.topic in found.asked]
     nearest = asked or [one for one in infos if _is_beside(one.topic, found.picture.topic)]
@@ -226,7 +232,9 @@ def _is_beside(info: str, picture: str) -> bool:
 def _imu(
     reader: AnyReader, found: _Topics, mounted: Mounting, camera_frame: str
 ) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
-    """Gyroscope and accelerometer, each from a requested topic that measures it, else from the one with most rows."""
+    """Gyroscope and accelerometer, each from a requested topic that measures it, else from the one with most rows; and
+    warnings. One topic with both is preferred. None if one is missing. Raises InvalidRecording.
+    """
     felt, turned = [], []
     for connection in found.of_types(_IMU):
         a, w = _measures(reader, connection)
@@ -252,7 +260,7 @@ def _imu(
 
 
 def _measures(reader: AnyReader, connection: Connection) -> tuple[bool, bool]:
-    """Whether a topic has accelerations, and whether it has rates; missing ones are zero or marked as unknown."""
+    """Whether a topic has accelerations, and whether it has rates, by 21 messages; missing ones are zero or marked."""
     a, w = False, False
     for number, (_, message) in enumerate(_messages(reader, connection)):
         a |= bool(message.linear_acceleration_covariance[0] >= 0 and np.any(vector(message.linear_acceleration)))
@@ -265,7 +273,9 @@ def _measures(reader: AnyReader, connection: Connection) -> tuple[bool, bool]:
 def _poses(
     reader: AnyReader, found: _Topics, mounted: Mounting, camera_frame: str, frames: BagFrames
 ) -> tuple[GivenPoses | None, tuple[RecordingWarning, ...]]:
-    """The camera's poses from the requested topic, else from poses (taken as exact), else from odometry."""
+    """The camera's poses from the requested topic, else from poses (taken as exact), else from odometry; and warnings.
+    None without such a topic, or (with a warning) if no pose belongs to a frame.
+    """
     asked = [one for one in found.of_types(*_POSES, _ODOMETRY) if one.topic in found.asked]
     connection = _chosen(asked or found.of_types(*_POSES), ()) or found.chosen(_ODOMETRY)
     if connection is None:

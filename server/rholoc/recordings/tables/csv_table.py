@@ -63,7 +63,7 @@ def parse_json(text: str) -> Any:
     """The content of a JSON document.
 
     Raises:
-        ValueError: it is not JSON, or has an integer that no float holds.
+        ValueError: it is not JSON (NaN and Infinity pass), or has an integer of more than 300 digits.
         RecursionError: it is nested too deep.
     """
     return json.loads(text, parse_int=_integer)
@@ -111,7 +111,11 @@ def read_numbers(path: Path, columns: Sequence[str]) -> dict[str, FloatArray]:
 
 @contextmanager
 def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator[tuple[list[str], Iterator[list[str]]]]:
-    """A CSV file's header and an iterator over its rows; errors in the file are raised inside the block."""
+    """A CSV file's header (lower case) and an iterator over its rows that are not blank; valid within the block.
+
+    Raises ``error``, in the block too, for an unreadable or empty file, more than ``max_rows``, or a row of another
+    length.
+    """
     with _raising(error, path):
         _check_size(path, error, MAX_TABLE_BYTES)
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -126,7 +130,7 @@ def table_rows(path: Path, error: type[InvalidInput], max_rows: int) -> Iterator
 
 
 def _paper_columns(groups: list[str], second: list[str], path: Path, error: type[InvalidInput]) -> list[str]:
-    """Column names from the paper's two header rows: groups, each above its first column, and parts."""
+    """Column names from the paper's two header rows: groups above their first columns, and parts. Raises ``error``."""
     parts = [part.strip().lower().strip("$").replace("_", "") for part in second]
     columns, group = [], ""
     for above, part in zip_longest(groups, parts, fillvalue=""):
@@ -175,7 +179,7 @@ def require_columns(path: Path, header: Sequence[str], columns: Sequence[str], e
     """Check that the header has the columns.
 
     Raises:
-        error: one is missing; the hint says which are expected.
+        error: one of ``columns`` is missing; the hint says which are expected.
     """
     missing = [column for column in columns if column not in header]
     if missing:
@@ -186,10 +190,10 @@ def require_columns(path: Path, header: Sequence[str], columns: Sequence[str], e
 
 
 def parse_number(text: str, path: Path, line: int, column: str, error: type[InvalidInput]) -> float:
-    """One value of a table.
+    """A table's value as a float.
 
     Raises:
-        error: it is not a finite number; the message names file, row and column.
+        error: it is not a finite number; the message names file, row ``line`` and column.
     """
     try:
         value = float(text)
@@ -201,7 +205,7 @@ def parse_number(text: str, path: Path, line: int, column: str, error: type[Inva
 
 
 def shortened(text: str) -> str:
-    """Text for a message: its first 200 characters."""
+    """Text for a message: its first 200 characters, with "…" if it is longer."""
     return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}…"
 
 

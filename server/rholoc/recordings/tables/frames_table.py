@@ -17,10 +17,11 @@ _MAX_EXACT = 2**53  # above it a float64 is not exact
 
 
 def read_frames_csv(path: Path) -> tuple[IntArray, FloatArray]:
-    """As :func:`read_frame_numbers`, with times that increase.
+    """Frame numbers (N,) int64 and times (N,) [s], both increasing, under the header ``frame,timestamp``.
 
     Raises:
-        InvalidRecording: as there, or times do not increase or span more than two days.
+        InvalidRecording: a column is missing, there are no rows, a value is not finite, a frame number is not whole,
+            numbers or times do not increase, or times span more than two days.
     """
     numbers, times = read_frame_numbers(path)
     require_increasing(times, path)

@@ -24,7 +24,7 @@ def read_lengths_csv(path: Path, numbers: IntArray) -> tuple[KnownLength, ...]:
         numbers: (N,) of the recording's frames.
 
     Raises:
-        InvalidRecording: a column is missing, a value is not a number, or a length is not possible.
+        InvalidRecording: a column is missing, a value is not a number, a frame unknown, or a length not 0.05 to 1000 m.
     """
     table = read_numbers(path, _COLUMNS)
     rows = zip(table["first"].tolist(), table["second"].tolist(), table["length"].tolist(), strict=True)
@@ -39,7 +39,7 @@ def parse_length(text: str, numbers: IntArray) -> KnownLength:
         numbers: (N,) of the recording's frames.
 
     Raises:
-        InvalidRecording: the text is something else, a frame is not in the recording, or the length is not possible.
+        InvalidRecording: the text is something else, a frame is not in the recording, or it is not 0.05 to 1000 m.
     """
     try:
         first, second, length_m = (float(part) for part in text.split(","))

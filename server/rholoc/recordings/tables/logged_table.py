@@ -43,7 +43,7 @@ class LoggedTable:
 
     @property
     def rows(self) -> Iterator[list[str]]:
-        """The fields of each row."""
+        """Iterate over the fields of each row."""
         return (_fields(line, self.blanks) for line in self.lines)
 
     def named(self, *names: str) -> FloatArray:
@@ -115,7 +115,7 @@ def read_logged_table(path: Path) -> LoggedTable:
 
 
 def header_of(path: Path) -> tuple[str, ...]:
-    """The names in a table's header, as :class:`LoggedTable` has them; empty for no file, no text or no header."""
+    """The names in a table's header, lower case and without units; empty if its first 4 KiB have no header."""
     before: list[str] = []
     for line in _head(path):
         if _begins_with_number(line):

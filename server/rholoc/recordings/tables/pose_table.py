@@ -68,7 +68,7 @@ def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
     """Rows (N, 7) of tx ty tz qx qy qz qw → poses (N, 4, 4); ``source`` is the table's name.
 
     Raises:
-        InvalidTrajectory: a quaternion is not of unit length, or a position is implausibly far away.
+        InvalidTrajectory: a quaternion's length is off by more than 1 %, or a coordinate is beyond 1e8.
     """
     q = rows[:, 3:].clip(-2, 2)  # squares of more may overflow, and are not of unit length either
     wrong = np.flatnonzero(~(np.abs(np.linalg.norm(q, axis=1) - 1) <= _NORM_TOLERANCE))  # NaN is wrong, too
@@ -83,7 +83,10 @@ def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
 
 
 def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
-    """Give each frame the pose with its number, or the one nearest in time within half a frame interval.
+    """Give each frame the pose with its number, or the one nearest in time within half a frame interval; NaN for
+    others.
+
+    By number if the keys are frame numbers or the frames have no times.
 
     Raises:
         InvalidTrajectory: no pose belongs to a frame.

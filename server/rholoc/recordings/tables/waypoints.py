@@ -64,10 +64,11 @@ def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
     They may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
 
     Raises:
-        NotInstalled, InvalidInput: as :func:`places_in`.
+        NotInstalled: the reference system needs a package that is missing.
+        InvalidInput: the reference system is unknown.
         InvalidWaypoints: other columns, several reference systems, fewer than three, more than 1000, an empty, repeated
-            or overlong name, a value that is not finite, a time outside the recording, a frame that is not in it, or
-            times although the pictures have none.
+            or overlong name, a value that is not finite, a sigma not 0.001 to 1 m, places over 10 km apart, a time
+            outside the recording, a frame that is not in it, or times although the pictures have none.
     """
     header, rows = read_rows(path, InvalidWaypoints, MAX_WAYPOINTS)
     moment = next((column for column in ("time", "frame") if column in header), None)
@@ -142,7 +143,10 @@ def _require_enough(waypoints: Sequence[Waypoint]) -> None:
 
 
 def _on_earth(waypoints: Sequence[Waypoint], columns: Sequence[str], crs: str | None = None) -> tuple[Waypoint, ...]:
-    """Waypoints whose positions are places on Earth under these columns, in metres around the first one."""
+    """Waypoints whose positions are places on Earth under these columns, in metres east, north and up of the first one.
+    ``crs`` names another reference system than WGS 84. Raises InvalidWaypoints if one is off the Earth or over 10 km
+    away.
+    """
     if crs is None:
         places = [EarthPlace(*waypoint.position) for waypoint in waypoints]
     else:

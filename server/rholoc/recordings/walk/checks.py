@@ -13,7 +13,9 @@ _MARGIN_S = 0.5  # tolerated time of frames before and after the IMU's table
 
 
 def whole_warnings(recording: Recording) -> tuple[RecordingWarning, ...]:
-    """Gaps between frames, and frames that the IMU does not cover."""
+    """Warnings of gaps between frames, and of frames that the IMU does not cover (by more than 0.5 s); or of frames
+    without times.
+    """
     if not recording.frames.timed:
         text = "The pictures have no times, so the IMU cannot be used: add frames.csv with frame,timestamp."
         return () if recording.imu is None else (RecordingWarning(WarningKind.NO_OVERLAP, text),)

@@ -13,7 +13,7 @@ MAX_RETURN = 0.15
 
 
 def advise(figures: WalkFigures) -> tuple[Advice, ...]:
-    """The advice that the figures call for; none for a good walk."""
+    """Advice for each figure beyond its limit: turn, light, bare frames, pauses, return. Empty for a good walk."""
     return tuple(_advices(figures))
 
 

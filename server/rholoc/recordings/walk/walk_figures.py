@@ -33,7 +33,7 @@ class Look:
 
 
 def look_at(image: ByteArray) -> Look:
-    """Measure an image (H, W, 3) BGR, at most 640 pixels wide."""
+    """Mean grey level and corners of an image (H, W, 3) BGR, reduced to at most 640 px width."""
     gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     height, width = gray.shape
     if width > _LOOK_WIDTH_PX:
@@ -43,7 +43,7 @@ def look_at(image: ByteArray) -> Look:
 
 
 def look_through(frames: FrameSource) -> list[Look]:
-    """Measure frames spread evenly over a recording; none where there are no images.
+    """Measure 25 frames, or all of fewer, spread evenly over a recording; none where there are no images.
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
@@ -57,7 +57,9 @@ def look_through(frames: FrameSource) -> list[Look]:
 def measure_walk(
     recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray
 ) -> WalkFigures:
-    """Figures of a walk from its IMU, from ``looks`` at frames, and from poses (N, 4, 4) at times (N,), if any."""
+    """Figures of a walk from its IMU, from ``looks`` at frames, and from poses (N, 4, 4) at times (N,) [s], N ≥ 0; None
+    if unknown.
+    """
     imu = recording.imu
     return WalkFigures(
         turn_deg_s=_turn(recording, times, T_map_camera),
@@ -90,7 +92,7 @@ def nearest_return(T_map_camera: FloatArray) -> float | None:
 
 
 def _turn(recording: Recording, times: FloatArray, T_map_camera: FloatArray) -> float | None:
-    """Rate of turn [°/s]; None if the pictures have no times."""
+    """Rate of turn [°/s], 90th percentile, by the IMU, else by the poses; None without frame times or data."""
     if not recording.frames.timed:
         return None
     if recording.imu is not None:
@@ -99,7 +101,7 @@ def _turn(recording: Recording, times: FloatArray, T_map_camera: FloatArray) -> 
 
 
 def _turn_of_imu(imu: Imu, times: FloatArray) -> float | None:
-    """Within the time span of frames at ``times`` (N,) [s]."""
+    """Rate of turn [°/s], 90th percentile, within the span of frames at ``times`` (N,) [s]; None without readings."""
     rows = (imu.times >= times[0]) & (imu.times <= times[-1])
     if not rows.any():
         return None
@@ -108,7 +110,7 @@ def _turn_of_imu(imu: Imu, times: FloatArray) -> float | None:
 
 
 def _turn_of_poses(times: FloatArray, T_map_camera: FloatArray) -> float | None:
-    """By poses at least a tenth of a second apart."""
+    """Rate of turn [°/s], 90th percentile, between poses (N, 4, 4) at least 0.1 s apart; None without two such."""
     if len(times) < 2:
         return None
     later = np.searchsorted(times, times + _TURN_INTERVAL_S)

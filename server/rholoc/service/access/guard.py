@@ -135,7 +135,9 @@ class Guard:
         await self._app(scope, self._receive_while_valid(scope, receive), send)
 
     def _receive_while_valid(self, scope: Scope, receive: Receive) -> Receive:
-        """Receive a request's body only as long as its key is valid; raises Unauthorized from then on."""
+        """A receive function for the request's body that raises Unauthorized once its key is invalid; ``receive``
+        without a key.
+        """
         key = request_key(scope) if scope["type"] == "http" else None
         if key is None:
             return receive
@@ -149,7 +151,7 @@ class Guard:
         return receive_checked
 
     async def _known(self, secret: str, scope: Scope) -> ApiKey | None:
-        """The key of a secret; keys are read again, in a thread, for one that is not in memory."""
+        """The key of a secret; unless in memory, all keys are read again, in a thread. None if there is none."""
         key = self._keys.find(secret)
         if key is None:
             if self._looking is None or self._looking.done():
@@ -159,7 +161,12 @@ class Guard:
         return key
 
     async def _check_key(self, authorization: str, needed: KeyScope, scope: Scope) -> ApiKey | None:
-        """The key that allows the request, at least ``needed``; None where no key is needed."""
+        """The key that allows the request, of at least the scope ``needed``; None if the server needs no keys.
+
+        Raises:
+            Unauthorized: there is no key, or it is unknown, revoked or expired.
+            Forbidden: its scope is too small.
+        """
         if not self._keys_needed:
             return None
         kind, _, secret = authorization.partition(" ")
@@ -181,14 +188,14 @@ def _address(scope: Scope) -> str:
 
 
 def _authorization(scope: Scope, headers: Headers) -> str:
-    """A request's credentials. A browser cannot set headers on a WebSocket, but it can offer subprotocols."""
+    """A request's Authorization header; else "Bearer KEY" with a WebSocket's subprotocol's key; else empty."""
     offered = scope.get("subprotocols", ()) if scope["type"] == "websocket" else ()
     keys = [one.removeprefix(STREAM_KEY_PREFIX) for one in offered if one.startswith(STREAM_KEY_PREFIX)]
     return headers.get("authorization", f"Bearer {keys[0]}" if keys else "")
 
 
 def check_query(scope: Scope, route: RouteAccess) -> None:
-    """Raise InvalidRequest for an unknown query parameter: a mistyped option would be silently ignored."""
+    """Raise InvalidRequest for a query parameter that an API route does not know: a typing error would be ignored."""
     if not route.path.startswith(API_PATHS):
         return
     given = QueryParams(scope["query_string"])
@@ -199,13 +206,13 @@ def check_query(scope: Scope, route: RouteAccess) -> None:
 
 
 def check_same_site(method: str, headers: Headers, local_only: bool, origins: Collection[str] = ()) -> None:
-    """Refuse requests that a page of another site makes a browser send. Programs send none of these headers.
+    """Refuse requests that a page of another site makes a browser send; requests without a browser's headers pass.
 
-    Following a link from another site is allowed, and what comes from one of ``origins``. A server that listens on this
-    machine alone accepts local host names only, against DNS rebinding.
+    Reading by following a link from another site is allowed, and so is everything from one of ``origins``. With
+    ``local_only`` only local host names are accepted, against DNS rebinding.
 
     Raises:
-        CrossSite: another site sent it.
+        CrossSite: another site sent it, or it uses another name of this machine.
     """
     host, origin, site = headers.get("host", ""), headers.get("origin"), headers.get("sec-fetch-site")
     if local_only and not is_loopback(_host_name(host)):
@@ -222,7 +229,7 @@ def check_same_site(method: str, headers: Headers, local_only: bool, origins: Co
 
 
 def _host_name(host: str) -> str:
-    """The name or address in a ``Host`` header, without its port; empty where it has none."""
+    """The name or address in a ``Host`` header, without its port; empty if there is none or it is malformed."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

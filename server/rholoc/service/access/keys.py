@@ -68,7 +68,7 @@ class KeyLimits:
         return any(limit is not None for limit in (self.maps, self.stored_bytes, self.jobs))
 
     def within(self, other: KeyLimits) -> KeyLimits:
-        """The lower of each limit."""
+        """The lower of each limit of the two; None if both have none."""
         both = ((getattr(self, one.name), getattr(other, one.name)) for one in fields(self))
         return KeyLimits(*(min((one for one in pair if one is not None), default=None) for pair in both))
 
@@ -99,7 +99,7 @@ class ApiKey:
 
     @property
     def expired(self) -> bool:
-        """Whether its lifetime is over."""
+        """Whether its lifetime is over; False if it is unlimited."""
         return self.expires is not None and time.time() >= self.expires
 
 
@@ -155,7 +155,7 @@ class KeyStore:
             site: only site that a key of scope ``visit`` is for; empty for all.
 
         Raises:
-            InvalidName: the name is empty, too long or not printable.
+            InvalidName: the name is empty, over 64 characters or not printable.
             Conflict: there is a key of that name.
             StorageFull: the disk is full.
         """
@@ -175,7 +175,8 @@ class KeyStore:
     def hand_on(
         self, scope: Scope, lifetime_s: float, limits: KeyLimits, by: ApiKey | None, site: str = "", name: str = ""
     ) -> tuple[str, str]:
-        """Make a temporary key. Returns its name, and its secret, which cannot be retrieved again.
+        """Make a temporary key, and delete expired ones. Returns its name, and its secret, which cannot be retrieved
+        again.
 
         Args:
             scope: of the key.
@@ -188,8 +189,8 @@ class KeyStore:
         Raises:
             InvalidName: the name is too long or not printable.
             Conflict: there is a key of that name.
-            QuotaExceeded: the parent has handed on too many.
-            Busy: there are too many temporary keys.
+            QuotaExceeded: the parent's root key with all below it has 100 valid temporary keys.
+            Busy: there are 1000 valid temporary keys.
             StorageFull: the disk is full.
         """
         handed = [key for key in self.keys() if key.name.startswith(HANDED_PREFIX)]
@@ -210,7 +211,7 @@ class KeyStore:
         return name, self.create(name, scope, lifetime_s, limits, by, site)
 
     def limit(self, name: str, limits: KeyLimits) -> ApiKey:
-        """Set the limits of the key called ``name``, from the next request on; returns the key.
+        """Replace the limits of the key called ``name``, from the next request on; returns the key.
 
         Raises:
             NotFound: there is no key of this name.
@@ -236,19 +237,19 @@ class KeyStore:
         return key
 
     def chain(self, key: ApiKey) -> list[ApiKey]:
-        """The key, its parent, and so on to the root: all keys to which a request counts."""
+        """The key, its parent in memory, and so on to the root, at most 100: all keys to which a request counts."""
         found, known = [key], self._in_memory()
         while (holder := known.get(found[-1].holder)) is not None and len(found) < _MAX_CHAIN:
             found.append(holder)
         return found
 
     def is_valid(self, key: ApiKey) -> bool:
-        """Whether a key and all keys above it exist and have not expired."""
+        """Whether a key and all keys above it exist, in memory, and have not expired."""
         chain, known = self.chain(key), self._in_memory()
         return not chain[-1].holder and all(one.id in known and not one.expired for one in chain)
 
     def family(self, name: str) -> list[str]:
-        """Names of a key and of all existing keys below it."""
+        """Names of the key called ``name`` and of all keys in memory below it; empty if there is none."""
         known = self._in_memory().values()
         return [key.name for key in known if any(one.name == name for one in self.chain(key))]
 
@@ -257,7 +258,7 @@ class KeyStore:
         return sorted(self._reload().values(), key=lambda key: key.created)
 
     def revoke(self, name: str) -> None:
-        """Delete the key of that name and all keys below it.
+        """Delete the key of that name and all keys that it handed on, directly or indirectly.
 
         Raises:
             NotFound: there is no key of this name.
@@ -281,7 +282,7 @@ class KeyStore:
         return [name for name in self._files.names() if _HASH.fullmatch(name)]
 
     def _hash_of(self, name: str) -> str:
-        """The hash of the key of a name. Raises NotFound."""
+        """The hash of the secret of the key called ``name``. Raises NotFound."""
         for hashed in self._hashes():
             key = self._read(hashed)
             if key is not None and key.name == name:

@@ -52,7 +52,7 @@ class OpenStream:
     ended_by: RholocError | None = None
 
     def end(self, reason: RholocError) -> None:
-        """Raise ``reason`` where the stream is served."""
+        """Raise ``reason`` where the stream is served, now or as soon as that begins; a first reason stays."""
         self.ended_by = self.ended_by or reason
         if self.timeout is not None and not self.timeout.expired():
             self.timeout.reschedule(asyncio.get_running_loop().time())
@@ -82,10 +82,10 @@ class OpenStreams:
         return sum(one.kind is kind for one in self._open.values())
 
     def admit(self, kind: StreamKind, scope: Scope) -> OpenStream:
-        """Add a stream; it counts until the end of :meth:`serving`, which must follow.
+        """Add a stream of the request; it counts until the end of :meth:`serving`, which must follow.
 
         Raises:
-            TooManyRequests: the client has too many open.
+            TooManyRequests: the client has the maximum number open.
             Busy: all clients together have.
         """
         client, most = client_of(scope), self._max_open[kind]
@@ -122,14 +122,14 @@ class OpenStreams:
             raise stream.ended_by
 
     def end(self, stream_id: str) -> None:
-        """End a stream. Raises NotFound."""
+        """End a stream with Conflict. Raises NotFound."""
         stream = self._open.get(stream_id)
         if stream is None:
             raise NotFound(f"There is no open stream {stream_id[:64]}.", "GET /v1/streams lists them.")
         stream.end(Conflict("An administrator ended this stream.", "Ask whoever runs the server."))
 
     def end_invalid(self) -> None:
-        """End streams with invalid keys."""
+        """End streams whose keys are revoked or expired, with Unauthorized."""
         for one in self.all():
             if one.key is not None and not self._keys.is_valid(one.key):
                 one.end(Unauthorized("This API key was revoked, or has expired.", "Ask for another one."))
@@ -159,7 +159,7 @@ class EventStream(StreamingResponse):
 
 
 def stream_limits(max_streams: int, max_connections: int) -> tuple[Mapping[StreamKind, int], Mapping[StreamKind, int]]:
-    """Maximum numbers of open streams by kind, for all clients and for one."""
+    """Maximum numbers of open streams by kind, for all clients and for one (half the frames, a fifth of the events)."""
     events = max(1, max_connections // 2)
     return (
         {StreamKind.FRAMES: max_streams, StreamKind.EVENTS: events},

@@ -58,7 +58,7 @@ class _Present:
     jobs: dict[str, str]
 
     def has(self, holding: Holding) -> bool:
-        """Whether the held thing exists."""
+        """Whether the held thing exists: of a map also, whether an unended job makes it."""
         if holding.kind is Kind.MAP:
             return holding.name in self.maps or holding.name in self.jobs.values()
         return holding.name in (self.jobs if holding.kind is Kind.JOB else self.recordings)
@@ -90,13 +90,15 @@ class Quotas:
 
     @asynccontextmanager
     async def counting(self, key: ApiKey | None) -> AsyncIterator[None]:
-        """Lock the counts of the key and of all keys counted with it."""
+        """Lock, within the block, the counts of the key's root and of all keys below that; nothing without a key."""
         first = "" if key is None else self._keys.chain(key)[-1].name
         async with self._locks.setdefault(first, asyncio.Lock()) if first else nullcontext():
             yield
 
     def check_upload(self, key: ApiKey | None, max_of_client: int) -> None:
-        """Raise QuotaExceeded if a key with those above and below it has ``max_of_client`` unfinished uploads."""
+        """Raise QuotaExceeded if the key's root has ``max_of_client`` unfinished uploads with all keys below; None: no
+        key is needed.
+        """
         if key is None:
             return
         first = self._keys.chain(key)[-1].name
@@ -129,13 +131,14 @@ class Quotas:
     def check(
         self, key: ApiKey | None, stores: str | None = None, size_bytes: int = 0, job_for: str | None = None
     ) -> None:
-        """Check the limits of a key and of its parents before something is stored.
+        """Check the limits of a key and of its parents for maps, bytes and jobs before something is stored; records
+        nothing.
 
         Args:
             key: of the request; None if no key is needed, which allows everything.
             stores: name of the map to store, replacing the key's map of that name.
             size_bytes: size to store.
-            job_for: name of the map that a job to queue will make; empty if it makes none.
+            job_for: name of the map that a job to queue will make; empty if it makes none; None without a job.
 
         Raises:
             QuotaExceeded: a limit would be exceeded.
@@ -160,26 +163,26 @@ class Quotas:
                 _check("unfinished jobs", used.jobs + 1, one.limits.jobs, used.jobs, one.name)
 
     def usage(self, name: str) -> Usage:
-        """Usage of the key called ``name``."""
+        """Usage of the key called ``name`` with all keys below it; also of what a revoked key holds."""
         present = self._present()
         return self._usage(
             [one for one in self._holdings.of(self._keys.family(name) or [name]) if present.has(one)], present
         )
 
     def hold(self, key: ApiKey | None, kind: Kind, name: str, size_bytes: int = 0) -> None:
-        """Record that a key holds something."""
+        """Record that a key, unless it is None, holds a thing of a kind and a size [bytes]."""
         if key is not None:
             first = self._keys.chain(key)[-1].name
             self._holdings.hold(Holding(kind, name, key.name, first if first != key.name else "", size_bytes))
 
     def hold_job(self, key: ApiKey | None, job_id: str, map_name: str) -> None:
-        """Record that a key holds a job, and the map that it will publish if no map has that name."""
+        """Record that a key, unless it is None, holds a job, and the map that it will make if no map has that name."""
         self.hold(key, Kind.JOB, job_id)
         if map_name and map_name not in self._library.names():
             self.hold(key, Kind.MAP, map_name)
 
     def rename_map(self, name: str, new_name: str) -> None:
-        """Rename a held map."""
+        """Record that a held map has another name."""
         self._holdings.rename(Kind.MAP, name, new_name)
 
     def tidy(self) -> None:
@@ -190,7 +193,7 @@ class Quotas:
             self._holdings.drop([one for one in held if not present.has(one)])
 
     def _present(self) -> _Present:
-        """List uploads, jobs, then maps: each kind before the one it turns into."""
+        """List uploads, jobs, then maps: each kind before the one it turns into, so that none is missed."""
         uploads = self._uploads.unfinished()
         recordings = frozenset(entry.id for entry in self._recordings.list())
         jobs = uploads | self._jobs.unfinished()

@@ -37,10 +37,10 @@ class Rates:
         self._buckets: dict[str, _Bucket] = {}
 
     def take(self, keys: Sequence[ApiKey]) -> None:
-        """Count a request to each of some keys, or to none.
+        """Take a token from the bucket of each key with a rate, or from none.
 
         Raises:
-            TooManyRequests: the bucket of one of them is empty.
+            TooManyRequests: the bucket of one of them is empty; says when it has a token again.
         """
         limited = [key for key in keys if key.limits.requests_per_s is not None]
         buckets = [self._filled(key) for key in limited]
@@ -56,7 +56,7 @@ class Rates:
             bucket.tokens -= 1
 
     def _filled(self, key: ApiKey) -> _Bucket:
-        """The key's bucket, refilled to the present time."""
+        """The key's bucket, created full, refilled to the present time. Beyond 10,000, those unused for an hour go."""
         now_s = self._clock()
         if len(self._buckets) >= _MAX_BUCKETS:
             self._buckets = {name: one for name, one in self._buckets.items() if now_s - one.counted_s < _LONG_S}
@@ -80,11 +80,7 @@ class RateLimited:
         self._rates = Rates()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Raises:
-            TooManyRequests: its key asks too often.
-        """
+        """Answer one request. Raises TooManyRequests: its key asks too often."""
         key = request_key(scope) if scope["type"] in ("http", "websocket") else None
         if key is not None:
             self._rates.take(self._keys.chain(key))

@@ -34,19 +34,19 @@ _bearer = HTTPBearer(
 
 
 def grant(request_scope: RequestScope, scope: Scope, key: ApiKey | None = None) -> None:
-    """Record a request's granted scope and its key; None if no key is needed."""
+    """Record a request's granted scope and its key in its state; None if no key is needed."""
     state = request_scope.setdefault("state", {})
     state[_GRANTED], state[_KEY] = scope, key
 
 
 def granted_key(request: Request) -> tuple[Scope, float | None, bool]:
-    """Granted scope, its expiry (seconds since the epoch; None: never), and whether a key was required."""
+    """A request's granted scope, its key's expiry (seconds since the epoch; None: never), and whether it has a key."""
     key: ApiKey | None = getattr(request.state, _KEY, None)
     return getattr(request.state, _GRANTED), None if key is None else key.expires, key is not None
 
 
 def request_key(request_scope: RequestScope) -> ApiKey | None:
-    """The request's key; None if none is needed."""
+    """The request's key; None if none is needed or the guard has not seen it."""
     key: ApiKey | None = request_scope.get("state", {}).get(_KEY)
     return key
 
@@ -58,12 +58,14 @@ def note_client(request_scope: RequestScope, name: str) -> None:
 
 
 def client_of(request_scope: RequestScope) -> str:
-    """A request's client; empty if the route is open to everyone."""
+    """A request's client: the name of its root key, or its address if no key is needed; empty if the route is open to
+    everyone.
+    """
     return str(request_scope.get("state", {}).get(_CLIENT, ""))
 
 
 def found_route(request_scope: RequestScope) -> RouteAccess | None:
-    """The route that :func:`find_route` found for a request."""
+    """The route that :func:`find_route` recorded in a request's state; None if there is none."""
     found: RouteAccess | None = request_scope.get("state", {}).get(_FOUND)
     return found
 
@@ -79,7 +81,7 @@ def forbidden(held: Scope, needed: Scope) -> Forbidden:
 def check_granted(
     request: Request, needed: SecurityScopes, _key: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
 ) -> None:
-    """Dependency of every route that needs a key: check that the guard granted the route's scopes.
+    """Dependency of every route that needs a key: check that the guard granted a scope that includes the route's.
 
     Raises:
         Forbidden: the guard did not.
@@ -99,10 +101,10 @@ STREAM_KEY_PREFIX = "rholoc.key."
 
 
 def check_stream_granted(socket: WebSocket, needed: SecurityScopes) -> None:
-    """As :func:`check_granted`, for a WebSocket.
+    """Dependency of every WebSocket route: check that the guard granted a scope that includes the route's.
 
     Raises:
-        Forbidden: the scopes were not granted.
+        Forbidden: the guard did not.
     """
     held: Scope | None = getattr(socket.state, _GRANTED, None)
     for scope in map(Scope, needed.scopes):
@@ -175,7 +177,9 @@ def route_access(routes: Sequence[BaseRoute]) -> list[RouteAccess]:
 
 
 def find_route(routes: Sequence[RouteAccess], request_scope: RequestScope) -> FoundRoute:
-    """The first route for a request's path and method, recorded for :func:`found_route`."""
+    """The first route for a request's path and method, recorded in its state for :func:`found_route`; else the path's
+    methods.
+    """
     methods: frozenset[str] = frozenset()
     for route in routes:
         match, _ = route.context.matches(request_scope)

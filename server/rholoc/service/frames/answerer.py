@@ -74,7 +74,9 @@ class Answerer:
                 await self.lanes.files(self.library.stat, name)
 
     async def localizer(self, name: str) -> AnyLocalizer:
-        """The localizer of a map; fetches the map if necessary. Raises as :meth:`Localizers.get`."""
+        """The localizer of a map; fetches the map if necessary. Raises InvalidName, UnknownMap, InvalidMap,
+        StorageUnavailable, StorageFull.
+        """
         if not await self.lanes.files(self.library.is_here, name):
             await self.lanes.fetches(self.library.path, name)
         return await self.lanes.files(self.localizers.get, name)
@@ -84,12 +86,13 @@ class Answerer:
         await self.lanes.files(self.localizers.forget_missing)
 
     async def localize(self, frame: Frame, maps: MapChoice, clock: Stopwatch, private: bool = False) -> LocalizationOut:
-        """The most confident answer of several maps for one frame, by its deadline.
+        """The most confident answer of several maps for one frame; at the deadline one without a pose.
 
-        Of a ``private`` frame nothing is kept or learned.
+        It is counted, and shown live; of a ``private`` frame nothing is kept or learned.
 
         Raises:
-            RholocError: as :func:`rholoc.service.frames.single_frame.localize_frame`, and Busy.
+            Busy: too many frames wait. UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors,
+                InvalidInput: what was sent is not valid.
         """
         listener = None if private else self.learner.listener(ASKER.get())
         prior = frame.options.prior
@@ -107,11 +110,11 @@ class Answerer:
         return answer
 
     async def likeness(self, refusal: Refusal) -> LikenessOut:
-        """The view of its map that a refused picture resembles most."""
+        """The view of its map that a refused picture resembles most. Raises Busy, UnknownMap, InvalidMap."""
         return await self._compute(lambda localizers: likeness(localizers.get(refusal.map), refusal), Effort.LARGE)
 
     async def localize_together(self, frames: Frames, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
-        """As :meth:`localize`, for several frames."""
+        """The most confident answer of several maps for several frames; raises the errors of :meth:`localize`."""
         deadline_s = frame_deadline_s(frames.query.deadline_ms, self.settings)
         return await self._by_deadline(
             lambda localizers: localize_frames(frames, maps, localizers, self.settings, clock, deadline_s),
@@ -123,7 +126,9 @@ class Answerer:
         )
 
     async def places(self, frame: Frame, maps: MapChoice, clock: Stopwatch, most: int) -> PlacesOut:
-        """The views of several maps that a frame resembles most, at most ``most``."""
+        """The views of maps that a frame resembles most, at most ``most``, best first. Raises the errors of
+        :meth:`localize`.
+        """
         await self.check_known(maps.names if maps.named else ())
         return await self._compute(
             lambda localizers: likeliest_places(frame, maps, localizers, self.settings, clock, most),
@@ -132,7 +137,9 @@ class Answerer:
         )
 
     async def landscape(self, frame: Frame, name: str, clock: Stopwatch) -> LandscapeOut:
-        """Landscape of a map's densities around a frame's pose."""
+        """Landscape of a map's densities around a frame's pose. Raises Busy, DeadlineExceeded, and the
+        errors of :meth:`localize`.
+        """
         return await self._compute(
             lambda localizers: landscape_of(frame, name, localizers, self.settings, clock), Effort.LARGE
         )
@@ -147,7 +154,9 @@ class Answerer:
         expected: Sequence[float] | None = None,
         geopose: GeoPoseKind | None = None,
     ) -> LocalizationOut:
-        """Answer of ``localize`` in a thread; a refusal at the deadline. ``expected`` is the prior's position."""
+        """Answer of ``localize`` in a thread, with the pose in a site and on Earth; without a pose at the deadline. It
+        is counted, and noted with ``expected``, the prior's position. Raises Busy, and as ``localize``.
+        """
 
         def work(localizers: LocalizerSource) -> LocalizationOut:
             answer = localize(localizers)
@@ -170,7 +179,7 @@ class Answerer:
         return answer
 
     async def _late(self, name: str, clock: Stopwatch) -> LocalizationOut:
-        """The answer at the deadline, while a thread is still working on the frame or has not begun."""
+        """The answer without a pose at the deadline. Raises DeadlineExceeded if loading takes half a second more."""
         try:
             async with asyncio.timeout(_LOADING_GRACE_S):
                 localizer = await self.lanes.files(self.localizers.get, name)
@@ -185,13 +194,14 @@ class Answerer:
         needs_all: bool = True,
         is_useful: Callable[[T], bool] = lambda result: True,
     ) -> T:
-        """The result of ``work`` in a compute thread; restarted whenever a map had to be fetched first.
+        """The result of ``work`` in a compute thread; restarted whenever a map had to be fetched first. Raises Busy.
 
         Args:
             work: function of the localizers.
             effort: of the work.
-            needs_all: whether to wait for a map that takes long to fetch; otherwise it is skipped.
-            is_useful: whether a result is of use to the client.
+            needs_all: whether to wait for a map that takes over a second to fetch; otherwise ``work`` gets an error for
+                it.
+            is_useful: whether a result is of use to the client, for the pool's statistics.
         """
         localizers, patience_s = _RequestLocalizers(self.localizers), None if needs_all else _FETCHING_S
         while True:

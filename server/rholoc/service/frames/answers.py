@@ -175,19 +175,19 @@ _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])
 
 
 def late_answer(name: str, localizer: AnyLocalizer, clock: Stopwatch) -> LocalizationOut:
-    """The answer where the deadline passed before the map was searched."""
+    """The answer without a pose, if the deadline passed before the map ``name`` was searched."""
     return answer_of(name, localizer, too_late(), clock, with_matches=False)
 
 
 def too_late() -> Localization:
-    """The localizer's answer where the deadline passed before it was asked."""
+    """The localizer's answer without a pose, of reason DEADLINE, as if it had been asked."""
     return Localization.refused(Reason.DEADLINE, diagnosis=TOO_LITTLE_TIME)
 
 
 def answer_of(
     name: str, localizer: AnyLocalizer, found: Localization, clock: Stopwatch, with_matches: bool
 ) -> LocalizationOut:
-    """A map's answer as it is sent."""
+    """A map's answer as it is sent; angles in degrees. A refused pose is only among its alternatives."""
     info = localizer.map.info
     total_ms = 1000 * clock.elapsed_s
     timings_ms = {**dict.fromkeys(_STAGES, 0.0), **clock.stages_ms, "total": total_ms}
@@ -242,7 +242,7 @@ def _agreeing(localizer: AnyLocalizer, found: Localization) -> MatchesOut:
 
 
 def pose_out(pose: Pose) -> PoseOut:
-    """A pose as it is sent."""
+    """A pose as it is sent: position, heading, roll in degrees, quaternion and matrix."""
     return PoseOut(
         position=pose.position.tolist(),
         heading=pose.heading.tolist(),
@@ -253,6 +253,6 @@ def pose_out(pose: Pose) -> PoseOut:
 
 
 def _covariance(covariance: FloatArray) -> list[list[float]] | None:
-    """(m, rad) → (m, deg); None where it is unbounded."""
+    """Covariance (6, 6) of (m, rad) → of (m, deg) as lists; None if it is not finite."""
     scaled = covariance * np.outer(_DEGREES, _DEGREES)
     return scaled.tolist() if np.isfinite(scaled).all() else None

@@ -20,7 +20,9 @@ _log = structlog.get_logger("rholoc.service")
 
 
 def chosen(maps: MapChoice, features_by: Callable[[Extractor], FeatureSet], clock: Stopwatch) -> Candidates:
-    """Candidate maps for a frame, the likeliest first; the stage's time excludes feature extraction."""
+    """Candidate maps for a frame, the likeliest first; adds the time without feature extraction to the clock's stage
+    "choose".
+    """
     before_ms, start_s = clock.worked_ms, time.perf_counter()
     found = maps.candidates(features_by)
     if found.are_ranked:
@@ -36,11 +38,14 @@ def best_map(
     rank: Callable[[T], tuple[bool, float]],
     clock: Stopwatch,
 ) -> tuple[str, AnyLocalizer, T]:
-    """Name, localizer and answer of the map with the highest rank.
+    """Name, localizer and answer of the map with the highest rank: whether there is a pose, and its probability.
+
+    Maps are asked in order, until the rest are too unlikely (:meth:`Candidates.is_settled`).
 
     Raises:
         InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
         RholocError: a map cannot be used; where maps may be passed over, only where none can.
+        DeadlineExceeded, MapNotHereError: at once.
     """
     best: tuple[str, AnyLocalizer, T] | None = None
 
@@ -64,7 +69,7 @@ def each_map(
     """Call ``ask`` for maps one after another until it returns True; skips maps that do not fit the frame.
 
     Raises:
-        InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
+        InvalidCamera, InvalidDescriptors: the frame fits none of the maps. DeadlineExceeded, MapNotHereError: at once.
         RholocError: a map cannot be used; where maps may be passed over, only where none can.
     """
     asked = 0

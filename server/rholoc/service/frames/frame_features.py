@@ -34,7 +34,9 @@ class FrameFeatures:
 
     @lazy
     def image(self) -> ByteArray | None:
-        """The picture (H, W, 3), decoded on first use; None if features were sent instead."""
+        """The picture (H, W, 3) BGR, decoded on first use; None if features were sent. Raises InvalidImage,
+        DeadlineExceeded.
+        """
         if self._frame.image is None:
             return None
         with self._clock.stage("decode"):
@@ -47,7 +49,7 @@ class FrameFeatures:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the image in pixels, by its header."""
+        """Width and height of the image [px], by its header or as sent with features; else InvalidCamera."""
         if self._frame.image is not None:
             return self._image_size
         camera = self._frame.options.camera
@@ -58,7 +60,9 @@ class FrameFeatures:
         return camera.width, camera.height
 
     def by(self, extractor: Extractor) -> FeatureSet:
-        """The features by this extractor, or as they were sent."""
+        """The features by this extractor, once; or those sent. Raises InvalidDescriptors if those do not fit it,
+        InvalidImage, DeadlineExceeded.
+        """
         if extractor not in self._extracted:
             if self.image is not None:
                 with self._clock.stage("extract"):
@@ -71,11 +75,13 @@ class FrameFeatures:
         return self._extracted[extractor]
 
     def by_quick(self, extractor: Extractor) -> FeatureSet:
-        """The features by the extractor's quick variant."""
+        """The features by the extractor's quick variant, once; or those sent. Raises the errors of :meth:`by`."""
         return self.by(extractor.quick)
 
     def more_by(self, extractor: Extractor) -> Callable[[], FeatureSet] | None:
-        """Function that extracts the full set of features; None if the quick variant has extracted it already."""
+        """Function that extracts the full set of features; None if features were sent or the extractor is its own quick
+        variant.
+        """
         image = self.image
         if image is None or extractor.quick is extractor:
             return None
@@ -92,7 +98,7 @@ class FrameFeatures:
 
 
 def extract_bounded(extractor: Extractor, image: ByteArray, max_pixels: int) -> FeatureSet:
-    """The features of an image (H, W, 3), in its own pixels; found in a smaller copy if it has over ``max_pixels``."""
+    """The features of an image (H, W, 3) BGR, in its own pixels; from a smaller copy above ``max_pixels``."""
     height, width = image.shape[:2]
     if width * height <= max_pixels:
         return extractor.extract(image)

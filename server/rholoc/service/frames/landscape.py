@@ -51,7 +51,7 @@ def landscape_of(
     """The landscape around a frame's pose, or around the best optimum if it has no pose.
 
     Raises:
-        DeadlineExceeded: the deadline passed first.
+        DeadlineExceeded: the deadline passed first. MapNotHereError: the map is not on this machine.
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: the request is not valid.
     """
     deadline_s = frame_deadline_s(frame.options.deadline_ms, settings)

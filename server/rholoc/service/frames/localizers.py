@@ -22,7 +22,9 @@ class LocalizerSource(Protocol):
     """Source of localizers for one request."""
 
     def get(self, name: str) -> AnyLocalizer:
-        """The localizer of the current map."""
+        """The localizer of the current map of that name. Raises InvalidName, UnknownMap, InvalidMap,
+        MapNotHereError.
+        """
         ...
 
 
@@ -43,7 +45,7 @@ class Localizers:
         """The localizer of the current map; built if the map is new or was replaced.
 
         Raises:
-            InvalidName, UnknownMap, InvalidMap: as :meth:`MapLibrary.get` does.
+            InvalidName, UnknownMap: there is no such map. InvalidMap: its file is not a map.
             MapNotHereError: the map's file is not on this machine.
         """
         if not self._library.is_here(name):
@@ -63,7 +65,7 @@ class Localizers:
             self._ready.pop(name, None)
 
     def _forget_unloaded(self) -> None:
-        """Drop the localizers of maps that left memory."""
+        """Drop the localizers of maps that the library no longer keeps in memory."""
         for name, ready in list(self._ready.items()):
             if not self._library.keeps(name, ready.map):
                 self._ready.pop(name, None)

@@ -38,13 +38,14 @@ class MapChoice:
 
     @property
     def first(self) -> str:
-        """The first name."""
+        """The first name; raises StopIteration if there is none."""
         return next(iter(self.names))
 
     def candidates(self, features_by: Callable[[Extractor], FeatureSet]) -> Candidates:
         """The maps to ask, the likeliest first; ``features_by`` extracts the frame's features.
 
-        Maps that are not indexed yet fill up the list to ``MAX_ASKED``.
+        All, in their order, if there are at most ``MAX_ASKED``, no finder, or no likely ones. Otherwise the likeliest,
+        and maps that are not indexed yet, ``MAX_ASKED`` together.
         """
         finder = self.finder
         if finder is None or len(self.names) <= MAX_ASKED:
@@ -79,7 +80,7 @@ class Candidates:
         return bool(self.scores)
 
     def at_first(self) -> Candidates:
-        """The likeliest map and those with a similar score, for the search with the quick features."""
+        """The likeliest map and those with 0.8 of its score, at least two, for the search with the quick features."""
         rivals = sum(score >= _RIVAL_SHARE * self.scores[0] for score in self.scores)
         return self._take(range(min(len(self.names), max(rivals, _ASKED_AT_FIRST))))
 
@@ -94,7 +95,12 @@ class Candidates:
         )
 
     def is_settled(self, asked: int, best: int, recognized: float) -> bool:
-        """Whether the first ``asked`` maps suffice, if number ``best`` gave a pose with probability ``recognized``."""
+        """Whether the first ``asked`` maps suffice: the best is number ``best``, with a pose of probability
+        ``recognized``.
+
+        That must be at least ``CONCLUSIVE``, and the scores of the maps not asked below 0.8 of its own. False without
+        scores.
+        """
         if recognized < CONCLUSIVE or not self.scores:
             return False
         return all(score < _RIVAL_SHARE * self.scores[best] for score in self.scores[asked:])

@@ -43,23 +43,24 @@ class Frame:
 
 
 def effort_of(image: bytes) -> Effort:
-    """Expected localization effort for a picture, by its header."""
+    """Expected localization effort for an encoded picture, by its header: LARGE above 2.5 megapixels."""
     return Effort.LARGE if visited_pixels(image) > _ORDINARY_PIXELS else Effort.ORDINARY
 
 
 def effort_of_set(body: bytes) -> Effort:
-    """Expected localization effort for a descriptor set, by the number of lists in its JSON, one per feature."""
+    """Expected effort for a descriptor set: LARGE if its JSON has over 3000 lists, one per feature."""
     return Effort.LARGE if body.count(b"[") > _ORDINARY_FEATURES else Effort.ORDINARY
 
 
 def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camera:
-    """Intrinsics of a frame of ``size`` (width, height) [px]: those of the named camera, or given, or the map's own.
+    """Intrinsics of a frame of ``size`` (width, height) [px]: of the named camera, or given, or guessed, or the map's
+    own.
 
-    They are scaled if they belong to another size of the same aspect ratio. If they are unknown, the principal point is
-    the image's centre and the focal length a guess.
+    They are scaled if they belong to another size of the same aspect ratio. If the options call them unknown, the
+    principal point is the image's centre and the focal length 0.8 × the longer side.
 
     Raises:
-        InvalidCamera: the intrinsics are impossible, incomplete or for another aspect ratio.
+        InvalidCamera: the intrinsics are impossible, incomplete, given twice, or for another aspect ratio.
     """
     if min(size) < 1:
         raise InvalidCamera(f"The camera's image size {size[0]}×{size[1]} is not possible.", _CAMERA_HINT)
@@ -108,7 +109,7 @@ def _has_intrinsics(given: CameraIn) -> bool:
 
 
 def prior_of(given: PriorIn | None) -> Prior | None:
-    """The prior as the localizer takes it.
+    """The prior as the localizer takes it, radius in radians; None for None.
 
     Raises:
         InvalidInput: values are not finite, or there is not exactly one of heading and quaternion.
@@ -127,10 +128,10 @@ def prior_of(given: PriorIn | None) -> Prior | None:
 
 
 def gravity_of(given: list[float] | None) -> FloatArray | None:
-    """Gravity's direction in the camera frame (3,), unit length.
+    """Gravity's direction in the camera frame (3,), unit length; None for None.
 
     Raises:
-        InvalidInput: it has no direction.
+        InvalidInput: it has no direction, or is not finite.
     """
     return None if given is None else direction("gravity", given)
 
@@ -142,10 +143,10 @@ def max_sigmas(options: LocalizeOptions) -> tuple[float, float]:
 
 
 def finite(name: str, values: list[float]) -> FloatArray:
-    """Values as an array.
+    """Values as an array (N,), for the member ``name`` of a request.
 
     Raises:
-        InvalidInput: one of them is not finite.
+        InvalidInput: one of them is not finite, or beyond ±1e9.
     """
     array = np.asarray(values, dtype=np.float64)
     if not np.isfinite(array).all() or np.abs(array).max() > 1e9:
@@ -154,10 +155,10 @@ def finite(name: str, values: list[float]) -> FloatArray:
 
 
 def direction(name: str, values: list[float]) -> FloatArray:
-    """Values as a vector of unit length.
+    """Values as a vector of unit length, for the member ``name`` of a request.
 
     Raises:
-        InvalidInput: they have no direction.
+        InvalidInput: they are not finite, or shorter than 1e-9.
     """
     array = finite(name, values)
     length = float(np.linalg.norm(array))
@@ -170,7 +171,7 @@ def feature_set(given: FeaturesIn, extractor: Extractor, max_features: int) -> F
     """A descriptor set as the localizer takes it.
 
     Raises:
-        InvalidDescriptors: it is too long, its lists disagree, a value is not finite, or it is not of the
+        InvalidDescriptors: it has over ``max_features``, its lists disagree, a value is not finite, or it is not of the
             extractor's kind.
     """
     n = len(given.pixels)
@@ -195,7 +196,9 @@ def _check_one_each(given: Sized, n: int, named: str, hint: str) -> None:
 
 
 def _sizes(given: list[float] | None, n: int) -> FloatArray:
-    """(N,) pixels, 0 where unknown."""
+    """Diameters (N,) [px], 0 where unknown or if ``given`` is None. Raises InvalidDescriptors for a wrong number or
+    value.
+    """
     if given is None:
         return np.zeros(n)
     _check_one_each(given, n, "sizes_px", "Send one per feature, 0 where unknown.")
@@ -208,7 +211,7 @@ def _sizes(given: list[float] | None, n: int) -> FloatArray:
 
 
 def _angles(given: list[float | None] | None, n: int) -> FloatArray:
-    """(N,) radians, NaN where unknown."""
+    """Angles (N,) [rad] in [0, 2 π), NaN where unknown or if ``given`` is None. Raises InvalidDescriptors."""
     if given is None:
         return np.full(n, np.nan)
     _check_one_each(given, n, "angles_deg", "Send one per feature, null where unknown.")

@@ -89,10 +89,14 @@ def localize_frames(
     clock: Stopwatch,
     deadline_s: float,
 ) -> LocalizationOut:
-    """The best answer of some maps for several frames; of many maps, only those most similar to the first frame.
+    """The best answer of some maps for several frames; of over five maps, only of those most similar to the first
+    frame.
+
+    Its pose is the first frame's; ``frames`` has each one's, None without a joint pose. At the deadline there is none.
 
     Raises:
-        As :func:`rholoc.service.frames.single_frame.localize_frame`.
+        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
+            valid; with several maps, only if none could be used.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     features = [FrameFeatures(frame, settings, clock, deadline_s) for frame in frames.frames]
@@ -151,10 +155,8 @@ _UNIT_TOLERANCE = 1e-2
 
 
 def _relative_pose(number: int, one: FrameIn) -> np.ndarray:
-    """A frame's pose (4, 4) among the others.
-
-    Raises:
-        InvalidInput: a number is not finite, or the quaternion is not of unit length: no rotation.
+    """A frame's pose (4, 4) among the others; ``number`` is for messages. Raises InvalidInput: a number is not finite,
+    or the quaternion's length is more than 0.01 from 1.
     """
     position = finite(f"frames[{number}].position", one.position)
     quaternion = finite(f"frames[{number}].quaternion_xyzw", one.quaternion_xyzw)

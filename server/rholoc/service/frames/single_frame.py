@@ -35,7 +35,8 @@ def localize_frame(
     clock: Stopwatch,
     listener: Listener | None = None,
 ) -> LocalizationOut:
-    """The best answer of some maps: one with a pose if possible, with the largest probability of the right place.
+    """The best answer of some maps: one with a pose if possible, then the likeliest of the right place; none at the
+    deadline.
 
     Of several maps, those with unsuitable features or camera are skipped; if the request did not name them, so are maps
     unusable for any other reason. ``listener`` is called with a pose found with known intrinsics.
@@ -70,10 +71,11 @@ def localize_frame(
 def likeliest_places(
     frame: Frame, maps: MapChoice, localizers: LocalizerSource, settings: Settings, clock: Stopwatch, most: int
 ) -> PlacesOut:
-    """The views of some maps that a picture resembles most, at most ``most`` in all.
+    """The views of some maps that a picture resembles most, the best first, at most ``most`` in all.
 
     Raises:
-        As :func:`localize_frame`.
+        UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
+            valid; with several maps, only if none could be used.
     """
     features = FrameFeatures(frame, settings, clock, frame_deadline_s(frame.options.deadline_ms, settings))
     places: list[PlaceOut] = []
@@ -103,10 +105,8 @@ def _looking_twice(
     surest: Callable[[Candidates], _Answered],
     clock: Stopwatch,
 ) -> _Answered:
-    """The surest answer of the maps found with quick features; if not conclusive, of those found with all features too.
-
-    Raises:
-        RholocError: no map could be used.
+    """The surest answer of the maps ``at_first``; if that is not conclusive (0.9), of those found with all features
+    too. Raises RholocError: no map could be used.
     """
     answers, refused = [], None
     try:

@@ -35,12 +35,12 @@ def on_earth(
     own: SiteOnEarth | None,
     kind: GeoPoseKind | None,
 ) -> LocalizationOut:
-    """Add the pose in the frame of a site, and a GeoPose.
+    """The answer with the pose in the frame of a site, and a GeoPose, if there are any; unchanged without a pose.
 
     Args:
         answer: of a map.
         sites: the sites.
-        asked: the site asked for; default: the first one with the map.
+        asked: the site asked for; None: the first one with the map.
         own: the map's own pose on Earth, or None: then the site's is used.
         kind: encoding of the GeoPose; None: none was asked for.
     """

@@ -36,13 +36,13 @@ def media_type(request: Request) -> str:
 
 
 def declared_length(request: Request) -> int:
-    """The body's declared length [bytes]; 0 if none is declared."""
+    """The body's length [bytes] by its header; 0 if there is none or it is no number."""
     declared = request.headers.get("content-length", "")
     return int(declared) if declared.isdecimal() else 0
 
 
 async def limited_stream(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
-    """The body's chunks.
+    """Iterate over the body's chunks.
 
     Raises:
         TooLarge: the body's length or declared length exceeds ``max_bytes``.
@@ -74,10 +74,10 @@ class HeldBodies:
 
     @contextmanager
     def hold(self) -> Iterator[PieceListener]:
-        """Count one body within the block. Call the yielded function with each piece, in the event loop.
+        """Count one body within the block, beyond its first ``free_bytes``. Call the yielded function with each piece.
 
         Raises:
-            Busy: raised by that function at the limit.
+            Busy: raised by that function, if all bodies together exceed ``max_bytes``.
         """
         length = taken = 0
 
@@ -97,7 +97,9 @@ class HeldBodies:
 
 
 async def read_body(request: Request, max_bytes: int, on_piece: PieceListener = lambda _: None) -> bytes:
-    """The whole body; calls ``on_piece`` with each piece as it arrives. Raises as it and :func:`limited_stream` do."""
+    """The whole body; calls ``on_piece`` with each piece as it arrives. Raises what that raises, TooLarge
+    over ``max_bytes``, and ClientDisconnect.
+    """
     chunks = []
     async for chunk in limited_stream(request, max_bytes):
         on_piece(chunk)
@@ -115,10 +117,10 @@ class SavedBody:
 
 @asynccontextmanager
 async def saved_body(request: Request, folder: Path, max_bytes: int) -> AsyncIterator[SavedBody]:
-    """The body in a new file of a folder, which is removed at the end of the block.
+    """The body in a new file of a folder, made if missing; the file is removed at the end of the block.
 
     Raises:
-        TooLarge, ClientDisconnect: as :func:`limited_stream`.
+        TooLarge: it is longer than ``max_bytes``. ClientDisconnect: the sender broke off.
         OSError: it cannot be written.
     """
     path, size_bytes = folder / uuid4().hex, 0
@@ -239,9 +241,9 @@ async def read_multipart(
     ``on_piece`` is called with each piece of the body.
 
     Raises:
-        InvalidRequest: the body is malformed, incomplete, or has too many or too long text fields.
-        TooLarge: it has more parts than ``max_files`` and the fields that are allowed.
-        TooLarge, ClientDisconnect: as :func:`limited_stream` does.
+        InvalidRequest: the body is malformed, incomplete, or has over 100 text fields, or one over 64 KiB or not UTF-8.
+        TooLarge: it has more than ``max_files`` + 100 parts, or is longer than ``max_bytes``.
+        ClientDisconnect: the sender broke off.
     """
     _, options = parse_options_header(request.headers.get("content-type", ""))
     boundary = options.get(b"boundary", b"")

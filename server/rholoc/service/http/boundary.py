@@ -69,7 +69,7 @@ class RequestBoundary:
                 await answer(scope, receive, send_with_id)
 
     async def _open_socket(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Accept a WebSocket, or answer its handshake with the error that prevents it."""
+        """Let the application accept a WebSocket; a RholocError before that becomes the answer to its handshake."""
         request_id = _request_id(Headers(scope=scope).get(REQUEST_ID_HEADER))
         try:
             await self._app(scope, receive, send)

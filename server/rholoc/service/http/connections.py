@@ -103,7 +103,7 @@ class PatientProtocol(H11Protocol):
         self._stop_breaking_off()
 
     def _watch_head(self) -> None:
-        """Start the timeout at a head's first byte, not its last."""
+        """Start the timeout while a head is awaited, unless it runs; stop it once the head is complete."""
         if self.conn.their_state is not h11.IDLE:
             self._stop_watching()
         elif self._giving_up is None:
@@ -125,14 +125,17 @@ def _full() -> Busy:
 
 
 def protocol_of(max_connections: int, stalled_reader_s: float = _STALLED_READER_S) -> type[PatientProtocol]:
-    """The protocol class with a limit of connections and a timeout for clients that do not read."""
+    """A protocol class that accepts ``max_connections``, and aborts one whose client does not read for
+    ``stalled_reader_s``.
+    """
     limits = {"max_connections": max_connections, "stalled_reader_s": stalled_reader_s}
     return type("PatientProtocol", (PatientProtocol,), limits)
 
 
 def websocket_options(max_request_bytes: int) -> dict[str, Any]:
-    """Uvicorn's options for WebSockets: a limit on messages, and no compression, since a small compressed message may
-    expand to a huge one."""
+    """Uvicorn's options for WebSockets: messages up to ``max_request_bytes`` or 8 MiB, without compression, which hides
+    length.
+    """
     return {
         "ws": "websockets-sansio",
         "ws_max_size": min(max_request_bytes, _STREAMED_BYTES),
@@ -154,11 +157,7 @@ class ConcurrencyLimited:
         self._under_way: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Raises:
-            TooManyRequests: the client is at its limit.
-        """
+        """Answer one request. Raises TooManyRequests: the client is at its limit."""
         client = client_of(scope) if scope["type"] == "http" else ""
         if not client:
             await self._app(scope, receive, send)
@@ -186,11 +185,7 @@ class ProbesOnly:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Raises:
-            Busy: the route is not open to everyone.
-        """
+        """Answer one request. Raises Busy: the route is not open to everyone."""
         if scope.get("state", {}).get(BEYOND_LIMIT) and client_of(scope):
             raise _full()
         await self._app(scope, receive, send)
@@ -209,11 +204,7 @@ class SlowBodies:
         self._silence_s = silence_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request.
-
-        Raises:
-            RequestTimeout: its body takes too long.
-        """
+        """Answer one request. Raises RequestTimeout: its body takes too long."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return

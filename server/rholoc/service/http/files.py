@@ -45,7 +45,7 @@ class OpenedFile(FileResponse):
 
 
 def _is_range(value: str) -> bool:
-    """Whether a ``Range`` header holds valid spans of bytes."""
+    """Whether a ``Range`` header holds spans of bytes, none of which ends before it begins."""
     unit, _, spans = value.partition("=")
     found = [_SPAN.fullmatch(span) for span in spans.split(",")]
     return unit.strip().lower() == "bytes" and all(
@@ -54,12 +54,12 @@ def _is_range(value: str) -> bool:
 
 
 def caching_headers(etag: str) -> dict[str, str]:
-    """Headers that let a browser cache the answer and revalidate it before each use."""
+    """Headers that let a browser cache the answer of this tag, and make it revalidate that before each use."""
     return {"ETag": etag, "Cache-Control": "private, no-cache"}
 
 
 def is_kept(request: Request, etag: str) -> bool:
-    """Whether the browser has this version already."""
+    """Whether the browser has this version already: its ``If-None-Match`` names the tag, or "*"."""
     kept = {tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")}
     return etag in kept or "*" in kept
 

@@ -42,12 +42,12 @@ class JsonLimits:
 
     @classmethod
     def of_options(cls, max_bytes: int) -> JsonLimits:
-        """For a body of options: names, numbers, short lists."""
+        """For a body of options (names, numbers, short lists): a value for each 4 bytes, 1000 members."""
         return cls(max_bytes, max_bytes // _BYTES_PER_VALUE)
 
     @classmethod
     def of_features(cls, max_bytes: int, max_features: int) -> JsonLimits:
-        """For a descriptor set of ``max_features`` features."""
+        """For a descriptor set of ``max_features`` features: 8 values for each and 1000 more."""
         return cls(max_bytes, _VALUES_PER_FEATURE * max_features + _MAX_MEMBERS)
 
     def check(self, body: bytes) -> None:
@@ -62,7 +62,7 @@ class JsonLimits:
         """A listener that measures a body piece by piece, to refuse it early, and passes the pieces to ``on_piece``.
 
         Raises:
-            TooLarge: from the listener, as :meth:`check` does.
+            TooLarge: from the listener, once a limit is exceeded.
         """
         length = values = members = 0
 
@@ -86,8 +86,8 @@ def check_json(body: bytes, limits: JsonLimits) -> None:
     """Refuse a body that is not plain JSON.
 
     Raises:
-        TooLarge: see :meth:`JsonLimits.check`.
-        InvalidRequest: it is not JSON, or what :func:`rholoc.reports.json_values.check_json_value` refuses.
+        TooLarge: it is longer than ``limits``, or holds more values or members.
+        InvalidRequest: it is not JSON, has NaN or infinite numbers, or is refused by :func:`check_json_value`.
     """
     limits.check(body)
     try:
@@ -123,7 +123,7 @@ class JsonBodies:
 
 
 def _replaying(body: bytes, receive: Receive) -> Callable[[], Awaitable[Message]]:
-    """A ``receive`` that repeats a body that was already read."""
+    """A ``receive`` that first gives a body that was already read."""
     messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def replay() -> Message:

@@ -56,11 +56,11 @@ class Metrics:
         self._maps: set[str] = set()
 
     def request(self, method: str, route: str, status: int, duration_s: float) -> None:
-        """Count a request that was answered."""
+        """Count a request that was answered, and its time [s], by method, route and status."""
         self._requests.labels(method, route, str(status)).observe(duration_s)
 
     def localization(self, map_name: str, reason: str | None, timings_ms: Mapping[str, float]) -> None:
-        """Count a frame by map and reason (None for a pose), with the time of each stage."""
+        """Count a frame by reason (None for a pose), also by map for the first 200 maps, and the time of each stage."""
         self._localizations.labels(reason or "localized").inc()
         if len(self._maps) < _MAX_MAPS:
             self._maps.add(map_name)
@@ -69,7 +69,7 @@ class Metrics:
             self._stages.labels(stage).observe(max(0.0, duration_ms / 1000))
 
     def gauge(self, name: str, text: str, label: str, read: Callable[[], Mapping[str, float]]) -> None:
-        """Add a gauge whose values, by label, are read whenever the metrics are."""
+        """Add a gauge ``name``, described by ``text``, whose values by ``label`` are read whenever the metrics are."""
         self._registry.register(_Gauge(name, text, label, read))
 
     def text(self) -> bytes:

@@ -43,7 +43,7 @@ BINARY = {"type": "string", "format": "binary"}
 
 
 def reference(model: type[BaseModel]) -> dict[str, str]:
-    """A reference to the schema of a model."""
+    """A JSON reference to the schema of a model."""
     return {"$ref": _REF.format(model=model.__name__)}
 
 
@@ -71,18 +71,18 @@ def declared(
 
 
 def content(description: str, *media_types: str) -> dict[int, dict[str, Any]]:
-    """The answer of a route that sends bytes."""
+    """``responses`` of a route that sends bytes of one of these media types, for :func:`declared`."""
     return {200: {"description": description, "content": {kind: {"schema": BINARY} for kind in media_types}}}
 
 
 def event_stream(event: str) -> dict[int, dict[str, Any]]:
-    """The answer of a route that sends server-sent events, with an example."""
+    """``responses`` of a route that sends server-sent events, with an example, for :func:`declared`."""
     schema = {"schema": {"type": "string"}, "example": event}
     return {200: {"description": "Server-sent events.", "content": {"text/event-stream": schema}}}
 
 
 def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
-    """``responses`` for the errors that a route answers with, by status, one example each."""
+    """``responses`` for the errors that a route answers with, by status, an example each, of the class's first line."""
     answers: dict[int | str, dict[str, Any]] = {}
     for kind in kinds:
         summary = (kind.__doc__ or "").strip().splitlines()[0]
@@ -97,7 +97,7 @@ def failures(*kinds: type[RholocError]) -> dict[int | str, dict[str, Any]]:
 
 
 def _add_common_failures(operation: dict[str, Any]) -> None:
-    """Add the ``responses`` common to all operations: errors of keys, queries and bodies."""
+    """Add to an operation the ``responses`` common to all: errors of keys, queries and bodies, where it has these."""
     kinds: list[type[RholocError]] = [InvalidRequest]  # unknown query parameters
     if "security" in operation:
         kinds += [Unauthorized, Forbidden, CrossSite, TooManyRequests, QuotaExceeded]
@@ -113,14 +113,14 @@ def _add_common_failures(operation: dict[str, Any]) -> None:
 
 
 def _describe_names(operation: dict[str, Any]) -> None:
-    """Say what the names and ids in an operation's path look like."""
+    """Add to the names and ids in an operation's path the patterns that they match."""
     for parameter in operation.get("parameters", ()):
         if parameter["in"] == "path" and parameter["name"] in _PATTERNS:
             parameter["schema"]["pattern"] = _PATTERNS[parameter["name"]]
 
 
 def install(app: FastAPI, read_by_hand: Sequence[type[BaseModel]]) -> None:
-    """Serve the OpenAPI document, with the models of bodies that routes read by hand, and no errors but ours."""
+    """Serve the OpenAPI document at /openapi.json, with the models of hand-read bodies, and no errors but ours."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:

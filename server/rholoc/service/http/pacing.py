@@ -37,7 +37,7 @@ class Pace:
         self._free_s = 0.0  # end of the waits for all steps so far
 
     def delay_s(self, took_s: float) -> float:
-        """Time to wait after a step of ``took_s``."""
+        """Time to wait [s] after a step of ``took_s``, at most ``longest_s``; counts the step."""
         now_s = self._clock()
         self._free_s = min(max(now_s, self._free_s) + took_s / self._share, now_s + self._longest_s)
         return self._free_s - now_s

@@ -21,7 +21,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the time of the block to a stage."""
+        """Add the time of the block to a stage, and to the request's trace."""
         start = time.perf_counter()
         try:
             yield
@@ -31,13 +31,13 @@ class Stopwatch:
             telemetry.note(name, took_s)
 
     def check(self, deadline_s: float) -> None:
-        """Raise DeadlineExceeded once ``deadline_s`` seconds have passed."""
+        """Raise DeadlineExceeded once ``deadline_s`` seconds have passed since the request came in."""
         if self.elapsed_s >= deadline_s:
             raise DeadlineExceeded("The deadline passed before the work was done.", "Allow more time.")
 
     @property
     def worked_ms(self) -> float:
-        """Sum of all stages."""
+        """Sum of all stages [ms]."""
         return sum(self.stages_ms.values())
 
     @property
@@ -47,5 +47,5 @@ class Stopwatch:
 
 
 def frame_deadline_s(asked_ms: float | None, settings: Settings) -> float:
-    """Deadline of a frame's answer, in seconds after its request arrived."""
+    """Deadline of a frame's answer, in seconds after its request arrived: ``asked_ms``, or the settings'."""
     return (asked_ms or settings.default_deadline_ms) / 1000

@@ -32,10 +32,8 @@ class Tus:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request; requests that do not speak tus pass unchanged.
-
-        Raises:
-            UnsupportedVersion: the client speaks another version.
+        """Answer one request; requests that do not speak tus pass unchanged. Raises UnsupportedVersion: the client
+        speaks another version.
         """
         headers = Headers(scope=scope) if scope["type"] == "http" else {}
         if RESUMABLE not in headers:
@@ -55,7 +53,7 @@ class Tus:
 
 
 def abilities(max_bytes: int) -> dict[str, str]:
-    """Headers with the server's capabilities."""
+    """Headers with the server's capabilities; ``max_bytes`` is the largest upload."""
     return {
         RESUMABLE: TUS_VERSION,
         "Tus-Version": TUS_VERSION,
@@ -66,7 +64,7 @@ def abilities(max_bytes: int) -> dict[str, str]:
 
 
 def standing(upload: Upload) -> dict[str, str]:
-    """Headers with an upload's offset, and its job once there is one."""
+    """Headers with an upload's offset, length and expiry, and its job's id once there is one."""
     headers = {"Upload-Offset": str(upload.offset), "Upload-Length": str(upload.length), "Cache-Control": "no-store"}
     if upload.expires is not None:
         headers["Upload-Expires"] = formatdate(upload.expires, usegmt=True)
@@ -76,14 +74,14 @@ def standing(upload: Upload) -> dict[str, str]:
 
 
 def number(name: str, text: str | None) -> int:
-    """A header that is a number of bytes. Raises InvalidRequest."""
+    """The value of the header ``name``, a number of bytes. Raises InvalidRequest if it is missing or no such number."""
     if text is None or not text.isascii() or not text.isdigit() or len(text) > 18:
         raise InvalidRequest(f"{name} is missing or not a number of bytes.", "Send it as tus 1.0 requires.")
     return int(text)
 
 
 def read_metadata(text: str) -> dict[str, str]:
-    """``Upload-Metadata``: keys, each with a value in base64, or none.
+    """``Upload-Metadata``: keys, each with its value, decoded from base64; empty without one.
 
     Raises:
         InvalidRequest: it is malformed.

@@ -38,7 +38,7 @@ class _PageFiles(StaticFiles):
 
 
 def install(app: FastAPI) -> None:
-    """Serve the page's files with the app, to everyone."""
+    """Serve the page's files with the app, to everyone: pages, /web, /js and Swagger UI; browsers revalidate them."""
     for suffix, kind in _TYPES.items():
         mimetypes.add_type(kind, suffix)  # operating systems have different types
     folders = {prefix: _PageFiles(directory=web_folder() / name) for prefix, name in FOLDERS.items()}

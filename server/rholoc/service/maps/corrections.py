@@ -168,7 +168,7 @@ _FARTHEST_M = 1e6  # coordinates beyond it are refused
 
 
 def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
-    """The map's next version.
+    """The map's next version; ``map_`` stays as it is.
 
     Raises:
         Conflict: the map has another version by now, or the correction does not fit it.
@@ -230,11 +230,7 @@ def _names(wanted: NamesIn) -> MapNames:
 
 
 def _vector(numbers: list[float] | list[list[float]]) -> FloatArray:
-    """Coordinates as an array.
-
-    Raises:
-        InvalidInput: one is out of range.
-    """
+    """Coordinates as an array of the lists' shape. Raises InvalidInput: one is NaN or beyond ±1e6."""
     array = np.array(numbers, dtype=np.float64)
     if not np.all(np.abs(array) <= _FARTHEST_M):
         raise InvalidInput(

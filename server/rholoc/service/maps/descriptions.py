@@ -117,7 +117,7 @@ class MapVersions(AnswerModel):
 
 
 def list_of(library: MapLibrary) -> MapList:
-    """All maps of a library, by the headers of their files."""
+    """All maps of a library, by the headers of their files, and the names of unreadable files with the reason."""
     maps: list[MapSummary] = []
     unreadable: dict[str, str] = {}
     for name in library.names():
@@ -132,7 +132,7 @@ def list_of(library: MapLibrary) -> MapList:
 
 
 def versions_of(library: MapLibrary, name: str) -> MapVersions:
-    """The maps that a map replaced. Raises as :meth:`MapLibrary.stat`."""
+    """The maps that a map replaced. Raises InvalidName, UnknownMap."""
     library.stat(name)
     return MapVersions(versions=[_previous(number, info) for number, info in library.versions(name).items()])
 
@@ -163,7 +163,7 @@ def _summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str
 
 
 def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
-    """Description of a map whose file has ``size_bytes`` bytes and replaced the map ``before``."""
+    """Description of a map whose file has ``size_bytes`` bytes and replaced the map ``before``, None if none."""
     bounds, rotation = None, levelled(map_)
     outline = MapOutline(map_.info, len(map_), len(map_.views), room=len(map_.room))
     if len(map_):

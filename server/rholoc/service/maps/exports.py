@@ -48,14 +48,14 @@ class ExportRequest:
     features: Sequence[int] | None = None
 
     def as_dict(self) -> dict[str, object]:
-        """As the process reads it."""
+        """The attributes by name, JSON-serialisable, with an absolute path; the exporting process reads them."""
         features = None if self.features is None else list(self.features)
         members = {"source": str(self.source.resolve()), "title": self.title, "format": self.format}
         return {**members, "degree": self.degree, "features": features}
 
 
 def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: Sequence[int] | None) -> bool:
-    """Whether an export is made by a process of its own, judged by how many numbers it computes or writes."""
+    """Whether an export is made by a process of its own: it has over 4 million numbers (CSV, surfaces)."""
     match format:
         case ExportFormat.CSV:
             powers = 1 + (_DEGREE if degree is None else max(0, degree))
@@ -88,7 +88,7 @@ class Exports:
         Raises:
             ClientDisconnect: it has.
             InvalidMap, InvalidInput: the map or an option does not allow it.
-            Busy: too many others wait, or the process was killed.
+            Busy: more than eight others wait or are made, or the process was killed.
             DeadlineExceeded: it takes longer than the limit.
         """
         if self._open > _MAX_WAITING:
@@ -114,7 +114,7 @@ class Exports:
 
 
 async def _unless_gone(is_gone: Callable[[], Awaitable[bool]], work: Coroutine[Any, Any, object]) -> None:
-    """Do work, but cancel it when the client goes. Raises ClientDisconnect."""
+    """Do work, looking every 0.5 s for the client; once it is gone, cancel the work and raise ClientDisconnect."""
     task = asyncio.create_task(work)
     try:
         while not (await asyncio.wait({task}, timeout=_LOOK_EVERY_S))[0]:
@@ -135,7 +135,13 @@ class _Export:
         self._program: AsyncProgram | None = None
 
     async def begin(self, wanted: ExportRequest) -> None:
-        """Start the process and wait for its first bytes."""
+        """Start the process and wait for its first bytes.
+
+        Raises:
+            InvalidMap, InvalidInput: it refuses the export.
+            Busy: it was killed.
+            DeadlineExceeded: it takes longer than the limit.
+        """
         self._last_s = asyncio.get_running_loop().time() + self._time_limit_s
         self._program = program = await AsyncProgram.start("rholoc.exports.process", collect_errors=True)
         await program.ask(wanted.as_dict())
@@ -150,7 +156,7 @@ class _Export:
                 raise Busy("The process that exports was killed.", "Try again after Retry-After.", _RETRY_AFTER_S)
 
     async def pieces(self) -> AsyncIterator[bytes]:
-        """The output, from its beginning."""
+        """Iterate over the output, from its beginning. Raises ConnectionError if it is killed, DeadlineExceeded."""
         assert self._program is not None
         piece = self._first
         while piece:

@@ -71,7 +71,7 @@ class JobEvent:
 
     @classmethod
     def of(cls, job: Job) -> JobEvent:
-        """The event that reports a job."""
+        """The event that reports a job's state; ``last`` if the job has ended."""
         data = job_out(job).model_dump_json()
         return cls(hashlib.blake2s(data.encode(), digest_size=8).hexdigest(), data, job.state.ended)
 
@@ -111,7 +111,7 @@ def _has_ended(look: asyncio.Task[JobEvent]) -> bool:
 
 
 def job_out(job: Job) -> JobOut:
-    """A job as it is sent."""
+    """A job as clients get it; ``error`` is null unless it has an error code."""
     error = None
     if job.error_code is not None:
         error = JobError(code=job.error_code, message=job.error_message or "", hint=job.error_hint or "")

@@ -28,11 +28,11 @@ class MapWatch:
         self._thread = threading.Thread(target=self._run, name="map-watch", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """End; waits for the map that is being read, but not for a storage that is silent."""
+        """Stop the thread within 5 s, and close the finder; a thread that waits for a silent storage is left."""
         self._stopped.set()
         self._thread.join(_STOP_S)
         if not self._thread.is_alive():

@@ -17,7 +17,7 @@ from rholoc.service.settings import Settings
 
 
 def publish_file(library: MapLibrary, name: str, arrived: Path, settings: Settings) -> None:
-    """Publish a ``.rho`` file or a Table 5, if all operations of the service succeed on it.
+    """Publish a ``.rho`` file or a Table 5 under a name, if all operations of the service succeed on it.
 
     Raises:
         TooLarge, InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
@@ -39,7 +39,7 @@ def publish_file(library: MapLibrary, name: str, arrived: Path, settings: Settin
 
 
 def publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, merged: Map) -> None:
-    """Publish a merged map, unless it would replace one of its parts that has changed meanwhile. Raises Conflict."""
+    """Publish a merged map as ``into``. Raises Conflict if that is one of its parts and has changed meanwhile."""
     if into in parts and library.get(into) is not parts[into]:
         raise Conflict(f"The map {into} was changed in the meantime.", "Merge again.")
     library.put(into, merged)
@@ -61,10 +61,8 @@ def _check_features(map_: Map) -> None:
 
 
 def _rehearse(map_: Map, name: str, size_bytes: int, min_recognized: float) -> None:
-    """Try the operations of later requests on a map, to refuse a map that would fail.
-
-    Raises:
-        InvalidMap: an operation failed.
+    """Try the operations of later requests on a map, to refuse a map that would fail. Raises InvalidMap: an operation
+    failed.
     """
     check_usable(map_)
     try:

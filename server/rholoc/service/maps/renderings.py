@@ -64,7 +64,7 @@ class Renderings:
         """The tag of a rendering, whether or not it has been made yet.
 
         Raises:
-            InvalidName, UnknownMap: as :meth:`rholoc.library.MapLibrary.stat`.
+            InvalidName, UnknownMap: there is no such map.
         """
         return etag_of(self._library.stat(name), kind)
 
@@ -86,7 +86,7 @@ class Renderings:
         return Rendered(kept, etag)
 
     def _made(self, name: str, kind: Rendering, path: Path) -> asyncio.Task[None]:
-        """The task that makes a rendering; the same one while it is being made."""
+        """The task that makes a rendering in ``path``; the same while it is made. Raises Busy if 200 are being made."""
         if path not in self._making:
             if len(self._making) >= _MAX_WAITING:
                 raise Busy("Too many pictures are being drawn.", "Try again after Retry-After.", _RETRY_AFTER_S)
@@ -110,7 +110,7 @@ class Renderings:
             raise kind_of_error(answer["error"], answer["hint"])
 
     async def _ask(self, request: dict[str, str]) -> dict[str, str] | None:
-        """The process's answer; None if it ended without one."""
+        """The process's answer, started if necessary; None if it ended or gave none within 120 s, and is killed."""
         if self._idle is not None:
             self._idle.cancel()
         if self._program is None or not self._program.running:

@@ -85,7 +85,7 @@ class SiteOut(AnswerModel):
 
 
 def site_of(given: SiteIn) -> Site:
-    """The sent site, before poses are solved from links.
+    """The site that was sent, checked, with given poses only.
 
     Raises:
         InvalidInput, InvalidName: it cannot be one.

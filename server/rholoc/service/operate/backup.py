@@ -62,7 +62,7 @@ class Manifest:
     files: dict[str, BackedUp] = field(default_factory=dict)
 
     def count(self, pattern: str) -> int:
-        """Number of files with a path that matches ``pattern``."""
+        """Number of files whose path matches the glob ``pattern``."""
         return sum(PurePosixPath(path).match(pattern) for path in self.files)
 
 
@@ -75,7 +75,7 @@ def back_up(file: Path, stores: Stores, recordings: bool = False) -> Manifest:
     Raises:
         Conflict: the file exists.
         InvalidInput: it cannot be written.
-        StorageUnavailable: the storage does not give a file; try again.
+        StorageUnavailable, MissingObject: the storage does not give a file; try again.
         StorageFull: the disk is full; nothing is left of the file.
     """
     for attempt in range(_ATTEMPTS):
@@ -126,14 +126,14 @@ def unpack_backup(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
 
 
 def _other_maps(folder: MapLibrary, library: MapLibrary) -> Iterator[str]:
-    """Names of maps that differ between a folder and the library."""
+    """Iterate over the files of maps that have the same name but other content in a folder and the library."""
     for name in sorted({*folder.names()} & {*library.names()}):
         if not library.holds(name, folder.path(name)):
             yield f"{_MAPS}/{folder.path(name).name}"
 
 
 def _other_documents(folder: Path, stores: Stores) -> Iterator[str]:
-    """Names of small files that differ between a folder and the stores."""
+    """Iterate over the paths of small files that have the same name but other content in a folder and the stores."""
     for kind, path in _FOLDERS.items():
         files, stored = FolderDocuments(folder / path), stores.documents(kind)
         for name in sorted({*files.names()} & {*stored.names()}):
@@ -145,7 +145,13 @@ def _other_documents(folder: Path, stores: Stores) -> Iterator[str]:
 
 
 def _write(file: Path, sources: Iterable[tuple[str, Path]]) -> Manifest:
-    """Write files to a backup: paths in it, and the files, each of which is read before the next is asked for."""
+    """Write a new backup of paths in it and files, each of which is read before the next is asked for.
+
+    Raises:
+        Conflict: the file exists.
+        InvalidInput: it cannot be written.
+        StorageFull: the disk is full.
+    """
     if file.exists():
         raise Conflict(f"{file} exists already.", "Name another file, or remove it first.")
     unfinished = file.with_name(f".{uuid4().hex}.backup")
@@ -172,7 +178,7 @@ def _write(file: Path, sources: Iterable[tuple[str, Path]]) -> Manifest:
 
 
 def _contents(stores: Stores, folder: Path, recordings: bool) -> Generator[tuple[str, Path]]:
-    """Paths in the backup and files; each file may be gone when the next one is requested."""
+    """Iterate over paths in the backup and files; each file may be gone when the next one is requested."""
     for name, number, file in stores.library.snapshot():
         yield f"{_MAPS}/{place_of(name, number)}", file
     for kind, path in _FOLDERS.items():
@@ -239,10 +245,8 @@ def _add_manifest(tar: tarfile.TarFile, manifest: Manifest) -> None:
 
 
 def _unpacked(file: Path, staged: dict[str, Path]) -> Manifest:
-    """Unpack a backup into staging folders, and verify it.
-
-    Raises:
-        InvalidInput: they are not.
+    """Unpack a backup into staging folders, and verify sizes and hashes. Raises InvalidInput: it is none, was cut off,
+    or differs from its manifest.
     """
     found: dict[str, BackedUp] = {}
     manifest: Manifest | None = None
@@ -282,11 +286,7 @@ def _manifest(file: Path, text: bytes) -> Manifest:
 
 
 def _checked(file: Path, name: str) -> str:
-    """The path of an entry, checked to stay within a backup's folders.
-
-    Raises:
-        InvalidInput: it may not.
-    """
+    """The path of an entry, unchanged. Raises InvalidInput: it is not below a backup's folders."""
     path = PurePosixPath(name)
     within = path.parts[0] in (_MAPS, _DATA) if path.parts else False
     if not within or len(path.parts) < 2 or ".." in path.parts or path.as_posix() != name or "\\" in name:
@@ -312,11 +312,7 @@ def _unpack(content: IO[bytes], target: Path) -> BackedUp:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Give a file its place, unless there is one already.
-
-    Raises:
-        FileExistsError: there is one.
-    """
+    """Rename a new file, unless there is one of that name. Raises FileExistsError: there is one."""
     try:
         os.link(source, target)
     except (FileExistsError, FileNotFoundError):

@@ -44,7 +44,9 @@ class Certificate:
 
 
 def addresses() -> tuple[str, ...]:
-    """The addresses under which other devices may reach this machine, the likeliest first; no packet is sent."""
+    """The addresses under which other devices may reach this machine, the likeliest first, none of them local; sends
+    nothing.
+    """
     found: list[str] = []
     for target, family in _PROBED_ADDRESSES:
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
@@ -56,8 +58,9 @@ def addresses() -> tuple[str, ...]:
 
 
 def server_certificate(data_dir: Path, names: tuple[str, ...]) -> Certificate:
-    """A certificate for ``names``, host names and addresses: the stored one, or a new one if that lacks a name or
-    expires within a month.
+    """A certificate for ``names``, host names and addresses, and its authority's, stored in ``data_dir``.
+
+    Issued anew, by the stored authority, if the stored one lacks a name or expires within 30 days.
 
     Raises:
         InvalidInput: the stored files are damaged.

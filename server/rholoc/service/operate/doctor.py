@@ -72,7 +72,7 @@ _Found = Iterator[tuple[Level, str] | tuple[Level, str, str]]
 
 
 def _storage(settings: Settings) -> _Found:
-    """The folders can be written to, and have space."""
+    """Yield for each folder whether it can be written to and has space: error below 256 MiB, warning below 4 GiB."""
     folders = {settings.data_dir: "RHOLOC_DATA_DIR"}
     if settings.shared_storage is None:
         folders = {settings.maps_dir: "RHOLOC_MAPS_DIR", **folders}
@@ -107,7 +107,7 @@ def _can_be_created(folder: Path) -> bool:
 
 
 def _maps(settings: Settings) -> _Found:
-    """All map files are maps, or the storage that servers share answers; sites name maps that there are."""
+    """Yield which map files cannot be read, whether the shared storage answers, and which sites name missing maps."""
     stores = settings.stores()
     try:
         if stores.are_shared:
@@ -143,7 +143,7 @@ def _maps_in(stores: Stores) -> _Found:
 
 
 def _jobs(settings: Settings) -> _Found:
-    """The database of jobs answers."""
+    """Yield whether the database of jobs answers, with its counts, and a warning if no worker runs."""
     if not settings.data_dir.is_dir():
         yield Level.OK, "There is no database of jobs yet; the first start creates it."
         return
@@ -164,7 +164,7 @@ def _jobs(settings: Settings) -> _Found:
 
 
 def _clock(settings: Settings) -> _Found:
-    """The clock is right enough for keys that expire, and agrees with the storage's."""
+    """Yield whether the clock is past 2026-01-01, and within 5 s of the storage's."""
     now = time.time()
     if now < _EARLIEST_S:
         yield Level.ERROR, f"The clock says {time.strftime('%Y-%m-%d', time.gmtime(now))}.", "Set it, by NTP at best."
@@ -181,7 +181,7 @@ def _clock(settings: Settings) -> _Found:
 
 
 def _fonts(_: Settings) -> _Found:
-    """Pictures have the letters that they need."""
+    """Yield which fonts for pictures are missing."""
     missing = missing_fonts()
     if missing:
         yield Level.WARNING, f"Fonts are missing: {', '.join(missing)}.", "Install matplotlib again, which brings them."
@@ -190,7 +190,7 @@ def _fonts(_: Settings) -> _Found:
 
 
 def _videos(_: Settings) -> _Found:
-    """Check that videos recorded by phones can be decoded."""
+    """Yield which kinds of video that phones record cannot be decoded, by a clip of each."""
     unread = []
     for codec, name in _CLIPS.items():
         with resources.as_file(resources.files("rholoc.service.operate") / "clips" / name) as path:
@@ -204,7 +204,7 @@ def _videos(_: Settings) -> _Found:
 
 
 def _is_decoded(path: Path) -> bool:
-    """Whether a clip of two grey frames is."""
+    """Whether a clip is decoded, into frames of the mean grey value that it has."""
     try:
         frames = list(read_video(path).images([0, 1]))
     except InvalidRecording:
@@ -213,7 +213,7 @@ def _is_decoded(path: Path) -> bool:
 
 
 def _libraries(_: Settings) -> _Found:
-    """Installed libraries are of versions that rholoc was made for."""
+    """Yield which installed libraries are missing or of other versions than rholoc's metadata requires."""
     count, wrong = 0, 0
     for text in metadata.requires("rholoc") or []:
         try:
@@ -237,7 +237,7 @@ def _libraries(_: Settings) -> _Found:
 
 
 def _settings(settings: Settings) -> _Found:
-    """Settings that contradict each other, the machine, or good sense."""
+    """Yield a warning for each setting that contradicts another or the machine; OK if there is none."""
     memory_bytes = machine_memory_bytes()
     open_to_all = not keys_needed(settings.keys, settings.host)
     local = settings.keys is KeyPolicy.AUTO

@@ -55,7 +55,9 @@ class LastKnown(Generic[T]):
         return None if self._known_s is None else time.monotonic() - self._known_s
 
     async def refresh(self) -> None:
-        """Call the function again, once for concurrent callers; wait at most 0.25 s for its value."""
+        """Call the function again, once for concurrent callers; wait at most 0.25 s for its value, which then replaces
+        the last.
+        """
         if self._under_way is None:
             self._begun_s = time.monotonic()
             self._under_way = asyncio.wrap_future(self._executor.submit(self._read))
@@ -64,7 +66,7 @@ class LastKnown(Generic[T]):
             await asyncio.wait({self._under_way}, timeout=_WAIT_S)
 
     def close(self) -> None:
-        """Ask no more."""
+        """Start no more calls; does not wait for the present one."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _take(self, answered: asyncio.Future[T]) -> None:
@@ -112,23 +114,23 @@ class Readings:
         await asyncio.gather(*(one.refresh() for one in self._all))
 
     def job_ages(self) -> Mapping[str, float]:
-        """Age of the last known job counts [s]; empty before the first."""
+        """Age of the last known job counts [s], as "now"; empty before the first."""
         age_s = self.jobs.age_s
         return {} if age_s is None else {"now": age_s}
 
     def close(self) -> None:
-        """Ask no more."""
+        """Start no more calls."""
         for one in self._all:
             one.close()
 
 
 def text_of(known: LastKnown[str], what: str) -> str:
-    """A reading in words: its value, or that there is no answer."""
+    """A reading in words: why it is out of date (:func:`unanswered`), else its value; ``what`` is read."""
     return unanswered(known, what) or known.value
 
 
 def unanswered(known: LastKnown[Any], what: str) -> str:
-    """Why a reading is out of date, with its age; empty if it is not."""
+    """Why a reading of ``what`` is out of date (failed, silent for 1 s, none yet), with its age; empty if not."""
     if known.error is None and known.unanswered_s < 1 and known.age_s is not None:
         return ""
     cause = f" ({type(known.error).__name__})" if known.error is not None else ""

@@ -78,7 +78,7 @@ class HerePoseOut(AnswerModel):
 
 
 def visitor(site: str, request: Request) -> str:
-    """The name of the site, if the request's key may visit it.
+    """The name of the site, if the request's key, or no key, may visit it.
 
     Raises:
         Forbidden: the key is for another site.
@@ -157,7 +157,7 @@ def _room(member: SiteMap, map_: Map) -> HereRoomOut:
 
 
 def _thinned(positions: FloatArray) -> FloatArray:
-    """Positions (N, 3) without those that are close to the last one kept."""
+    """Positions (N, 3) without those within 0.15 m of the last one kept."""
     kept: list[FloatArray] = []
     for position in positions:
         if not kept or np.linalg.norm(position - kept[-1]) >= _STEP_M:

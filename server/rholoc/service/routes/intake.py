@@ -68,7 +68,7 @@ class RecordingFields(RequestModel):
 
 
 async def checked_options(fields: RecordingFields, service: State) -> JobOptions:
-    """How to map a recording.
+    """The options of the job that maps a recording, with this server's setting of pictures.
 
     Raises:
         InvalidRecording: the choice of frames is not valid.

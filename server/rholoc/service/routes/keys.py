@@ -131,7 +131,9 @@ async def hand_on_key(wanted: KeyIn, request: Request, service: Service) -> Hand
 
 @router.get("/keys", **declared(NEEDS_ADMIN, "All keys"))
 async def list_keys(service: Service) -> KeyList:
-    """Their names and scopes, the oldest first; not the keys themselves, of which the server only has hashes."""
+    """Their names, scopes, limits and expiry, the oldest first, and who handed them on; never the keys, which are only
+    hashes here.
+    """
     return KeyList(keys=[KeyOut(**_fields(key, service)) for key in await service.keys.list()])
 
 

@@ -110,7 +110,7 @@ _FORM_BYTES = 2**20  # what the multipart form may take beside its files
 
 
 def _form_schema() -> dict[str, Any]:
-    """OpenAPI of the form: its fields without references and without null, which no form can send."""
+    """OpenAPI schema of the upload's form: its fields without references and without null, which no form can send."""
     schema = RecordingFields.model_json_schema()
     inlined = {}
     for name, field in schema["properties"].items():
@@ -235,7 +235,7 @@ async def upload_recording(request: Request, service: Service) -> Response:
 
 
 def _may_see(request: Request) -> bool:
-    """Whether the client may see pictures of recordings."""
+    """Whether the client may see pictures of recordings: its key has the scope MAP."""
     return granted_key(request)[0].allows(Scope.MAP)
 
 
@@ -271,7 +271,10 @@ def _recorded(waypoint: WaypointIn) -> RecordedWaypoint:
 
 
 async def _receive(request: Request, pending: PendingRecording, service: State) -> tuple[RecordingFields, JobOptions]:
-    """Stream the files into the pending recording; the fields are checked once everything has arrived."""
+    """Stream the request's files into the pending recording; returns its fields, checked once everything has arrived.
+    Raises InvalidRequest, TooLarge, InvalidRecording, ValidationError, InvalidName, InvalidInput,
+    UnknownCamera, UnknownMap, InvalidMap.
+    """
     starts: dict[str, bytes] = {}  # the first bytes of each file, as far as they have arrived
 
     def write(field_name: str, filename: str, chunk: bytes) -> None:
@@ -297,7 +300,7 @@ async def _receive(request: Request, pending: PendingRecording, service: State) 
 
 
 def _check_files(starts: Mapping[str, bytes], pending: PendingRecording, max_files: int) -> None:
-    """Refuse files that do not make a recording together. Raises InvalidRecording, TooLarge."""
+    """Refuse files, by name and first bytes, that do not make a recording. Raises InvalidRecording, TooLarge."""
     for name, start in starts.items():
         if len(start) < START_BYTES:
             check_file_start(name, start)

@@ -33,9 +33,11 @@ async def upload_abilities(service: Service) -> Response:
 
 
 async def begin_upload(request: Request, service: State) -> Response:
-    """The creation of a resumable upload.
+    """Create a resumable upload by the request's headers; the answer is 201 with its address.
 
-    Raises: as :func:`rholoc.service.routes.intake.checked_options` and :meth:`rholoc.jobs.UploadStore.create` do.
+    Raises:
+        InvalidRequest, TooLarge, QuotaExceeded: no length or a wrong one, or more than there is room for.
+        InvalidRecording, InvalidName, InvalidInput, UnknownCamera, UnknownMap, InvalidMap: the fields are not valid.
     """
     length = tus.number("Upload-Length", request.headers.get("upload-length"))
     limit = service.settings.max_upload_bytes
@@ -136,7 +138,9 @@ async def delete_recording(recording: str, service: Service) -> Response:
 
 
 async def _pieces(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
-    """The body in pieces worth writing, including the last one of a body that breaks off."""
+    """Iterate over the body in pieces of at least 1 MiB and the rest, which also comes if the body breaks off, then
+    raises.
+    """
     piece = bytearray()
     try:
         async for chunk in limited_stream(request, max_bytes):
@@ -151,7 +155,7 @@ async def _pieces(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
 
 
 async def _checked(request: Request, max_bytes: int, checksum: str) -> AsyncIterator[bytes]:
-    """The whole body, if it matches its checksum."""
+    """Yield the whole body, if it matches its checksum. Raises InvalidRequest, ChecksumMismatch, TooLarge."""
     body = await read_body(request, max_bytes)
     tus.check_checksum(checksum, body)
     yield body

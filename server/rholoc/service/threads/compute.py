@@ -67,12 +67,12 @@ class ComputePool:
 
     @property
     def busy(self) -> bool:
-        """Whether calls of ordinary effort run or wait, or did within ``_BUSY_AFTER_S``."""
+        """Whether calls of ordinary effort run or wait, or did within the last 0.1 s."""
         return self._lanes[Effort.ORDINARY].busy
 
     @property
     def full(self) -> bool:
-        """Whether the next call of ordinary effort is refused."""
+        """Whether ordinary calls run and wait up to the limit, so that the next is refused or displaces another."""
         return self._lanes[Effort.ORDINARY].full
 
     def check_room(self, effort: Effort) -> None:
@@ -104,7 +104,7 @@ class ComputePool:
         return result
 
     def _is_costly(self, client: str) -> bool:
-        """Whether a client's recent results cost ``_COSTLY_RATIO`` times those of another active client."""
+        """Whether a client's useful results cost over 0.25 s, 3 × those of another client of the last 5 s."""
         own, now_s = self._costs.get(client), time.monotonic()
         if own is None or own.per_result_s <= _COSTLY_S:
             return False
@@ -122,7 +122,7 @@ class ComputePool:
         )
 
     def close(self) -> None:
-        """Accept no more work, and wait at most a few seconds for running calls."""
+        """Accept no more work, drop waiting calls, and wait at most 5 s for running ones."""
         for lane in self._lanes.values():
             lane.close()
         deadline_s = time.monotonic() + _CLOSE_TIMEOUT_S
@@ -145,7 +145,7 @@ class _Cost:
 
     @property
     def per_result_s(self) -> float:
-        """Core time per useful result."""
+        """Core time per useful result [s], of which at least 5 % of calls are assumed."""
         return self.mean_s / max(self.useful, _MIN_USEFUL)
 
 
@@ -274,13 +274,13 @@ def _timed(work: Callable[[], Any]) -> _Ended:
 
 
 def _keep_to_one_core() -> None:
-    """Requests run in parallel; if each also used all cores, they would wait for one another."""
+    """Let faiss in this thread, and OpenCV, use one core: requests run in parallel, and would wait for one another."""
     faiss.omp_set_num_threads(1)  # OpenMP keeps this setting per thread
     cv2.setNumThreads(1)
 
 
 def lower_priority() -> None:
-    """As :func:`_keep_to_one_core`, with a lower priority than ordinary work."""
+    """Let faiss in this thread, and OpenCV, use one core; on Linux also lower the thread's priority."""
     _keep_to_one_core()
     if sys.platform == "linux":  # which has priorities per thread
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)

@@ -38,10 +38,8 @@ class StorageThreads:
         self._overdue = 0
 
     async def __call__(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """The result of ``call(*args, **kwargs)``.
-
-        Raises:
-            StorageUnavailable: it took too long; what it does may still be done.
+        """The result of ``call(*args, **kwargs)``. Raises StorageUnavailable: it took too long; what it does may still
+        be done.
         """
         if self._overdue >= self._threads:
             raise _unavailable()
@@ -59,7 +57,7 @@ class StorageThreads:
         raise _unavailable()
 
     def offload(self, call: Callable[P, T]) -> Callable[P, Coroutine[Any, Any, T]]:
-        """Coroutine function that runs ``call`` in these threads. Raises as :meth:`__call__`."""
+        """Coroutine function that runs ``call`` in these threads; it raises StorageUnavailable after too long."""
 
         async def offloaded(*args: P.args, **kwargs: P.kwargs) -> T:
             return await self(call, *args, **kwargs)
@@ -71,7 +69,7 @@ class StorageThreads:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _give_up(self, future: Future[T], waiting: asyncio.Future[T]) -> None:
-        """Remove a call from the queue, or count its thread as blocked."""
+        """Remove a call from the queue; if it is running, count its thread as blocked until it returns."""
         loop = asyncio.get_running_loop()
         waiting.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
         if future.cancel():
@@ -100,7 +98,7 @@ class StorageLanes:
     transfers: StorageThreads = field(default_factory=lambda: StorageThreads(8, 300.0))
 
     def close(self) -> None:
-        """Accept no more calls."""
+        """Accept no more calls, without waiting for running ones."""
         for lane in (self.database, self.files, self.fetches, self.transfers):
             lane.close()
 

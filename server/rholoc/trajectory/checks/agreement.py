@@ -39,18 +39,18 @@ class Agreement:
 
     @property
     def same(self) -> bool:
-        """Whether the reconstructions are equal within tolerance."""
+        """Whether the reconstructions are equal: within 2 % of the median depth (nine in ten: 4 %), and 2°."""
         close = self.distance <= _MAX_DISTANCE and self.distance_of_most <= _MAX_DISTANCE_OF_MOST
         return close and self.angle_deg <= _MAX_ANGLE_DEG
 
     @property
     def contradicts(self) -> bool:
-        """Whether at least one of the reconstructions must be wrong."""
+        """Whether at least one of the reconstructions must be wrong: more than a tenth of the median depth apart."""
         return self.distance > _CONTRADICTION
 
     @property
     def why(self) -> str:
-        """One line that states the differences."""
+        """One line that states the differences, or that too few keyframes could be compared."""
         if not np.isfinite(self.distance):
             return f"Only {self.common} of {self.of} keyframes could be checked by a second reconstruction."
         verb = "agree" if self.same else "disagree"
@@ -63,7 +63,8 @@ class Agreement:
 def compare(
     T: FloatArray, placed: BoolArray, some: IntArray, other: FloatArray, other_placed: BoolArray, median_depth: float
 ) -> Agreement:
-    """Compare a reconstruction with one from ``some`` of its keyframes, in any frame and scale.
+    """Compare a reconstruction with one from ``some`` of its keyframes, in any frame and scale. Distances are NaN if
+    they have fewer than 70 % of ``some``, or three, in common.
 
     Args:
         T: (K, 4, 4) poses of the first, valid where ``placed`` (K,).
@@ -93,6 +94,8 @@ def compare(
 
 
 def _is_line(positions: FloatArray) -> bool:
-    """Whether positions (N, 3) are collinear, so that they do not fix the rotation about their line."""
+    """Whether positions (N, 3) are collinear (spread across below 2 % of that along): they leave the rotation about
+    their line open.
+    """
     along, across, _ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
     return bool(across < _MAX_LINE_WIDTH * along)

@@ -19,9 +19,10 @@ _MAX_NAMED = 4  # spans in a message
 
 
 def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[MissingSpan, ...]:
-    """Spans of keyframes ``rows`` (K,) without a pose between ``placed`` (K,) ones, each with its probable cause.
+    """Spans between keyframes ``rows`` (K,) that are ``placed`` (K,), each with its probable cause; none if nothing is
+    placed.
 
-    With measured times, spans shorter than ``_SHORTEST_S`` are omitted.
+    With measured times, spans shorter than 0.4 s are omitted.
     """
     if not placed.any():
         return ()
@@ -39,7 +40,7 @@ def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[Missin
 
 
 def _span(flow: Flow, first: int, last: int) -> MissingSpan | None:
-    """Span of rows ``first`` to ``last`` - 1; None if it is too short to matter."""
+    """Span of rows ``first`` to ``last`` - 1; None if times are measured and it is shorter than 0.4 s."""
     numbers = int(flow.numbers[first]), int(flow.numbers[last - 1])
     why = _reason(flow, np.arange(first, last))
     if not flow.timed:
@@ -50,7 +51,7 @@ def _span(flow: Flow, first: int, last: int) -> MissingSpan | None:
 
 
 def describe(spans: tuple[MissingSpan, ...]) -> str:
-    """The first ``_MAX_NAMED`` spans in plain words; empty without spans.
+    """The first four spans in plain words; empty without spans.
 
     "0:12–0:15 shows a blank wall." with times, "Each of the pictures 12 to 18 is blurred." without.
     """

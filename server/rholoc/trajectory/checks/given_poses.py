@@ -62,12 +62,12 @@ class PoseCheck:
 
     @property
     def exact(self) -> bool:
-        """Whether the error is at most that of feature detection."""
+        """Whether the error is at most that of feature detection, 0.2 % of the focal length; False for NaN."""
         return self.error <= _MAX_EXACT
 
     @property
     def usable(self) -> bool:
-        """Whether an adjustment can start from the poses."""
+        """Whether an adjustment can start from the poses: error up to 1.2 % of the focal length; False for NaN."""
         return self.error <= _MAX_USABLE
 
     def read(self, T: FloatArray) -> FloatArray:
@@ -86,10 +86,11 @@ class _Matched:
 
 
 def check_given_poses(recording: Recording, camera: Camera) -> PoseCheck:
-    """Measure the epipolar error of a recording's poses over pairs of its frames.
+    """Measure the epipolar error of a recording's poses over pairs of its frames, in each axis convention.
 
     Outliers of the pictures' own relative pose are removed first, so that false matches do not count against the poses.
-    Raises InvalidRecording if a frame cannot be decoded.
+    The documented convention stands unless another one halves the error. NaN if fewer than three pairs match. Raises
+    InvalidRecording if a frame cannot be decoded. The recording must have poses.
     """
     assert recording.poses is not None
     rows = np.flatnonzero(recording.poses.known)
@@ -105,7 +106,9 @@ def check_given_poses(recording: Recording, camera: Camera) -> PoseCheck:
 
 
 def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of rows that may overlap: close in the sequence, or close in position and heading."""
+    """Sorted pairs of ten of ``rows`` (N,) with those 1 and 4 later and the two nearest of like heading, by poses T of
+    all frames.
+    """
     anchors = np.unique(np.linspace(0, len(rows) - 1, _ANCHORS).astype(np.int64)).tolist()
     pairs: set[tuple[int, int]] = set()
     for anchor in anchors:
@@ -137,7 +140,7 @@ def _matched(recording: Recording, camera: Camera, pairs: list[tuple[int, int]])
 
 
 def _error(matched: list[_Matched], read: Callable[[FloatArray], FloatArray], T: FloatArray) -> float:
-    """Median over pairs of each pair's median :func:`epipolar_errors`."""
+    """Median over pairs of each pair's median :func:`epipolar_errors`, with poses T converted by ``read``."""
     medians = []
     for one in matched:
         T_first, T_second = read(T[[one.first, one.second]])

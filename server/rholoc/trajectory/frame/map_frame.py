@@ -62,11 +62,15 @@ class ScaleMeasurement:
 
     @property
     def usable(self) -> bool:
-        """Whether it is certain enough to fix the scale."""
+        """Whether it is certain enough to fix the scale: a relative sigma of at most 0.1."""
         return self.sigma <= _MAX_SCALE_SIGMA
 
     def contradicts(self, ratio: float, sigma: float = 0.0) -> bool:
-        """Whether another ``ratio`` of relative standard deviation ``sigma`` is significantly different."""
+        """Whether this (usable) measurement differs from another ``ratio`` by more than 15 % and four standard
+        deviations.
+
+        ``sigma`` is the other ratio's relative standard deviation.
+        """
         limit = max(_MAX_SCALE_CONTRADICTION, _SIGMAS * float(np.hypot(self.sigma, sigma)))
         return self.usable and abs(self.ratio / ratio - 1) > limit
 
@@ -122,11 +126,12 @@ def frame_of_first_camera(
     median_depth: float,
     scales: Sequence[ScaleMeasurement] = (),
 ) -> MapFrame:
-    """Map frame at the first of the cameras (N, 4, 4), which looks along x; upright if ``up`` is known.
+    """Map frame at the first of the cameras (N, 4, 4), which looks along x; upright if ``up`` is known, else z is that
+    camera's up.
 
     Args:
-        median_depth: of the landmarks; the unit of length if no measurement fixes it.
-        scales: scale measurements; the most certain one is used.
+        median_depth: of the landmarks, in the cameras' unit; the unit of length if no measurement fixes it.
+        scales: scale measurements; the most certain one is used if usable, others that contradict it become doubts.
     """
     best = min(scales, key=lambda one: one.sigma, default=None)
     direction = None if up is None else up.direction
@@ -153,7 +158,8 @@ def frame_of_waypoints(
     why_up: str,
     scales: Sequence[ScaleMeasurement] = (),
 ) -> MapFrame:
-    """Map frame of the waypoints, from cameras (N, 4, 4) at ``times`` (N,) [s].
+    """Map frame of the waypoints, from cameras (N, 4, 4) at ``times`` (N,) [s]; upright if ``up`` is within 15° of
+    their z axis.
 
     Args:
         choices: the waypoints with their times; if these are unknown, all possible assignments to pauses. The best is
@@ -162,7 +168,7 @@ def frame_of_waypoints(
         scales: other scale measurements; a contradiction to the waypoints becomes a doubt.
 
     Raises:
-        MappingFailed: the camera's path misses the waypoints in all choices.
+        MappingFailed: the camera's path misses the waypoints in all choices, or there is none.
     """
     waypoints, alignment, next_best_m = _best_choice(times, T_world_camera[:, :3, 3], choices)
     doubts = []
@@ -185,7 +191,9 @@ def frame_of_waypoints(
 def _best_choice(
     times: FloatArray, positions: FloatArray, choices: Iterable[Sequence[Waypoint]]
 ) -> tuple[tuple[Waypoint, ...], WaypointAlignment, float]:
-    """Choice with the least maximum residual, its alignment, and the maximum residual of the next best choice."""
+    """Choice with the least maximum residual, its alignment, and the maximum residual [m] of the next best (inf if
+    none). Raises MappingFailed if no choice fits.
+    """
     found: list[tuple[float, tuple[Waypoint, ...], WaypointAlignment]] = []
     failure: MappingFailed | None = None
     for waypoints in choices:
@@ -207,7 +215,9 @@ def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
 
 
 def _scale_contradictions(ratio: float, others: Sequence[ScaleMeasurement], sigma: float = 0.0) -> list[str]:
-    """One line for each measurement that contradicts a scale of ``ratio`` metres per unit."""
+    """One line for each measurement that contradicts a scale of ``ratio`` m per unit with relative sigma ``sigma``:
+    by more than 15 % and four sigmas.
+    """
     return [
         f"{one.source} {one.verb('says', 'say')} that the walk is {one.ratio / ratio:.2f} times as large."
         for one in others
@@ -216,7 +226,9 @@ def _scale_contradictions(ratio: float, others: Sequence[ScaleMeasurement], sigm
 
 
 def _at_camera(T_world_camera: FloatArray, up: FloatArray | None, unit: float) -> Similarity:
-    """Similarity to the frame with a camera (4, 4) at its origin, looking along x; upright if ``up`` is known."""
+    """Similarity by the factor ``unit`` to the frame with a camera (4, 4) at its origin, looking along x. z is ``up``
+    (3,), or the camera's own up if that is None.
+    """
     up = -T_world_camera[:3, 1] if up is None else up
     R = rotation_to_upright(up)
     heading = R @ T_world_camera[:3, 2]

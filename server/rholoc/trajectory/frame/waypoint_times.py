@@ -43,14 +43,14 @@ def find_pauses(times: FloatArray, motion: FloatArray, imu: Imu | None) -> Float
 
 
 def times_are_known(waypoints: Sequence[Waypoint]) -> bool:
-    """Whether every waypoint has a time."""
+    """Whether no waypoint's time is NaN."""
     return not any(np.isnan(waypoint.time) for waypoint in waypoints)
 
 
 def choices_of_pauses(waypoints: Sequence[Waypoint], pauses: FloatArray) -> Iterator[tuple[Waypoint, ...]]:
     """All ordered assignments of waypoints to pauses (P, 2) [s], longest pauses first; a waypoint's time is the middle.
 
-    Only the longest pauses are used if there are many.
+    Only the longest pauses are used if there were more than 2000 assignments.
 
     Raises:
         InvalidWaypoints: there are fewer pauses than waypoints.

@@ -55,17 +55,17 @@ class GyroCalibration:
 
     @property
     def mounting_is_known(self) -> bool:
-        """Whether the recording states the IMU's mounting or the camera turned enough to estimate it."""
+        """Whether the recording states the IMU's mounting, or its estimate has a sigma of at most 3°."""
         return self.mounting_sigma_deg <= _MAX_MOUNTING_SIGMA_DEG
 
     @property
     def fits(self) -> bool:
-        """Whether camera and gyroscope measure the same rotations."""
+        """Whether camera and gyroscope measure the same rotations: a median residual of at most 2°."""
         return self.residual_deg <= _MAX_RESIDUAL_DEG
 
 
 def orientations(imu: Imu, bias: FloatArray) -> Rotation:
-    """Integrate the gyroscope by the midpoint rule: R_start_imu at every IMU time."""
+    """Integrate the gyroscope, less its ``bias`` (3,) [rad/s], by the midpoint rule: R_start_imu at all times (N,)."""
     rate = imu.angular_velocity - bias
     steps = Rotation.from_rotvec(0.5 * (rate[1:] + rate[:-1]) * np.diff(imu.times)[:, None])
     R = np.empty((len(imu.times), 3, 3))
@@ -76,11 +76,12 @@ def orientations(imu: Imu, bias: FloatArray) -> Rotation:
 
 
 def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
-    """Calibrate the gyroscope to camera rotations (N, 3, 3) at ``times`` (N,) [s]; None without common intervals.
+    """Calibrate the gyroscope to camera rotations (N, 3, 3) at ``times`` (N,) [s]; None with fewer than seven common
+    intervals.
 
-    Searches the time offset; solves for the bias and, if unknown, the mounting (Wahba's problem on rotation vectors).
-    A stated mounting is replaced if another fits several times better: a phone turned to landscape, a recorder with its
-    own axes.
+    Searches the time offset; solves for the bias and, if unknown, the mounting (Wahba's problem on rotation vectors). A
+    stated mounting is replaced if one more than 15° away fits three times better: a phone turned to landscape, a
+    recorder with its own axes.
     """
     stated = _fit(times, R_world_camera, imu)
     if stated is None or imu.R_camera_imu is None:
@@ -150,17 +151,17 @@ def camera_rotations(imu: Imu, gyro: GyroCalibration, times: FloatArray) -> Rota
 
 
 def allowed_apart(seconds: FloatArray) -> FloatArray:
-    """Maximum angle [rad] between a camera's rotation over ``seconds`` and the gyroscope's."""
+    """Maximum angle (N,) [rad] between a camera's rotation over ``seconds`` (N,) and the gyroscope's: 6° + 0.1°/s."""
     return np.asarray(_MAX_APART_RAD + _DRIFT_RAD_S * np.abs(seconds))
 
 
 def longest_interval_s(imu: Imu) -> float:
-    """Maximum interval between two IMU readings [s]; a longer one is a gap."""
+    """Maximum interval between two IMU readings [s]; a longer one is a gap: 0.1 s, or five medians if longer."""
     return max(_MAX_GAP_S, _MAX_GAP_INTERVALS * float(np.median(np.diff(imu.times))))
 
 
 def spaced_rows(times: FloatArray, interval_s: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Rows at least ``interval_s`` apart, beginning with the first."""
+    """Rows (M,) of ``times`` (N,) [s] at least ``interval_s`` apart, beginning with the first."""
     rows = [0]
     for row in range(1, len(times)):
         if times[row] - times[rows[-1]] >= interval_s:
@@ -169,12 +170,16 @@ def spaced_rows(times: FloatArray, interval_s: float) -> np.ndarray[tuple[int], 
 
 
 def _time_sigma_s(imu: Imu, t: FloatArray, sigma: float) -> float:
-    """Standard deviation of the time offset; a shift changes an interval's rotation by its ends' rate difference."""
+    """Standard deviation of the time offset [s], given the sigma [rad] of an interval's rotation between times ``t``
+    (N,). A shift changes an interval's rotation by its ends' rate difference.
+    """
     rate = np.column_stack([np.interp(t, imu.times, axis) for axis in imu.angular_velocity.T])
     return sigma / max(float(np.linalg.norm(np.diff(rate, axis=0))), 1e-9)
 
 
 def _mounting_sigma_deg(camera: FloatArray, sigma: float) -> float:
-    """Standard deviation of Wahba's rotation in its weakest axis, from its rotation vectors (N, 3)."""
+    """Standard deviation of Wahba's rotation in its weakest axis [deg], from rotation vectors (N, 3) of ``sigma``
+    [rad].
+    """
     information = np.sum(camera**2) * np.eye(3) - camera.T @ camera
     return float(np.degrees(sigma / np.sqrt(max(float(np.linalg.eigvalsh(information)[0]), 1e-12))))

@@ -65,7 +65,7 @@ def global_positions(R_world_camera: FloatArray, keyframes: IntArray, tracks: In
 
 
 def _ideal_camera(rays: FloatArray) -> tuple[pycolmap.Camera, FloatArray]:
-    """An ideal camera that sees rays (N, 3), and its pixels (N, 2): a pinhole, or a panorama for wide lenses."""
+    """An ideal camera that sees rays (N, 3), and its pixels (N, 2): a pinhole, or a panorama if the rays need one."""
     if not is_narrow(rays):
         return sphere_camera(_CAMERA), on_sphere(rays)
     centre = _SIDE_PX / 2

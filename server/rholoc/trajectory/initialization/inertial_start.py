@@ -55,7 +55,8 @@ class InertialStart:
 def inertial_start(
     times: FloatArray, R: FloatArray, directions: Sequence[PairDirection], imu: Imu, gyro: GyroCalibration
 ) -> InertialStart | None:
-    """Solve for positions from the IMU and directions; None if the IMU covers too little of the walk.
+    """Solve for positions from the IMU and directions; None if the IMU covers less than half of the walk, or without
+    directions.
 
     Args:
         times: (K,) of the keyframes [s].
@@ -110,14 +111,15 @@ def inertial_start(
 
 
 def _weights_of_motion(felt: FloatArray) -> FloatArray:
-    """Cauchy weights (N,) of equations of motion, from residuals in sigmas, or in medians if the median is larger."""
+    """Cauchy weights (N,) of equations of motion, from residuals ``felt`` (N,) in sigmas, or in medians if the median
+    is larger.
+    """
     return np.asarray(1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2))
 
 
 def _weights_of_directions(between: FloatArray, unit: FloatArray, sigma_rad: FloatArray) -> FloatArray:
-    """Geman–McClure weights (N,) of directions ``unit`` (N, 3), from the estimated displacements ``between`` (N, 3).
-
-    A displacement against its direction counts as ``_BACKWARD`` sigmas further off.
+    """Geman–McClure weights (N,) of directions ``unit`` (N, 3), from the estimated displacements ``between`` (N, 3). A
+    displacement against its direction counts as three sigmas further off.
     """
     way_m = np.linalg.norm(between, axis=1)
     along = np.sum(between * unit, axis=1)
@@ -135,7 +137,7 @@ def _turned_to(between: FloatArray, unit: FloatArray) -> tuple[FloatArray, Float
 
     Returns:
         Directions (N, 3) along which the displacements stay free: their own, or ``unit`` where a displacement points
-        backwards or is shorter than ``_MIN_WAY_M``; and targets (N, 3) [m] of their components across these.
+        backwards or is shorter than 2 cm; and targets (N, 3) [m] of their components across these.
     """
     way_m = np.linalg.norm(between, axis=1)
     ahead = (np.sum(between * unit, axis=1) > 0) & (way_m > _MIN_WAY_M)
@@ -144,7 +146,7 @@ def _turned_to(between: FloatArray, unit: FloatArray) -> tuple[FloatArray, Float
 
 
 def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:
-    """Solve the normal equations: a band matrix, apart from the first ``_UNKNOWNS_APART`` unknowns.
+    """Solve the normal equations for all U unknowns (U,): a band matrix, apart from the first six unknowns.
 
     Factorizing the band takes time linear in the length of the walk.
     """
@@ -177,7 +179,9 @@ def _covered(t: FloatArray, imu: Imu) -> BoolArray:
 
 
 def _equations_of_motion(t: FloatArray, R: FloatArray, imu: Imu, gyro: GyroCalibration, covered: BoolArray) -> _Motion:
-    """v_j - v_i - g dt - J_v b = Δv and p_j - p_i - v_i dt - g dt²/2 - J_p b = Δp for every interval, i to j."""
+    """v_j - v_i - g dt - J_v b = Δv and p_j - p_i - v_i dt - g dt²/2 - J_p b = Δp for every interval, i to j. ``t``
+    (K,) are the keyframes' times on the IMU's clock. Intervals not ``covered`` (K - 1,) get 1000 times the sigma.
+    """
     n, count = len(t) - 1, len(t)
     dt = np.diff(t)
     speed, way, by_bias_v, by_bias_p = _integrated(imu, gyro, t, R)
@@ -207,7 +211,9 @@ def _equations_of_motion(t: FloatArray, R: FloatArray, imu: Imu, gyro: GyroCalib
 
 
 def _direction_rows(first: IntArray, second: IntArray, unit: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """(I - d dᵀ) (p_second - p_first) = 0 for every direction d: entries of a sparse matrix."""
+    """(I - d dᵀ) (p_second - p_first) = 0 for every direction d of ``unit`` (N, 3): rows, columns and entries of a
+    matrix.
+    """
     across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
     row = np.broadcast_to(3 * np.arange(len(unit))[:, None, None] + np.arange(3)[None, :, None], across.shape)
     place = _UNKNOWNS_APART + 3 + np.arange(3)[None, None, :]
@@ -232,8 +238,7 @@ def _integrated(
     imu: Imu, gyro: GyroCalibration, t: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Velocity changes and displacements (K - 1, 3) by the specific force between keyframes, in the rotations' frame.
-
-    Also their derivatives (K - 1, 3, 3) by the accelerometer bias.
+    Then their derivatives (K - 1, 3, 3) by the accelerometer bias, in the same order.
     """
     R_start_imu = orientations(imu, gyro.bias).as_matrix()
     n = len(t) - 1

@@ -74,7 +74,9 @@ def largest_piece(
 
 
 def _model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camera, list[FloatArray]]:
-    """An ideal camera for pycolmap in place of a calibrated one, and its pixels."""
+    """An ideal camera for pycolmap in place of a calibrated one, and the features' pixels (F, 2) of each picture in
+    it.
+    """
     rays = [camera.rays(some) for some in pixels]
     if camera.lens is not Lens.PINHOLE:
         return sphere_camera(_CAMERA), [on_sphere(some) for some in rays]
@@ -97,7 +99,9 @@ def _pycolmap_camera(camera: Camera, kind: str, params: list[float]) -> pycolmap
 
 
 def _write(path: Path, model: pycolmap.Camera, places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> None:
-    """Write pictures, features and verified matches; pycolmap classifies each pair as planar, rotation or general."""
+    """Write pictures, features and verified matches to a new pycolmap database; estimates each pair's two-view
+    geometry.
+    """
     database = pycolmap.Database.open(str(path))
     try:
         camera_id = database.write_camera(model)
@@ -156,7 +160,7 @@ def _incremental_options(is_known: bool) -> pycolmap.IncrementalPipelineOptions:
 
 
 def _piece(mapper: Mapper, model: pycolmap.Reconstruction, camera: Camera, is_known: bool) -> Piece | None:
-    """A model as a piece; None if its intrinsics are impossible."""
+    """A model as a piece, its pictures in increasing order; None if its intrinsics are impossible."""
     poses = {
         int(image.name): image.cam_from_world().inverse().matrix() for image in model.images.values() if image.has_pose
     }

@@ -57,9 +57,9 @@ def _gyro_sigma_rad(seconds: float) -> float:
 
 
 def _spread(count: int, pairs: Sequence[PairRotation]) -> tuple[FloatArray, IntArray]:
-    """Rotations along the maximum spanning tree by support, and the component (K,) of every keyframe.
-
-    Pairs of neighbours precede loop closures, because different places may look alike.
+    """Rotations (K, 3, 3) along the maximum spanning tree by support, and the component (K,) of every keyframe. A
+    component is named by its first keyframe, whose rotation is the identity. Pairs of neighbours (at most twelve
+    keyframes apart) precede loop closures, because different places may look alike.
     """
     R = np.tile(np.eye(3), (count, 1, 1))
     component = np.full(count, -1, dtype=np.int64)

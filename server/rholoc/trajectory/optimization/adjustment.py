@@ -157,7 +157,7 @@ class State(PosedCameras):
 
     @property
     def R_map_camera(self) -> FloatArray:
-        """(K, 3, 3)."""
+        """Rotations (K, 3, 3) of the cameras."""
         return self.T_map_camera[:, :3, :3]
 
 
@@ -255,18 +255,18 @@ def adjust(
     progress: Callable[[float], None] = lambda fraction: None,
     coarsely: bool = False,
 ) -> Adjusted:
-    """Optimize from a nearby state (Levenberg–Marquardt).
+    """Optimize from a nearby state, mostly by Gauss–Newton steps.
 
-    Points are triangulated from the state's poses. Points with too little parallax and outlier sightings are ignored in
-    this call only.
+    Points are triangulated from the state's poses. Points with at most 1.5° of parallax and outlier sightings are
+    ignored in this call only.
 
     Args:
         iterations: maximum number.
         progress: called with the fraction of iterations done.
-        coarsely: stop earlier, before outliers are determined again and all is adjusted again.
+        coarsely: stop at a relative decrease of the cost below 1e-3 instead of 2e-4.
 
     Raises:
-        MappingFailed: the measurements do not fix the shape of the walk.
+        MappingFailed: the measurements do not fix the shape of the walk, or the focal length becomes impossible.
     """
     points, used = _usable_points(problem.observations, state, problem.pixel_sigma_px)
     state = replace(state, points=points)
@@ -293,7 +293,9 @@ def adjust(
 
 
 def triangulate(observations: Observations, state: State) -> tuple[FloatArray, FloatArray]:
-    """Points (M, 3) nearest to the rays of their sightings, and the widest angle (M,) between these rays [deg]."""
+    """Points (M, 3) nearest to the rays of their sightings, and twice the largest angle (M,) of a ray to their mean
+    [deg].
+    """
     rays = np.einsum("nij,nj->ni", state.R_map_camera[observations.keyframes], state.camera.rays(observations.pixels))
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     seen_from = np.einsum("nij,nj->ni", across, state.positions[observations.keyframes])
@@ -311,7 +313,9 @@ def triangulate(observations: Observations, state: State) -> tuple[FloatArray, F
 
 
 def residuals_px(observations: Observations, state: State, points: FloatArray | None = None) -> FloatArray:
-    """Reprojection errors (N,) of the sightings [px]; infinite behind the camera."""
+    """Reprojection errors (N,) of the sightings [px] with ``points`` (M, 3) or the state's; infinite behind the
+    camera.
+    """
     points = state.points if points is None else points
     R_map_plane, measured = _image_planes(observations, state)
     seen = np.einsum("nji,nj->ni", R_map_plane, points[observations.tracks] - state.positions[observations.keyframes])
@@ -328,7 +332,9 @@ def _image_planes(observations: Observations, state: State) -> tuple[FloatArray,
 
 
 def _usable_points(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, BoolArray]:
-    """Points (M, 3), and a mask (N,) of the usable sightings."""
+    """Points (M, 3), refined, and a mask (N,) of the usable sightings. Those are near (20 px, or 4 medians) and of
+    points with three near sightings and more than 1.5° of parallax.
+    """
     points, parallax_deg = triangulate(observations, state)
     off = residuals_px(observations, state, points)
     near = off < max(20.0, 4 * float(np.median(off)))
@@ -339,9 +345,8 @@ def _usable_points(observations: Observations, state: State, sigma_px: float) ->
 
 
 def _settled(points: FloatArray, observations: Observations, state: State, sigma_px: float) -> FloatArray:
-    """Points (M, 3) of least reprojection error with all else held (Gauss–Newton, Cauchy's weights).
-
-    Triangulated points are not optimal; refining them here saves the joint problem iterations.
+    """Points (M, 3) of least reprojection error with all else held (Gauss–Newton, Cauchy's weights). Triangulated
+    points are not optimal; refining them here saves the joint problem iterations.
     """
     tracks, positions = observations.tracks, state.positions[observations.keyframes]
     R, measured = _image_planes(observations, state)
@@ -388,7 +393,7 @@ def _add_sightings(
 
 
 def _camera_prior(camera: Camera, sigmas: CameraSigmas) -> gtsam.noiseModel.Base:
-    """Prior on the intrinsics with fx = fy and radial distortion."""
+    """Prior (9,) on the intrinsics of ``camera`` with fx = fy and radial distortion; the rest is held."""
     focal = sigmas.focal * camera.focal
     radial = [sigmas.distortion**2] * 2
     covariance = np.diag([0.0, 0.0, _FIXED, _FIXED, _FIXED, *radial, _FIXED, _FIXED])
@@ -461,7 +466,7 @@ def _gravity_prior(problem: Problem) -> gtsam.noiseModel.Base:
 
 
 def imu_noise(times_usual: float) -> gtsam.PreintegrationCombinedParams:
-    """Preintegration parameters of an IMU with ``times_usual`` times the usual noise."""
+    """Preintegration parameters of an IMU with ``times_usual`` × the usual noise; its biases wander as usual."""
     parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY)
     parameters.setAccelerometerCovariance(np.eye(3) * (times_usual * _ACCELEROMETER_NOISE) ** 2)
     parameters.setGyroscopeCovariance(np.eye(3) * (times_usual * _GYROSCOPE_NOISE) ** 2)
@@ -479,7 +484,9 @@ def preintegrated(
     bias: gtsam.imuBias.ConstantBias,
     longest_s: float,
 ) -> gtsam.PreintegratedCombinedMeasurements | None:
-    """Preintegrate the readings between two times (trapezoidal rule); None over a gap of more than ``longest_s``."""
+    """Preintegrate the readings from ``start_s`` to ``end_s``, IMU clock (trapezoidal rule, linearized at ``bias``);
+    None over a gap of more than ``longest_s``.
+    """
     first, last = np.searchsorted(imu.times, start_s, side="right"), np.searchsorted(imu.times, end_s, side="left")
     knots = np.concatenate([[start_s], imu.times[first:last], [end_s]])
     around = imu.times[max(first - 1, 0) : last + 1]
@@ -498,9 +505,8 @@ def preintegrated(
 
 
 def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
-    """Factor of mounting and clock offset: T_map_camera = T_map_imu Exp((ω, v) clock) T_imu_camera.
-
-    ``rate`` is the IMU's ω (3,) [rad/s] at keyframe ``k``, v its velocity.
+    """Factor of mounting and clock offset: T_map_camera = T_map_imu Exp((ω, v) clock) T_imu_camera. ``rate`` is the
+    IMU's ω (3,) [rad/s] at keyframe ``k``, v its velocity.
     """
 
     def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Any:
@@ -528,7 +534,9 @@ def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.Custom
 
 
 def _hold_unseen(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, seeing: IntArray, state: State) -> None:
-    """Add a weak prior to each keyframe that neither enough points nor the IMU fix."""
+    """Add to ``graph`` a weak prior on each keyframe with fewer than four of the sightings (N,) ``seeing`` and without
+    IMU.
+    """
     extent = float(np.linalg.norm(np.ptp(state.positions, axis=0)))
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_UNSEEN_SIGMA_RAD, max(extent, 1e-9)], 3))
     sightings = np.bincount(seeing, minlength=len(state.T_map_camera))
@@ -552,7 +560,9 @@ def _add_steps(graph: gtsam.NonlinearFactorGraph, steps: Sequence[Step]) -> None
 
 
 def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: State, used: BoolArray) -> bool:
-    """Add measured distances from keyframes to points. Returns whether there are any."""
+    """Add measured distances from keyframes to points to ``graph``, about 40 per keyframe. Returns whether there are
+    any.
+    """
     seen = problem.observations
     if problem.depth_sigma is None or seen.depths is None:
         return False
@@ -576,7 +586,9 @@ def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: Stat
 
 
 def _fix_gauge(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: State, metric: bool) -> None:
-    """Fix what no measurement fixes: the first camera's position and heading; without an IMU its tilt and the scale."""
+    """Add priors to ``graph`` on what no measurement fixes: the first camera's position and heading. Unless ``metric``,
+    also its tilt, and the scale by its distance to the farthest camera.
+    """
     first = values.atPose3(C(0))
     if metric:
         vertical = state.R_map_camera[0].T @ np.array([0.0, 0.0, 1.0])
@@ -612,7 +624,10 @@ class _Descent:
     def solve(
         self, values: gtsam.Values, iterations: int, tolerance: float, progress: Callable[[float], None]
     ) -> tuple[gtsam.Values, float]:
-        """Minimize the cost; returns values and cost. Stops at a relative decrease below ``tolerance``."""
+        """Minimize the cost in at most ``iterations`` steps; returns values and cost.
+
+        Stops at a relative decrease of at most ``tolerance``. Raises MappingFailed if the system is singular.
+        """
         cost = self.graph.error(values)
         for done in range(iterations):
             before = cost
@@ -623,10 +638,9 @@ class _Descent:
         return values, cost
 
     def _stepped(self, values: gtsam.Values, cost: float) -> tuple[gtsam.Values, float]:
-        """Gauss–Newton step; if none lowers the cost, a Levenberg–Marquardt step, which takes three times as long.
-
-        A long step mostly fails because the points lag behind: it is retried, whole and in part, with every point
-        re-optimized.
+        """Gauss–Newton step; if none lowers the cost, a Levenberg–Marquardt step, which takes three times as long. A
+        long step mostly fails because the points lag behind: it is retried, whole and in part, with every point
+        re-optimized. Returns values and cost. Raises MappingFailed if the system is singular.
         """
         for system in _with_points_held(self.graph.linearize(values), self.held):
             try:
@@ -665,7 +679,7 @@ def _with_points_settled(values: gtsam.Values, problem: Problem, state: State, u
 
 
 def _marginal(tree: gtsam.GaussianBayesTree | None, key: int, size: int) -> FloatArray:
-    """Covariance (size, size) of one variable; NaN if it is unbounded."""
+    """Covariance (size, size) of one variable; NaN if it is unbounded or there is no tree."""
     if tree is not None:
         with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
             return np.asarray(tree.marginalCovariance(key))
@@ -679,7 +693,7 @@ def _shape_left_open() -> MappingFailed:
 def _with_points_held(
     linear: gtsam.GaussianFactorGraph, held: Callable[[float], gtsam.GaussianFactorGraph]
 ) -> Iterator[gtsam.GaussianFactorGraph]:
-    """The linear system with increasingly strong priors on its points."""
+    """Iterate over copies of the linear system with increasingly strong priors on its points."""
     for firmness in _HOLDS:
         system = gtsam.GaussianFactorGraph()
         system.push_back(linear)
@@ -691,7 +705,6 @@ def _held_points(
     observations: Observations, state: State, used: BoolArray, firmness: float
 ) -> gtsam.GaussianFactorGraph:
     """Prior that keeps each point near its position relative to its distance: weak points would jump behind cameras.
-
     ``firmness`` should be small, because the prior also holds the walk's scale.
     """
     tracks, count = observations.tracks[used], observations.points
@@ -707,9 +720,8 @@ def _held_points(
 
 
 def _ordering(values: gtsam.Values, observations: Observations, used: BoolArray) -> gtsam.Ordering:
-    """Elimination order: points, keyframes by nested dissection, shared unknowns.
-
-    Ordering the whole graph would take longer than the step, because nearly every factor contains the intrinsics.
+    """Elimination order: points, keyframes by nested dissection, shared unknowns. Ordering the whole graph would take
+    longer than the step, because nearly every factor contains the intrinsics.
     """
     by_track = np.lexsort((observations.keyframes[used], observations.tracks[used]))
     tracks, keyframes = observations.tracks[used][by_track], observations.keyframes[used][by_track]
@@ -769,5 +781,5 @@ def _from_gtsam(model: gtsam.Cal3DS2, camera: Camera) -> Camera:
 
 
 def robust(sigmas: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
-    """The noise model with Cauchy's loss of width ``sigmas``."""
+    """The noise model ``noise`` with Cauchy's loss of width ``sigmas`` standard deviations."""
     return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(sigmas), noise)

@@ -48,7 +48,8 @@ class PlacedFeatures:
 
 
 def place_features(neighbours: Sequence[VerifiedPair], pixels: Sequence[FloatArray], state: State) -> PlacedFeatures:
-    """Triangulate features from the matches of neighbours.
+    """Triangulate features from the matches of neighbours. Known are points with 1.5° of parallax and errors below 4
+    px.
 
     Args:
         neighbours: verified pairs of neighbouring keyframes.
@@ -68,7 +69,9 @@ def place_features(neighbours: Sequence[VerifiedPair], pixels: Sequence[FloatArr
 
 
 def loops_in_reach(loops: Sequence[VerifiedPair], placed: PlacedFeatures, sigmas_m: FloatArray) -> BoolArray:
-    """Mask (N,) of the loops that the walk's error allows.
+    """Mask (N,) of the loops that the walk's error allows: off by 10 cm + 0.5 % of the way + 4 sigmas at most.
+
+    Loops with fewer than five known points on both sides are refused.
 
     Args:
         loops: candidate loop closures.
@@ -94,7 +97,7 @@ def loops_in_reach(loops: Sequence[VerifiedPair], placed: PlacedFeatures, sigmas
 def loop_pose(pair: VerifiedPair, placed: PlacedFeatures) -> RelativePose | None:
     """Relative pose of a loop's keyframes: resection of either one from the other's points.
 
-    Returns the result with more inliers; None if both have too few.
+    Returns the result with more inliers (within 3 px); None if neither has nine.
     """
     ways = [
         _seen_by(placed, pair.first, pair.second, pair.matches),
@@ -105,7 +108,9 @@ def loop_pose(pair: VerifiedPair, placed: PlacedFeatures) -> RelativePose | None
 
 
 def _seen_by(placed: PlacedFeatures, first: int, second: int, matches: IntArray) -> tuple[RelativePose | None, int]:
-    """The second keyframe's pose in the first's frame by resection, and its number of inliers."""
+    """The second keyframe's pose in the first's frame by resection, and its inliers; None, 0 below nine known
+    points.
+    """
     points = placed.labels[first][matches[:, 0]]
     known = placed.known[points]
     if known.sum() < _MIN_AGREEING:

@@ -19,21 +19,22 @@ _MAD_TO_SIGMA = 1.4826
 
 
 def zoomed(observations: Observations, zooms: FloatArray, camera: Camera) -> Observations:
-    """The observations with pixels as if no picture were zoomed; ``zooms`` (K,) of all keyframes."""
+    """The observations with pixels as if no picture were zoomed; ``zooms`` (K,) of all keyframes, 1 for none."""
     factor = 1 / zooms[observations.keyframes]
     return replace(observations, pixels=unzoomed(observations.pixels, factor[:, None], camera))
 
 
 def unzoomed(pixels: FloatArray, factor: FloatArray | float, camera: Camera) -> FloatArray:
-    """Pixels (N, 2) with their distance from the principal point multiplied by a factor."""
+    """Pixels (N, 2) with their distance from the principal point multiplied by a ``factor``, one or (N, 1)."""
     centre = np.array([camera.cx, camera.cy])
     return np.asarray(centre + (pixels - centre) * factor)
 
 
 def measure_zooms(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, bool]:
-    """Zoom (K,) of each picture by its sightings, its pose being free and the points held; whether they clearly differ.
+    """Zoom (K,) of each picture by its sightings, relative to the median, its pose free and the points held; whether
+    they clearly differ.
 
-    Pictures with few sightings, or whose sightings hardly tell zooming from approaching, get a zoom near 1.
+    Pictures with fewer than 20 sightings, or whose sightings hardly tell zooming from approaching, get a zoom near 1.
 
     Args:
         observations: of K pictures, inliers.

@@ -27,7 +27,7 @@ _ITERATIONS = 30
 def depth_start(
     camera: Camera, depth: DepthImages, rays: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
 ) -> tuple[FloatArray, IntArray] | None:
-    """Poses T_world_camera (N, 4, 4) [m] of the pictures that most relative poses link, and their numbers (N,).
+    """Poses T_world_camera (N, 4, 4) [m] of the largest connected component of pictures, and their numbers (N,).
 
     Relative poses are by P3P of the matches with depth; those on which the depths of both pictures disagree are left
     out. Poses are chained along the strongest pairs, then fitted to all by a pose graph.
@@ -68,7 +68,9 @@ def _points(depth: DepthImages, k: int, camera: Camera, rays: FloatArray) -> Flo
 def _metric(
     pair: VerifiedPair, rays: Sequence[FloatArray], points: Sequence[FloatArray], camera: Camera
 ) -> tuple[Step, int] | None:
-    """The relative pose of a pair and its number of inliers; None if depths do not give one, or two that disagree."""
+    """The relative pose of a pair and its number of inliers; None if depths do not give one with twelve inliers, or two
+    that disagree.
+    """
     tolerance = _TOLERANCE_PX / camera.focal
     ends, found = (pair.first, pair.second), []
     for near, far in ((0, 1), (1, 0)):
@@ -94,7 +96,9 @@ def _metric(
 
 
 def _chained(root: int, between: dict[tuple[int, int], FloatArray], graph: csr_matrix) -> dict[int, FloatArray]:
-    """T_root_camera (4, 4) of each picture linked with a root, along the strongest pairs."""
+    """T_root_camera (4, 4) of each picture linked with a root, along the strongest pairs. ``between`` holds
+    T_first_second of each pair; ``graph`` its cost.
+    """
     order, before = breadth_first_order(minimum_spanning_tree(graph), root, directed=False)
     T: dict[int, FloatArray] = {root: np.eye(4)}
     for k in order[1:].tolist():
@@ -105,7 +109,9 @@ def _chained(root: int, between: dict[tuple[int, int], FloatArray], graph: csr_m
 
 
 def _fitted(T: dict[int, FloatArray], steps: Sequence[Step], members: IntArray) -> FloatArray:
-    """Poses (N, 4, 4) of the members fitted to all relative poses (Levenberg–Marquardt, Cauchy's loss)."""
+    """Poses (N, 4, 4) of the ``members`` (N,), starting at T, fitted to all relative poses (Levenberg–Marquardt,
+    Cauchy's loss).
+    """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k in members.tolist():
         values.insert(C(k), gtsam.Pose3(T[k]))

@@ -39,7 +39,7 @@ def reconstruct(
         progress: listener for :data:`Stage.POSES`.
 
     Raises:
-        MappingFailed: the view graph is not connected enough, or the waypoints contradict the pictures.
+        MappingFailed: no pictures overlap enough, the camera only turned, or the waypoints contradict the pictures.
     """
     with threadpool_limits(1, "blas"):  # small matrices: more threads cost more than they save
         return _reconstruct(sights, imu, waypoints, progress)
@@ -71,10 +71,9 @@ def _reconstruct(
 
 
 def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
-    """Reconstruct a film by following it. Where that leaves much out or contradicts itself, its keyframes are a set.
-
-    Raises:
-        MappingFailed: neither way places enough, or two reconstructions contradict each other.
+    """Reconstruct a film by following it. If that leaves out more than 10 %, contradicts itself or fails, also as a
+    set. Returns the one that places more, or the set if the film contradicts itself. Raises MappingFailed if neither
+    works.
     """
     found: Reconstruction | None = None
     failure = MappingFailed("No two pictures overlap enough.", ADVICE)
@@ -100,7 +99,7 @@ def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
 
 
 def _agreement(found: Reconstruction, sights: Sights) -> Agreement:
-    """Compare a reconstruction from pictures with another one from every second keyframe."""
+    """Compare a reconstruction from pictures with another from every second keyframe; NaN if that one fails."""
     some = np.arange(0, len(sights.rows), 2)
     half = sights.take(some)
     try:

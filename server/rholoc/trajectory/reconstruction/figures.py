@@ -10,9 +10,11 @@ from rholoc.trajectory.visual.tracks import Observations
 
 
 def spread_covariances(adjusted: Adjusted, count: int, computed: int) -> FloatArray:
-    """Pose covariances (K, 6, 6) of ``count`` keyframes: computed for ``computed`` of them, interpolated between these.
+    """Pose covariances (K, 6, 6) of K = ``count`` ≥ 2 keyframes: computed for ``computed`` of them, interpolated
+    between.
 
-    NaN where unbounded."""
+    NaN where unbounded.
+    """
     some = np.unique(np.linspace(0, count - 1, min(computed, count)).round().astype(np.int64))
     found = adjusted.covariances(some.tolist())
     after = np.clip(np.searchsorted(some, np.arange(count)), 1, len(some) - 1)
@@ -32,6 +34,7 @@ def scale_sigma_of(adjusted: Adjusted) -> float:
 
 
 def median_depth_of(observations: Observations, adjusted: Adjusted) -> float:
+    """Median depth of the used points before their cameras, in the state's unit."""
     state, used = adjusted.state, adjusted.used
     points, T = state.points[observations.tracks[used]], state.T_map_camera[observations.keyframes[used]]
     depths = np.einsum("ni,ni->n", points - T[:, :3, 3], T[:, :3, 2])

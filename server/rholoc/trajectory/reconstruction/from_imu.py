@@ -47,7 +47,7 @@ _ACCELEROMETER_SCALE = 0.01  # from which it is corrected
 def calibrated(
     sights: Sights, camera: Camera, imu: Imu, evidence: Evidence | None = None
 ) -> tuple[GyroCalibration | None, str]:
-    """The gyroscope against the pictures, or why it is of no use.
+    """Gyroscope calibrated to the pictures, and ""; or None and a line on why the IMU is of no use.
 
     Args:
         evidence: of pictures too far apart for corners to be followed; or None.
@@ -78,7 +78,11 @@ def calibrated(
 def start_with_imu(
     sights: Sights, camera: Camera, evidence: Evidence, imu: Imu, gyro: GyroCalibration, felt: Rotation
 ) -> tuple[State, InertialStart] | None:
-    """A metric, upright start from rotations, directions between neighbours, and the IMU."""
+    """A metric, upright start from rotations, directions between neighbours, and the IMU; None if the IMU covers too
+    little.
+
+    ``felt`` are the cameras' rotations by the gyroscope. Returns the state, without points, and what it was made from.
+    """
     count, times = len(sights.rows), sights.times
     R, _ = average_rotations(count, replace(evidence, loops=[]).rotations, times, felt)
     along = _directions(sights, camera, R, evidence.sequential)
@@ -94,7 +98,9 @@ def start_with_imu(
 
 
 def _directions(sights: Sights, camera: Camera, R: FloatArray, pairs: Sequence[VerifiedPair]) -> list[PairDirection]:
-    """Between keyframes a few apart, by followed corners, and between pairs whose features match."""
+    """Directions between keyframes 1, 2, 4 and 8 apart that share 15 corners, and between ``pairs``, by matches;
+    unclear ones are left out (:func:`direction_between`).
+    """
     found: list[PairDirection | None] = []
     rows = sights.rows.tolist()
     for apart in _CORNERS_APART:
@@ -124,7 +130,10 @@ def solve_with_imu(
     waypoints: Sequence[tuple[Waypoint, ...]],
     progress: AdjustmentProgress,
 ) -> Reconstruction:
-    """All measurements adjusted together: first without places seen again, at last with the waypoints."""
+    """Adjust all measurements together: first without loop closures, at last with the waypoints.
+
+    Raises MappingFailed if the measurements leave the shape open or the waypoints contradict them.
+    """
     state, began = start
     observations = replace(evidence, loops=[]).observations(sights)
     problem = Problem(sights.times, observations, imu, gyro, camera_sigmas=camera_sigmas(sights.camera))
@@ -168,7 +177,9 @@ def solve_with_imu(
 def _accelerometer_corrected(
     problem: Problem, adjusted: Adjusted, progress: AdjustmentProgress
 ) -> tuple[Problem, Adjusted, float]:
-    """The walk once the accelerometer reads gravity right, and what it read for one m/s² before."""
+    """Problem and solution after the accelerometer's scale is corrected, and that scale: its reading for 1 m/s². A
+    scale within 1 % is left as it is; 1.0 is then returned. Raises MappingFailed.
+    """
     assert adjusted.state.inertial is not None
     assert problem.imu is not None
     read = float(np.linalg.norm(adjusted.state.inertial.gravity)) / GRAVITY
@@ -179,7 +190,7 @@ def _accelerometer_corrected(
 
 
 def _of_corrected_scale(state: State, read: float) -> State:
-    """The state of a walk whose accelerometer read ``read`` times too much."""
+    """The state with all lengths, velocities and gravity divided by ``read``, the accelerometer's former scale."""
     assert state.inertial is not None
     T = state.T_map_camera.copy()
     T[:, :3, 3] /= read

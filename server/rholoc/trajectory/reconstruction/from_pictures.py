@@ -71,7 +71,9 @@ class Pictured:
     reason: str = ""
 
     def observations(self) -> Observations:
-        """Sightings of corners and matched features, with their depths where these were measured."""
+        """Sightings of corners and matched features, with their depths where these were measured. Raises MappingFailed
+        if there are none.
+        """
         return with_depths(self.evidence.observations(self.sights), self.sights.depth, self.camera)
 
 
@@ -87,7 +89,7 @@ def solve_from_pictures(walk: Pictured, progress: AdjustmentProgress) -> Reconst
 
 
 def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstruction:
-    """Reconstruct a set of pictures by several mappers, which check each other.
+    """Reconstruct a set of pictures by up to four mappers, which check each other.
 
     Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
     they see enough points. The reconstruction of which another one confirms most pictures is taken.
@@ -145,7 +147,9 @@ class _Part:
 def _placed_by(
     mapper: Mapper, walk: Pictured, whole: Observations, progress: AdjustmentProgress, span: tuple[float, float]
 ) -> _Part | None:
-    """The part that a mapper places, adjusted; None if it places none."""
+    """The part that a mapper places, adjusted; None if it places none or fails. ``whole`` are the sightings of all
+    pictures, ``span`` the fractions of progress.
+    """
     sights, camera, sequential = walk.sights, walk.camera, walk.evidence.sequential
     try:
         if mapper is Mapper.DEPTH:
@@ -174,8 +178,7 @@ def _placed_by(
 
 def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[_Part, Pictured]:
     """The part adjusted to more sightings and the weak pairs that fit it, with further pictures that these place.
-
-    Returns the part as it is if they bend it, and the walk with the pairs that were used.
+    Returns the part as it is if that fails or bends it; and the walk, with the pairs that were used if they were.
     """
     sights, evidence = walk.sights, walk.evidence
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
@@ -191,7 +194,9 @@ def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple
 
 
 def _unzoomed(part: _Part, sights: Sights, whole: Observations, progress: AdjustmentProgress) -> _Part:
-    """The part with each picture's zoom estimated, where autofocus changed it; as it is where they are alike."""
+    """The part with each picture's zoom estimated; the part as it is if the zooms are alike, it is no pinhole, or that
+    fails.
+    """
     if part.adjusted.state.camera.lens is not Lens.PINHOLE:
         return part
     found, zooms = part, np.ones(len(sights.rows))
@@ -211,10 +216,9 @@ def _unzoomed(part: _Part, sights: Sights, whole: Observations, progress: Adjust
 
 
 def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
-    """Weak pairs that may show the same place as the part does.
-
-    Of two pictures of the part, those that its poses fit, as near to each other as clear pairs are. Of a picture that
-    it has not, those beside a clear pair with the part: what else looks alike has better matches where it belongs.
+    """Weak pairs of the walk that may show the same place as the part does. Of two pictures of the part, those that its
+    poses fit, as near to each other as clear pairs are. Of a picture that it has not, those beside a clear pair with
+    the part: what else looks alike has better matches where it belongs.
     """
     count = len(walk.sights.rows)
     T = np.full((count, 4, 4), np.nan)
@@ -242,7 +246,7 @@ def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
 
 
 def _agreement(part: _Part, other: _Part) -> Agreement:
-    """How far two reconstructions are apart, over the pictures of the smaller one."""
+    """Agreement of two reconstructions, over the pictures of the smaller one."""
     one, two = sorted((part, other), key=lambda some: len(some.members), reverse=True)
     count = int(max(one.members.max(), two.members.max())) + 1
     T, placed = np.tile(np.eye(4), (count, 1, 1)), np.zeros(count, dtype=np.bool_)
@@ -266,9 +270,8 @@ def _is_loose(found: Reconstruction) -> bool:
 
 
 def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
-    """The part of which another one confirms most; of equal ones the metric, then the smallest, which adds least.
-
-    Where less than half of all ``count`` pictures are confirmed, the largest of equal ones.
+    """The part of which another one confirms most; of equal ones the metric, then the smallest, which adds least. Where
+    less than half of all ``count`` pictures are confirmed, the largest of equal ones.
     """
     confirmed = [_confirmed(part, parts) for part in parts]
     sign = -1 if 2 * max(confirmed) >= count else 1
@@ -277,13 +280,13 @@ def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
 
 
 def _confirmed(part: _Part, others: Sequence[_Part]) -> int:
-    """Number of the part's pictures that another one confirms."""
+    """Largest number of the part's pictures that one of the others confirms; 0 if none agrees."""
     found = (_agreement(part, other) for other in others if other is not part)
     return max((one.common for one in found if one.same), default=0)
 
 
 def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | None, _Part | None]:
-    """Agreement with the nearest other part, and that part; None if there is no other."""
+    """Agreement with the other part that agrees best, and that part; both None if there is no other."""
     others = [other for other in parts if other is not part]
     if not others:
         return None, None
@@ -299,7 +302,9 @@ def _adjusted(
     progress: AdjustmentProgress,
     span: tuple[float, float],
 ) -> _Part:
-    """Adjust some pictures from their first poses."""
+    """Adjust some pictures from their first poses ``start`` (state, members) to those of the ``whole`` sightings they
+    see. Also to depths or odometry steps, in metres, if these fix the scale. Raises MappingFailed.
+    """
     state, members = start
     number = np.full(len(sights.rows), -1)
     number[members] = np.arange(len(members))
@@ -320,7 +325,9 @@ def _adjusted(
 
 
 def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reconstruction:
-    """The part in the map frame, as a reconstruction of all pictures."""
+    """The part in the map frame, as a reconstruction of all pictures. Raises MappingFailed if it misses the
+    waypoints.
+    """
     sights = walk.sights
     up = up_by_pictures(part.adjusted.state.R_map_camera)
     members = sights.take(part.members)
@@ -342,7 +349,9 @@ def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reco
 
 
 def _doubts_about_focal(part: _Part, given: Camera) -> tuple[str, ...]:
-    """A line if the pictures, adjusted with the focal length free, clearly have another one than was given."""
+    """One line if the pictures, with the focal length free, have another one than ``given``, by 7 % and 4 sigmas; else
+    empty.
+    """
     if part.problem.camera_sigmas is None:
         return ()
     problem = replace(part.problem, camera_sigmas=GUESSED)
@@ -360,7 +369,9 @@ def _doubts_about_focal(part: _Part, given: Camera) -> tuple[str, ...]:
 
 
 def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstruction:
-    """The reconstruction of some keyframes as one of ``count``, of which no others are placed."""
+    """The reconstruction of the keyframes ``members`` (N,) as one of ``count`` keyframes, of which no others are
+    placed.
+    """
     placed = np.zeros(count, dtype=np.bool_)
     placed[members] = part.placed
     T = np.tile(np.eye(4), (count, 1, 1))
@@ -375,7 +386,9 @@ def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstructi
 
 
 def _own_start(walk: Pictured, observations: Observations) -> tuple[State, IntArray]:
-    """First poses of the largest connected part by rotation averaging and global positioning, and its keyframes."""
+    """First poses of the largest connected part by rotation averaging and global positioning, and its keyframes (N,).
+    Raises MappingFailed if no two pictures overlap enough.
+    """
     camera, count = walk.camera, len(walk.sights.rows)
     R, component = average_rotations(count, walk.evidence.rotations, walk.sights.times, None)
     piece = pieces_of(count, observations)
@@ -390,7 +403,9 @@ def _own_start(walk: Pictured, observations: Observations) -> tuple[State, IntAr
 
 
 def _positions_of(members: IntArray, R: FloatArray, observations: Observations, rays: FloatArray) -> FloatArray:
-    """The positions (N, 3) of some keyframes from what they see together."""
+    """Positions (N, 3) of the ``members`` (N,) by global positioning of the points that at least two of them see. R (K,
+    3, 3) are rotations of all keyframes, ``rays`` those of the observations. Raises MappingFailed.
+    """
     number = np.full(len(R), -1)
     number[members] = np.arange(len(members))
     within = number[observations.keyframes] >= 0

@@ -78,7 +78,7 @@ def _fits(pair: VerifiedPair, rays: list[FloatArray], T: FloatArray) -> bool:
 
 
 def _steps(T: FloatArray) -> tuple[Step, ...]:
-    """Relative poses of neighbours, with sigmas proportional to their lengths."""
+    """Relative poses of neighbours in T (K, 4, 4), with sigmas of 2 % of their lengths and of the median length."""
     lengths = np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1)
     least = _MIN_STEP_SIGMA * max(float(np.median(lengths)), 1e-6)
     return tuple(
@@ -88,11 +88,11 @@ def _steps(T: FloatArray) -> tuple[Step, ...]:
 
 
 def _spread(T: FloatArray) -> float:
-    """Second singular value of the centred positions: 0 if they lie on a line."""
+    """Second singular value of the centred positions of T (K, 4, 4): 0 if they lie on a line."""
     return float(np.linalg.svd(T[:, :3, 3] - T[:, :3, 3].mean(axis=0), compute_uv=False)[1])
 
 
 def unmoved_frame(scale: Scale, upright: bool, why_up: str) -> MapFrame:
-    """The poses' own frame."""
+    """The poses' own frame as a map frame, with a line on its unit."""
     why = "The poses came in metres." if scale is Scale.METRIC else "The poses' unit of length is not stated."
     return MapFrame(Similarity.identity(), scale, upright, why_up, why)

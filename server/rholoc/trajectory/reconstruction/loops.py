@@ -21,7 +21,11 @@ _JUDGING = 12  # keyframes with a computed covariance while loops are verified
 def with_loops_closed(
     sights: Sights, evidence: Evidence, problem: Problem, adjusted: Adjusted, progress: AdjustmentProgress
 ) -> tuple[Evidence, Problem, Adjusted]:
-    """Adjust with the loops that the walk without them allows; verify all loops again after the first closure."""
+    """Adjust with the loops that the walk without them allows; verify all loops again after the first closure.
+
+    Returns the evidence with only these loops, the problem and the solution; unchanged if there are no candidates.
+    Raises MappingFailed.
+    """
     if not evidence.loops:
         return evidence, problem, adjusted
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
@@ -36,7 +40,7 @@ def with_loops_closed(
 
 
 def _with_loops_met(loops: Sequence[VerifiedPair], placed: PlacedFeatures) -> State:
-    """The walk after a pose graph, if its loops are too far from closing for the adjustment alone."""
+    """State of the walk: after a pose graph if that moves a keyframe by more than ``FAR_M``, else as it is."""
     poses = [pose for pair in loops if (pose := loop_pose(pair, placed)) is not None]
     bent = bend(placed.state, poses)
     moved_m = np.linalg.norm(bent.positions - placed.state.positions, axis=1)

@@ -32,7 +32,8 @@ _MEDIAN_TO_MEAN = 1.2533  # standard deviation of a median relative to that of a
 
 
 def with_depths(observations: Observations, depth: DepthImages | None, camera: Camera) -> Observations:
-    """The observations with measured depths.
+    """The observations with measured depths along the optical axis [m], NaN where unknown; unchanged without depth
+    pictures.
 
     Args:
         depth: depth pictures of the keyframes, or None.
@@ -51,7 +52,7 @@ def with_depths(observations: Observations, depth: DepthImages | None, camera: C
 
 
 def scaled_by_depth(problem: Problem, adjusted: Adjusted) -> State | None:
-    """The reconstruction scaled to metres by its depths; None if these do not fix the scale."""
+    """The reconstruction scaled to metres by its depths; None without a measurement of a sigma of at most 25 %."""
     found = scale_by_depth(problem, adjusted)
     if found is None or found.sigma > _MAX_START_SIGMA:
         return None
@@ -59,9 +60,11 @@ def scaled_by_depth(problem: Problem, adjusted: Adjusted) -> State | None:
 
 
 def scale_by_depth(problem: Problem, adjusted: Adjusted) -> ScaleMeasurement | None:
-    """Median ratio of measured depths to depths of the reconstruction's points; None with too few depths.
+    """Median ratio of measured depths to depths of the reconstruction's points; None unless four keyframes have eight
+    depths each.
 
-    Its standard deviation combines the spread over consecutive parts of the walk with the depth camera's scale error.
+    If ratios deviate by more than 10 % in the median, that is the sigma. Otherwise it combines the spread over
+    consecutive parts of the walk with the depth camera's scale error.
     """
     if problem.observations.depths is None:
         return None
@@ -98,15 +101,15 @@ def scales_by_lengths(lengths: Sequence[tuple[int, int, float]], adjusted: Adjus
 
 
 def scaled_by_steps(steps: Sequence[Step], adjusted: Adjusted) -> State | None:
-    """The reconstruction in metres, to be adjusted to steps; None where these do not fix its scale."""
+    """The reconstruction scaled to metres by measured steps; None if these do not fix its scale to 10 %."""
     found = scale_by_steps(steps, adjusted)
     return _in_metres(adjusted.state, found) if found is not None and found.usable else None
 
 
 def scale_by_steps(steps: Sequence[Step], adjusted: Adjusted) -> ScaleMeasurement | None:
-    """Median ratio of measured steps to those of a reconstruction; None where too few are long enough.
+    """Median ratio of measured steps to those of a reconstruction; None with fewer than five long ones.
 
-    Steps of other lengths or directions than the reconstruction's do not fix its scale.
+    Sigma is infinite if the steps' lengths or directions disagree with the reconstruction.
     """
     T, positions = adjusted.state.T_map_camera, adjusted.state.positions
     source = ScaleSource.MOUNTING if all(step.is_mounting for step in steps) else ScaleSource.ODOMETRY

@@ -113,7 +113,15 @@ class Reconstruction:
 def finished(
     solved: Solved, loops: int, focal_is_known: bool, imu: InertialFigures | None, imu_reason: str
 ) -> Reconstruction:
-    """Build the reconstruction: move it to the map frame unless it is there, compute covariances and ``placed``."""
+    """Build the reconstruction: move it to the map frame unless it is there, compute covariances and ``placed``.
+
+    Args:
+        solved: the adjusted walk and its map frame.
+        loops: number of loop closures.
+        focal_is_known: whether the focal length was given; its sigma is then None.
+        imu: figures of the IMU; None if it was not used.
+        imu_reason: why it was not used.
+    """
     adjusted, frame, observations = solved.adjusted, solved.frame, solved.problem.observations
     keyframes = len(solved.problem.times)
     covariances = spread_covariances(adjusted, keyframes, _COVARIANCES)
@@ -154,19 +162,19 @@ def finished(
 
 
 def right_sightings(problem: Problem, adjusted: Adjusted) -> BoolArray:
-    """Mask (N,) of the used sightings that are inliers of the solution."""
+    """Mask (N,) of the used sightings within five median residuals of the solution (at least 2.5 px)."""
     off_px = residuals_px(problem.observations, adjusted.state)
     return np.asarray(adjusted.used & (off_px <= max(MIN_PX, OUTLIER * float(np.median(off_px)))))
 
 
 def held_keyframes(problem: Problem, adjusted: Adjusted) -> BoolArray:
-    """Mask (K,) of the keyframes with enough inlier sightings to fix them."""
+    """Mask (K,) of the keyframes with at least twelve inlier sightings."""
     right = right_sightings(problem, adjusted)
     return np.asarray(np.bincount(problem.observations.keyframes[right], minlength=len(problem.times)) >= _SEEN)
 
 
 def moved(state: State, similarity: Similarity) -> State:
-    """The state in another frame."""
+    """The state in the frame that ``similarity`` leads to; the IMU's velocities and gravity are moved too."""
     inertial = state.inertial
     if inertial is not None:
         R, scale = similarity.rotation, similarity.scale

@@ -22,7 +22,7 @@ _MAX_OFF_PX = 4.0  # median reprojection error of a known point
 def with_missing_placed(
     observations: Observations, members: IntArray, state: State, count: int
 ) -> tuple[State, IntArray]:
-    """Add the pictures that see enough known points to a reconstruction (P3P in LO-RANSAC).
+    """Add the pictures that see enough known points to a reconstruction (P3P in LO-RANSAC): 15 inliers and 40 %.
 
     Args:
         observations: of all ``count`` pictures.
@@ -53,7 +53,9 @@ def with_missing_placed(
 def _known_points(
     observations: Observations, placed: np.ndarray, T: FloatArray, state: State
 ) -> tuple[FloatArray, np.ndarray]:
-    """Points (M, 3) triangulated from the pictures with a pose, and a mask (M,) of the reliable ones."""
+    """Points (M, 3), NaN if untriangulated, from pictures with a pose T (K, 4, 4), and a mask (M,) of the reliable
+    ones. These have 1.5° of parallax and all errors below 4 px.
+    """
     number = np.cumsum(placed) - 1
     seen = observations.at(placed[observations.keyframes])
     seen = replace(seen, keyframes=number[seen.keyframes])

@@ -55,7 +55,9 @@ class AdjustmentProgress:
 def adjusted_in_rounds(
     problem: Problem, state: State, progress: AdjustmentProgress, span: tuple[float, float], rounds: int = ROUNDS
 ) -> tuple[Problem, Adjusted]:
-    """Adjust and reject outliers ``rounds`` times; returns the problem with its inliers, and the solution."""
+    """Adjust ``rounds`` times, rejecting outliers in between; returns the problem with its inliers, and the solution.
+    Raises MappingFailed.
+    """
     everything = problem.observations
     edges = np.linspace(*span, rounds + 1).tolist()
     step = progress.step(edges[0], edges[1], "all measurements adjusted together")
@@ -76,7 +78,9 @@ def _cleaned(problem: Problem, observations: Observations, off_px: FloatArray) -
 
 
 def camera_sigmas(given: Camera | None) -> CameraSigmas | None:
-    """Prior sigmas of the intrinsics; None (held) if the adjustment's camera model has too few coefficients."""
+    """Prior sigmas of intrinsics: ``GUESSED`` for None, ``GIVEN`` for a pinhole with up to four coefficients, else None
+    (held).
+    """
     if given is None:
         return GUESSED
     is_modelled = given.lens is Lens.PINHOLE and len(given.distortion) <= _MODELLED_DISTORTION

@@ -61,11 +61,11 @@ class Sights:
 
     @property
     def times(self) -> FloatArray:
-        """(K,) seconds."""
+        """Times (K,) of the keyframes [s]."""
         return np.asarray(self.flow.times[self.rows])
 
     def take(self, some: IntArray) -> Sights:
-        """The same of some of the keyframes (M,)."""
+        """The sights of the keyframes in rows ``some`` (M,), renumbered; lengths and steps to others are dropped."""
         places = {k: place for place, k in enumerate(some.tolist())}
         lengths = tuple((places[a], places[b], m) for a, b, m in self.lengths if a in places and b in places)
         shutter = None if self.shutter is None else self.shutter.take(some)
@@ -102,11 +102,16 @@ class Evidence:
 
     @property
     def rotations(self) -> list[PairRotation]:
-        """Between pairs of keyframes."""
+        """Relative rotations of all pairs of keyframes: by corners, by matches of neighbours, by loops."""
         return [*self.turned, *(pair.rotation for pair in (*self.sequential, *self.loops))]
 
     def observations(self, sights: Sights, features: int = _FEATURES_PER_KEYFRAME) -> Observations:
-        """Sightings of corners and of about so many matched features per keyframe; fewer of both in long walks."""
+        """Sightings of corners and of about ``features`` matched features per keyframe; fewer of both above 1000
+        keyframes.
+
+        Raises:
+            MappingFailed: there are none.
+        """
         share = min(1.0, np.sqrt(_USUAL_KEYFRAMES / len(sights.rows)))
         places = [features.pixels.astype(np.float64) for features in sights.features]
         matched = matched_features(places, [*self.sequential, *self.loops])
@@ -118,10 +123,13 @@ class Evidence:
 
 
 def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progress: ProgressListener) -> Evidence:
-    """Sightings by followed corners and by matched features, and rotations between keyframes.
+    """Match features, track corners and collect relative rotations of the keyframes.
+
+    ``felt`` (K) are the cameras' rotations by the gyroscope, or None. Pairs that contradict it are left out.
 
     Raises:
         MappingFailed: the camera stayed in one place.
+        Cancelled: ``progress`` asked to stop.
     """
     corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
     rays = [camera.rays(features.pixels) for features in sights.features]

@@ -39,12 +39,16 @@ def in_map_frame(
     loops: Sequence[VerifiedPair],
     progress: AdjustmentProgress,
 ) -> Solved:
-    """The walk in the waypoints' frame; without waypoints, in the first camera's, upright if ``up`` is known.
+    """The walk adjusted to the waypoints in their frame; without waypoints, in the first camera's, upright if ``up`` is
+    known.
 
     Args:
         up: the upward direction, and one line on it.
         scales: measurements of the walk's scale.
         loops: loop closures.
+
+    Raises:
+        MappingFailed: the walk misses the waypoints.
     """
     T = adjusted.state.T_map_camera
     if not waypoints:
@@ -66,7 +70,9 @@ def _held_by_waypoints(
     loops: Sequence[VerifiedPair],
     progress: AdjustmentProgress,
 ) -> Solved:
-    """Adjust with the waypoints; remove mistaken ones, the largest error first."""
+    """Adjust with the waypoints; remove mistaken ones (at most a third, leaving three), the largest error first. Raises
+    MappingFailed.
+    """
     keyframes = {waypoint.name: int(np.abs(problem.times - waypoint.time).argmin()) for waypoint in frame.waypoints}
     measured = {
         waypoint.name: waypoint
@@ -95,9 +101,9 @@ def _held_by_waypoints(
 
 
 def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adjusted) -> dict[str, LeftOut]:
-    """Compare each waypoint with the walk estimated without it. The walk is already free of ``mistaken`` ones.
-
-    Sigmas are NaN where the walk's covariance is unknown."""
+    """Compare each waypoint, by name, with the walk estimated without it. The walk is already free of ``mistaken``
+    ones. Sigmas are NaN where the walk's covariance is unknown.
+    """
     covariances = adjusted.covariances([fix.keyframe for fix in fixes.values()])[:, :3, :3]
     found = {}
     for (name, fix), covariance in zip(fixes.items(), covariances, strict=True):
@@ -111,12 +117,14 @@ def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adj
 
 
 def _of_noise(fix: Fix, factor: float) -> Fix:
-    """The fix with its sigma scaled by ``factor``, unless the operator stated the sigma."""
+    """The fix with its sigma scaled by ``factor``, unless the sigma was stated (is not the default)."""
     return replace(fix, sigma_m=factor * fix.sigma_m) if fix.sigma_m == DEFAULT_SIGMA_M else fix
 
 
 def _with_waypoints_met(state: State, fixes: tuple[Fix, ...], loops: Sequence[VerifiedPair]) -> State:
-    """The walk after a pose graph, if it is too far from the waypoints for the adjustment alone."""
+    """The walk after a pose graph if it has an IMU and misses the fixes by more than ``FAR_M`` in the median, else as
+    it is.
+    """
     missed_m = [np.linalg.norm(state.positions[fix.keyframe] - fix.position) for fix in fixes]
     if state.inertial is None or np.median(missed_m) <= FAR_M:
         return state
@@ -126,9 +134,8 @@ def _with_waypoints_met(state: State, fixes: tuple[Fix, ...], loops: Sequence[Ve
 
 
 def _noise_factor(sigmas: Sequence[float]) -> float:
-    """Ratio of actual to assumed waypoint noise, from each waypoint's error in sigmas.
-
-    RMS over three coordinates each, with a prior at 1 because waypoints are few.
+    """Ratio of actual to assumed waypoint noise, 0.4 to 2, from each waypoint's error in sigmas (NaN is ignored). RMS
+    over three coordinates each, with a prior at 1 because waypoints are few.
     """
     sigmas = [value for value in sigmas if np.isfinite(value)]
     squares = _NOISE_PRIOR + sum(value**2 for value in sigmas)

@@ -11,11 +11,11 @@ _MAX_FOCAL_SIGMA = 0.03  # relative, of a focal length that counts as known
 
 
 def calibration_report(camera: Camera, focal_sigma_px: float) -> CalibrationReport:
-    """Report on intrinsics estimated together with the poses.
+    """Report on intrinsics estimated with the poses; observable if the focal length is known to 3 %.
 
     Args:
         camera: the estimate.
-        focal_sigma_px: standard deviation of its focal length.
+        focal_sigma_px: standard deviation of its focal length; may be NaN.
     """
     share = focal_sigma_px / camera.focal
     observable = share <= _MAX_FOCAL_SIGMA

@@ -33,7 +33,7 @@ def _grey(image: ByteArray) -> ByteArray:
 
 
 def off_tracks(field: FloatArray, before: FloatArray, now: FloatArray) -> FloatArray:
-    """Differences (N,) [px] between a dense field (H, W, 2) and the motion of corners from (N, 2) to (N, 2)."""
+    """Distances (N,) [px] of a dense field (H, W, 2) at ``before`` (N, 2) from the motions to ``now`` (N, 2)."""
     height, width = field.shape[:2]
     u, v = np.round(before).astype(np.int64).T
     there = field[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]

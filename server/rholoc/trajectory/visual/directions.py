@@ -43,7 +43,7 @@ def direction_between(
     tolerance_px: float,
     focal_px: float,
 ) -> PairDirection | None:
-    """Direction with most inliers; None with too few inliers or if its sign is ambiguous.
+    """Direction with most inliers; None with fewer than twelve inliers or 40 %, or if its sign is ambiguous.
 
     The two rays of a match and the baseline lie in one plane; the baseline is the intersection of all these planes.
 

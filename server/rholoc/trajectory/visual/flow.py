@@ -66,12 +66,12 @@ class Flow:
 
     @property
     def numbers(self) -> IntArray:
-        """(N,) frame numbers known to users; rows if none were given."""
+        """Frame numbers (N,) known to users; rows if none were given."""
         return np.arange(len(self.times)) if self.frame_numbers is None else self.frame_numbers
 
     @property
     def shared_with_next(self) -> IntArray:
-        """(N - 1,) number of corners that each frame shares with the next."""
+        """Number (N - 1,) of corners that each frame shares with the next."""
         frames = [self.of_frame(row)[0] for row in range(len(self.times))]
         pairs = itertools.pairwise(frames)
         return np.array([len(np.intersect1d(a, b, assume_unique=True)) for a, b in pairs], dtype=np.int64)
@@ -104,6 +104,7 @@ def track_corners(
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
+        Cancelled: ``progress`` asked to stop.
     """
     count, breadth = len(frames.times), 1.0 if camera is None else camera.breadth
     most_corners = round(_CORNERS * breadth)
@@ -150,9 +151,8 @@ _Seen = tuple[ByteArray, ByteArray, FloatArray, float]
 
 
 def _looked_at(frames: FrameSource, breadth: float = 1.0) -> Iterator[_Seen]:
-    """Every frame reduced and in grey, the factors (2,) to full-image pixels, and its sharpness.
-
-    A thread prepares the next frames while this one's corners are tracked.
+    """Iterate over every frame: whole, reduced in grey, factors (2,) to full-image pixels, and sharpness. A thread
+    prepares the next frames while this one's corners are tracked.
     """
     with ThreadPoolExecutor(1) as pool:
         waiting: list[Future[_Seen]] = []
@@ -182,7 +182,9 @@ def _reduced(gray: ByteArray, longer_side_px: int) -> ByteArray:
 
 
 def _followed(before: ByteArray, image: ByteArray, corners: FloatArray) -> tuple[FloatArray, BoolArray, float]:
-    """Track corners (K, 2) into the next image: those found, a mask (K,) of them, and the image motion."""
+    """Track corners (K, 2) into the next image: those found, a mask (K,) of them, and the median motion. The motion is
+    a share of the longer side; 0.05 if fewer than eight are found.
+    """
     if len(corners) == 0:
         return corners, np.zeros(0, dtype=np.bool_), _LOST_MOTION
     moved, is_moved = _flow(before, image, corners, None, _LEVELS, _FORWARD_STOP)
@@ -204,7 +206,9 @@ def _flow(
     levels: int,
     stop: tuple[int, int, float],
 ) -> tuple[FloatArray, BoolArray]:
-    """New positions (K, 2) of corners (K, 2), and a mask (K,) of those found."""
+    """New positions (K, 2) of corners (K, 2), and a mask (K,) of those found. ``guess`` (K, 2) is where the search
+    starts.
+    """
     flags = 0 if guess is None else cv2.OPTFLOW_USE_INITIAL_FLOW
     start = None if guess is None else guess.reshape(-1, 1, 2).copy()
     moved, found, _ = cv2.calcOpticalFlowPyrLK(

@@ -31,7 +31,11 @@ def centred_camera(size: tuple[int, int], focal_px: float) -> Camera:
 
 
 def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | None = None) -> GyroCalibration | None:
-    """Calibrate the gyroscope to camera rotations by optical flow between frames 0.2 s apart."""
+    """Calibrate the gyroscope to camera rotations by optical flow between frames 0.2 s apart.
+
+    ``most_pairs`` limits it to that many frames in the middle. None if :func:`calibrate_gyro`
+    finds fewer than seven intervals that IMU and frames share.
+    """
     rows = spaced_rows(flow.times, _INTERVAL_S)
     if most_pairs is not None and len(rows) > most_pairs:
         first = (len(rows) - most_pairs) // 2
@@ -47,9 +51,10 @@ def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | No
 
 
 def guess_camera(flow: Flow, imu: Imu | None, focal_px: float | None = None) -> Camera:
-    """Camera with the focal length that fits the gyroscope best.
+    """Undistorted camera with the focal length that fits the gyroscope best.
 
-    Without a gyroscope, or if the camera hardly turns, ``focal_px`` if given; else the median over pairs of pictures.
+    Without a gyroscope, or if the camera hardly turns, ``focal_px`` if given; else the median over pairs of pictures;
+    else 0.85 × the longer side.
     """
     longer = max(flow.size)
     stated = None if focal_px is None else focal_px / longer
@@ -85,7 +90,9 @@ def _focal_by_gyroscope(flow: Flow, imu: Imu) -> float | None:
 
 
 def _focal_by_pictures(flow: Flow) -> float | None:
-    """Median over pairs of pictures of the focal length with most inliers (six-point solver, poselib)."""
+    """Median over pairs of pictures of the focal length with most inliers (six-point solver), as a share of the longer
+    side. None if fewer than ten pairs give a plausible one (0.5 to 2).
+    """
     path = np.cumsum(flow.motion)
     starts = np.linspace(0, max(path[-1] - _PICTURE_MOTION, 0.0), _PICTURE_PAIRS)
     first = np.searchsorted(path, starts)

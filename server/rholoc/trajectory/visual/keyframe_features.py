@@ -70,7 +70,9 @@ class KeyframeFeatures:
         self._pool.shutdown(cancel_futures=True)
 
     def foresee(self, row: int, image: ByteArray, motion: float, sharpness: float) -> None:
-        """Take the next frame of the walk; if it ends a step, extract the features of that step's keyframe."""
+        """Take the next frame (H, W, 3) BGR of the walk; if it ends a step, extract the features of that step's
+        keyframe.
+        """
         ended = self._steps.add(row, float(self._frames.times[row]), motion, sharpness)
         if ended is not None and self._sharpest is not None:
             self._extract(ended, self._sharpest)
@@ -80,10 +82,11 @@ class KeyframeFeatures:
             self._extract(row, image)
 
     def of(self, rows: IntArray, progress: ProgressListener = silent) -> list[FeatureSet]:
-        """Features of the keyframes ``rows`` (K,), increasing.
+        """Features of the keyframes ``rows`` (K,), increasing. Waits for them; decodes frames that were not predicted.
 
         Raises:
             InvalidRecording: a frame cannot be decoded.
+            Cancelled: ``progress`` asked to stop.
         """
         last = self._steps.end()
         if last is not None and self._sharpest is not None:
@@ -98,7 +101,7 @@ class KeyframeFeatures:
         return features
 
     def _extract(self, row: int, image: ByteArray) -> None:
-        """Start an extraction; blocks while ``_MAX_WAITING`` others wait."""
+        """Start an extraction in a thread, unless the row's was started; blocks while two per thread wait."""
         if row in self._found:
             return
         while len(self._waiting) >= _MAX_WAITING:
@@ -113,12 +116,12 @@ class KeyframeFeatures:
 
 
 def _features_each(pictures: int) -> int:
-    """Number of features to extract per keyframe: matching all pairs of fewer pictures takes no longer with more."""
+    """Number of features per keyframe, 1000 to 1500: matching all pairs of fewer pictures takes no longer with more."""
     return round(float(np.clip(_FEATURES * np.sqrt(MAX_EXHAUSTIVE / pictures), _FEATURES, _MAX_FEATURES)))
 
 
 def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
-    """Features of an image reduced to ``longest_px``; to twice as much if they are fewer than ``_FEW``."""
+    """Features of an image reduced to ``longest_px``; to twice as much if they are fewer than 600."""
     found = _extract_reduced(image, extractor, longest_px)
     if len(found) >= _FEW or max(image.shape[:2]) <= longest_px:
         return found

@@ -19,10 +19,10 @@ _FILM_MOTION = 0.02  # from frame to frame in the mean, as a share of the image'
 
 
 def is_film(flow: Flow) -> bool:
-    """Whether the frames form a continuous video.
+    """Whether the frames form a continuous video: four in five share 40 corners with the next.
 
     False for a set of pictures and for a thinned-out film. Up to ``MAX_PICTURES`` frames are a set if they have no
-    times or if seconds pass between them.
+    times, if 0.4 s or more pass between them, or if they move by more than 2 % of the picture in the mean.
     """
     shared = flow.shared_with_next
     if len(shared) == 0 or float(np.quantile(shared, _FILM_SHARE)) < _FILM_CORNERS:
@@ -58,7 +58,14 @@ class KeyframeSteps:
         self.sharpest: int | None = None
 
     def add(self, row: int, time_s: float, motion: float, sharpness: float) -> int | None:
-        """Take the next frame. If it begins a step, return the keyframe of the step before, else None."""
+        """Take the next frame. If it begins a step, return the keyframe of the step before, else (or if too soon) None.
+
+        Args:
+            row: of the frame.
+            time_s: its time.
+            motion: image motion since the frame before, as a share of the longer side.
+            sharpness: any measure that grows with sharpness.
+        """
         if self.sharpest is None:
             self._start_s = time_s
         self._path += motion
@@ -70,7 +77,9 @@ class KeyframeSteps:
         return ended
 
     def end(self) -> int | None:
-        """Keyframe of the present step; None if too soon after the one before."""
+        """Keyframe of the present step, noted as taken; None without frames or less than 0.08 s after the one
+        before.
+        """
         if self.sharpest is None or self._time_s - self._last_s < self._shortest_s:
             return None
         self._last_s = self._time_s

@@ -20,12 +20,13 @@ _BESIDE = (1, 2, 3, 4, 6, 8)  # offsets of neighbours in a larger set, which may
 
 
 def sequential_pairs(count: int, distances: Sequence[int]) -> list[Pair]:
-    """Pairs of each of ``count`` keyframes with those ``distances`` later."""
+    """Pairs of each of ``count`` keyframes with those ``distances`` numbers later."""
     return [(i, i + d) for i in range(count) for d in distances if i + d < count]
 
 
 def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> list[Pair]:
-    """Similar pairs of keyframes at least ``apart`` in the sequence, at most ``each`` per keyframe.
+    """Sorted pairs of each keyframe with the ``each`` most similar ones at least ``apart`` in the sequence; none
+    without features.
 
     Retrieval by VLAD (:mod:`rholoc.features.vlad`), trained on these keyframes' descriptors. Skips the neighbours of a
     chosen pair, so that one place does not take all.
@@ -47,9 +48,9 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
 
 
 def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
-    """Pairs of unordered pictures that may overlap.
+    """Sorted pairs of unordered pictures that may overlap.
 
-    All pairs of up to ``MAX_EXHAUSTIVE`` pictures; else neighbours by number and the most similar pairs by VLAD.
+    All pairs of up to ``MAX_EXHAUSTIVE`` pictures; else neighbours by number and each one's 20 most similar by VLAD.
     """
     count = len(features)
     if count <= MAX_EXHAUSTIVE:
@@ -100,7 +101,7 @@ def _vectors(features: Sequence[FeatureSet]) -> FloatArray:
 
 
 def transitive_pairs(pairs: Sequence[Pair], tried: Collection[Pair]) -> list[Pair]:
-    """Pairs of pictures that both overlap a third one and have not been ``tried``."""
+    """Sorted pairs of pictures that both overlap a third one by ``pairs`` and have not been ``tried``."""
     beside: dict[int, set[int]] = defaultdict(set)
     for a, b in pairs:
         beside[a].add(b)

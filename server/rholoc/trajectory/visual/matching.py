@@ -77,7 +77,7 @@ def match_keyframes(
     followed: bool,
     progress: ProgressListener = silent,
 ) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
-    """Match neighbouring keyframes, and loop candidates. Returns both lists of verified pairs.
+    """Match neighbouring keyframes (15 inliers needed), and loop candidates (30). Returns both lists of verified pairs.
 
     Args:
         features: of K keyframes, in the order of time.
@@ -148,8 +148,9 @@ def match_pictures(
 
 
 def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
-    """Pairs that have a fair share of their pictures' best pairs' matches or link the parts these leave, and the rest.
+    """Pairs that are clear, and the rest.
 
+    A pair is clear if it has a third of the matches of its pictures' second best pairs, or links the parts these leave.
     What looks alike elsewhere, such as doors along a corridor, has few matches beside those of the same place.
 
     Args:
@@ -171,7 +172,7 @@ def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[Verifie
 
 
 def supported_loops(pairs: Sequence[VerifiedPair]) -> list[VerifiedPair]:
-    """Loop pairs with at least ``_STRONG_LOOP`` inliers, or with another loop pair nearby in the sequence."""
+    """Loop pairs with at least 80 inliers, or with another loop pair within two keyframes at both ends."""
     places = np.array([(pair.first, pair.second) for pair in pairs]).reshape(-1, 2)
     kept = []
     for pair, place in zip(pairs, places, strict=True):
@@ -190,7 +191,9 @@ def _verify(
     felt: Rotation | None,
     fewest: int,
 ) -> VerifiedPair | None:
-    """Inlier matches of one relative pose; None with too few, or if the gyroscope contradicts its rotation."""
+    """Inlier matches of one relative pose; None with fewer than ``fewest``, or if the gyroscope contradicts its
+    rotation. If the gyroscope explains 80 % of the inliers, its rotation replaces the picture's.
+    """
     i, j = pair
     matches = ratio_matches(descriptors(i), descriptors(j))
     if len(matches) < fewest:

@@ -30,7 +30,7 @@ class RollingShutter:
     velocities: FloatArray
 
     def take(self, rows: IntArray) -> RollingShutter:
-        """The same for some of the frames."""
+        """The motion of the frames in ``rows`` (M,), numbers 0..K-1."""
         return replace(self, velocities=self.velocities[rows])
 
     def pixels_at_once(self, frame: int, pixels: FloatArray) -> FloatArray:
@@ -40,7 +40,7 @@ class RollingShutter:
         return np.asarray(pixels - late_s * velocity)
 
     def at_once(self, frame: int, features: FeatureSet) -> FeatureSet:
-        """The features of frame 0..K-1 with corrected pixels."""
+        """The features of frame 0..K-1 with pixels as at the read-out of the middle row."""
         pixels = self.pixels_at_once(frame, features.pixels.astype(np.float64))
         return replace(features, pixels=pixels.astype(np.float32))
 
@@ -48,7 +48,7 @@ class RollingShutter:
 def measure_rolling_shutter(flow: Flow, rows: IntArray, readout_s: float) -> RollingShutter:
     """Image motion of the frames ``rows`` (K,), from corners tracked from the frame before to the one after.
 
-    Zero for frames with too few corners.
+    Zero for frames with fewer than twelve corners.
     """
     last = len(flow.times) - 1
     velocities = np.zeros((len(rows), 2, 3))
@@ -61,7 +61,9 @@ def measure_rolling_shutter(flow: Flow, rows: IntArray, readout_s: float) -> Rol
 
 
 def _affine(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Robust affine displacement (2, 3) of (u, v, 1), from points (N, 2) and their new positions (N, 2)."""
+    """Robust affine displacement (2, 3) of (u, v, 1), from points (N, 2) and their new positions (N, 2); 0 for fewer
+    than 12.
+    """
     middle, moved = (start + end) / 2, end - start
     A = np.column_stack([middle, np.ones(len(middle))])
     good = np.ones(len(middle), dtype=np.bool_)

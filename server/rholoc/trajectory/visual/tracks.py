@@ -57,11 +57,11 @@ class Observations:
         return Observations(self.keyframes[rows], self.tracks[rows], self.pixels[rows], depths)
 
     def scaled(self, factor: float) -> Observations:
-        """The same with depths multiplied by a factor."""
+        """The same with depths multiplied by a factor; unchanged without depths."""
         return self if self.depths is None else replace(self, depths=factor * self.depths)
 
     def take(self, kept: BoolArray) -> Observations:
-        """The sightings ``kept`` (N,) of points with at least ``_MIN_SIGHTINGS`` of them; points are renumbered."""
+        """The sightings ``kept`` (N,) of points with at least three of them; points are renumbered."""
         tracks = self.tracks[kept]
         often = np.bincount(tracks, minlength=self.points)[tracks] >= _MIN_SIGHTINGS
         rows = np.flatnonzero(kept)[often]
@@ -77,7 +77,9 @@ class Observations:
         )
 
     def thinned(self, per_keyframe: int) -> Observations:
-        """About ``per_keyframe`` sightings for each keyframe with more, of the points with most sightings."""
+        """The sightings of the points with most sightings, until each keyframe has about ``per_keyframe``;
+        renumbered.
+        """
         lengths = np.bincount(self.tracks, minlength=self.points)
         by_track = np.argsort(self.tracks, kind="stable")
         starts = np.concatenate([[0], np.cumsum(lengths)])
@@ -94,9 +96,10 @@ class Observations:
 def followed_corners(
     flow: Flow, rows: IntArray, camera: Camera, felt: Rotation | None, shutter: RollingShutter | None
 ) -> tuple[Observations, list[PairRotation]]:
-    """Sightings of tracked corners by keyframes, and relative rotations of the keyframes.
+    """Sightings of tracked corners by keyframes, and relative rotations of the keyframes (with 30 inliers or more).
 
-    A track is split where its corner is an outlier of the neighbours' relative pose (an occlusion, a moving object).
+    A track is split where its corner is an outlier of the neighbours' relative pose (an occlusion, a moving object),
+    and dropped with fewer than three sightings.
 
     Args:
         rows: (K,) the keyframes' rows.
@@ -139,7 +142,9 @@ def followed_corners(
 def _neighbours(
     flow: Flow, rows: IntArray, a: int, b: int, camera: Camera, tolerance: float, felt: Rotation | None
 ) -> tuple[IntArray, BoolArray, PairRotation | None]:
-    """Corners shared by keyframes ``a`` and ``b``, a mask of the relative pose's inliers, and its rotation."""
+    """Corners (C,) shared by keyframes ``a`` and ``b``, a mask (C,) of the relative pose's inliers, and its rotation.
+    The rotation is None with fewer than 30 inliers, or if the gyroscope contradicts it.
+    """
     shared, in_a, in_b = flow.shared(int(rows[a]), int(rows[b]))
     if len(shared) < _MIN_SHARED:
         return shared, np.zeros(len(shared), dtype=np.bool_), None
@@ -160,7 +165,7 @@ def _neighbours(
 
 
 def matched_features(places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> Observations:
-    """Sightings of matched features. A point is a connected component of matches.
+    """Sightings of matched features. A point is a connected component of matches, with at least three sightings.
 
     Two sightings of one point by the same keyframe are both left out.
 
@@ -203,7 +208,7 @@ def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> t
 def pieces_of(count: int, observations: Observations) -> IntArray:
     """Connected component (K,) of each of ``count`` keyframes, numbered from the largest.
 
-    Edges need ``_MIN_TOGETHER`` common points. Components smaller than ``_MIN_PIECE`` get -1.
+    Edges need ten common points. Components of fewer than three keyframes get -1.
     """
     seen = coo_matrix(
         (np.ones(len(observations), np.float32), (observations.keyframes, observations.tracks)),

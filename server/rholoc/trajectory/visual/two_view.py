@@ -51,7 +51,8 @@ class PairRotation:
 
 
 def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> TwoView:
-    """Relative pose with most inliers (LO-RANSAC; by poselib, for wide lenses by pycolmap).
+    """Relative pose with most inliers (LO-RANSAC; by poselib, for wide lenses by pycolmap); no inliers if none is
+    found.
 
     Args:
         first, second: (M, 3) rays of the matches, each in its camera's frame, M ≥ 5.
@@ -74,12 +75,13 @@ def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> Tw
 
 
 def absolute_pose(rays: FloatArray, points: FloatArray, tolerance: float) -> tuple[FloatArray, int]:
-    """Camera pose T_map_camera (4, 4) with most inliers, and their number (LO-RANSAC, poselib).
+    """Camera pose T_map_camera (4, 4) with most inliers (LO-RANSAC, poselib), arbitrary if none is found, and their
+    number.
 
     Args:
         rays: (M, 3) of detections, in the camera frame.
         points: (M, 3) their landmarks in the map frame.
-        tolerance: maximum error of an inlier on the plane z = 1; for wide lenses on the face of a cube.
+        tolerance: maximum reprojection error of an inlier on the plane z = 1; for wide lenses on the face of a cube.
     """
     options = {
         "max_reproj_error": tolerance,
@@ -93,7 +95,8 @@ def absolute_pose(rays: FloatArray, points: FloatArray, tolerance: float) -> tup
 def inliers_of_rotation(
     first: FloatArray, second: FloatArray, R_second_first: FloatArray, tolerance: float
 ) -> BoolArray:
-    """Mask (M,) of the inliers of a known rotation and the best translation, sampled from two matches each.
+    """Mask (M,) of the inliers of a known rotation and the best translation, sampled from two matches each. Matches
+    that the rotation alone explains are always inliers.
 
     Args:
         first, second: (M, 3) unit rays of the matches, each in its camera's frame.
@@ -117,7 +120,9 @@ def inliers_of_rotation(
 
 
 def ratio_matches(a: FloatArray, b: FloatArray) -> IntArray:
-    """Rows (M, 2) of mutual nearest neighbours in unit descriptors ``a`` and ``b`` (N, D) that pass the ratio test."""
+    """Rows (M, 2) of mutual nearest neighbours in unit descriptors ``a`` and ``b`` (N, D) that pass Lowe's ratio test
+    (0.8).
+    """
     if len(a) < 2 or len(b) < 2:
         return np.zeros((0, 2), np.int64)
     alike = a @ b.T

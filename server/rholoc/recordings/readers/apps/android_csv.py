@@ -24,7 +24,7 @@ _FRAMES = ("timestamp_ns", "filename")
 
 
 def recognises(folder: Path) -> bool:
-    """Whether the tables have this format's columns."""
+    """Whether ``frames.csv``, ``accelerometer.csv`` and ``gyroscope.csv`` have this format's columns."""
     return (
         has_columns(folder / "frames.csv", _FRAMES)
         and has_columns(folder / "accelerometer.csv", _ACCELEROMETER)
@@ -33,7 +33,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.

@@ -36,7 +36,7 @@ TABLES = ("frames.txt", "arposes.txt", "motarh.txt", "gyro.txt", "accel.txt")
 
 
 def recognises(folder: Path) -> bool:
-    """Whether the tables of frames and IMU are there with their numbers of columns."""
+    """Whether ``Frames.txt`` has 2 or 6 columns, and ``MotARH.txt`` 11, or ``Accel.txt`` and ``Gyro.txt`` 4 each."""
     frames = folder / "Frames.txt"
     imu = is_bare_table(folder / "MotARH.txt", 11) or (
         is_bare_table(folder / "Accel.txt", 4) and is_bare_table(folder / "Gyro.txt", 4)
@@ -45,7 +45,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder; without its video the recording has times of frames, and no images.
+    """Read a recording of this format from its folder; without its video it has times of frames, and no images.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.

@@ -31,12 +31,12 @@ _READOUT = "frame readout time"  # nanoseconds
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a table of the IMU and one of the frames with these columns."""
+    """Whether there are tables with columns of an IMU, and with times and focal lengths, whatever their names."""
     return _with_columns(folder, _IMU) is not None and _with_columns(folder, _FRAMES) is not None
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a table or the video is missing or broken, or they contradict each other.
@@ -75,7 +75,7 @@ def _with_columns(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 
 def _unit(path: Path) -> str:
-    """The unit that the header's first name states."""
+    """The unit of times, "s" or "ns", that the header's first name states. Raises InvalidRecording if it does not."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for line in file:
             if "timestamp[" in line.lower():
@@ -84,7 +84,7 @@ def _unit(path: Path) -> str:
 
 
 def _intrinsics(metadata: LoggedTable) -> FloatArray:
-    """fx, fy, cx, cy (N, 4); NaN where the app does not log them."""
+    """fx, fy, cx, cy (N, 4) [px] of each row; NaN where the app does not log them."""
     values = np.full((len(metadata), 4), np.nan)
     for place, name in enumerate(("fx", "fy", "cx", "cy")):
         if name in metadata.header:

@@ -23,7 +23,9 @@ _GYROSCOPE, _ACCELEROMETER, _TIMES = "_gyro.csv", "_accel.csv", "_timestamps.csv
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a pair of such tables with four columns each."""
+    """Whether there are tables of a gyroscope and, beside it, of an accelerometer, by their names, with four columns
+    each.
+    """
     gyroscope = _find(folder, _GYROSCOPE)
     if gyroscope is None:
         return False
@@ -32,7 +34,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a table or the video is missing or broken, or they contradict each other.
@@ -60,7 +62,7 @@ def read(folder: Path) -> Recording:
 
 
 def _find(folder: Path, ending: str) -> Path | None:
-    """The first file with such an ending in the folder, or in one of its folders."""
+    """The first file with such an ending, by name, in the folder, else in one of its folders; None if there is none."""
     return next(iter([*sorted(folder.glob(f"*{ending}")), *sorted(folder.glob(f"*/*{ending}"))]), None)
 
 

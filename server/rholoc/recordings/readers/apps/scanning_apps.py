@@ -113,7 +113,7 @@ class ScanningApp:
 
 
 def _depth_camera(depths: Sequence[Path | None], camera: Camera) -> Camera | None:
-    """Intrinsics of the depth images: the pictures' own, at their size."""
+    """Intrinsics of the depth images: the pictures' own ``camera``, at the first depth image's size; None without."""
     path = next((path for path in depths if path is not None and path.is_file()), None)
     return None if path is None else camera.resized(*image_size(path))
 
@@ -183,7 +183,7 @@ def _record3d(folder: Path) -> list[_Shot]:
 
 
 def _record3d_file(folder: Path) -> Path | None:
-    """The file of the poses, if there is one."""
+    """The file of the poses, ``metadata`` or ``metadata.json``; None if there is none."""
     named = (folder / name for name in ("metadata", "metadata.json"))
     return next((path for path in named if isinstance(_members_if_any(path).get("poses"), list)), None)
 
@@ -205,13 +205,13 @@ def _arkit_scenes(folder: Path) -> list[_Shot]:
 
 
 def _arkit_scenes_root(folder: Path) -> Path | None:
-    """The folder of the trajectory, which may be named after the scan; None if there is none."""
+    """The folder of ``lowres_wide.traj``, which may be a subfolder named after the scan; None if there is none."""
     found = sorted([*folder.glob("lowres_wide.traj"), *folder.glob("*_frames/lowres_wide.traj")])
     return found[0].parent if found else None
 
 
 def _time_of(picture: Path) -> float:
-    """Seconds in the name of ARKitScenes' picture."""
+    """Seconds in the name of ARKitScenes' picture. Raises InvalidRecording if there are none."""
     try:
         return float(picture.stem.rpartition("_")[2])
     except ValueError as error:
@@ -219,13 +219,13 @@ def _time_of(picture: Path) -> float:
 
 
 def _camera(numbers: FloatArray) -> Camera:
-    """The camera of a width, height, fx, fy, cx and cy (6,)."""
+    """The camera of a width, height, fx, fy, cx and cy (6,). Raises InvalidCamera if they are impossible."""
     width, height, *intrinsics = numbers.tolist()
     return Camera(int(width), int(height), *intrinsics)
 
 
 def _from_arkit(T_arkit_camera: FloatArray, source: str) -> FloatArray:
-    """T_map_camera (4, 4) of ARKit's pose; raises InvalidTrajectory if it has no rotation."""
+    """T_map_camera (4, 4) of ARKit's pose, z up; raises InvalidTrajectory, naming ``source``, if it has no rotation."""
     if not is_rotation(T_arkit_camera[:3, :3], _ROTATION_TOLERANCE):
         raise InvalidTrajectory(f"The pose in {source} has no rotation.", _ADVICE)
     return z_up(opencv_camera(T_arkit_camera))
@@ -246,7 +246,7 @@ def _members(path: Path) -> dict[str, Any]:
 
 
 def _members_if_any(path: Path) -> dict[str, Any]:
-    """As :func:`_members`; empty if the file is missing or broken."""
+    """The members of a JSON file; empty if it is missing or broken."""
     try:
         return _members(path)
     except InvalidRecording:
@@ -256,7 +256,9 @@ def _members_if_any(path: Path) -> dict[str, Any]:
 def _numbers(
     values: dict[str, Any], names: Sequence[str], count: int, source: str, error: type[InvalidInput] = InvalidRecording
 ) -> FloatArray:
-    """Some members' finite numbers (count,), one after the other."""
+    """The members' finite numbers (count,), flattened one after the other. Raises ``error``, naming ``source``, if a
+    member is missing or the numbers are not ``count``.
+    """
     try:
         found = np.concatenate([np.ravel(np.array(values[name], dtype=np.float64)) for name in names])
     except (KeyError, TypeError, ValueError):

@@ -33,12 +33,12 @@ _COLUMNS = ("time", "x", "y", "z")
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a gyroscope's table with this app's columns."""
+    """Whether ``Gyroscope.csv`` has this app's columns."""
     return has_columns(folder / "Gyroscope.csv", ("time", "seconds_elapsed", "x", "y", "z"))
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: there are no frames or no accelerations, or a file is broken.
@@ -81,7 +81,7 @@ def _milliseconds(path: Path) -> int:
 
 
 def _acceleration(folder: Path) -> tuple[Samples, bool]:
-    """The accelerations, and whether gravity is in them: measured, or added from its own table."""
+    """The accelerations, and whether gravity is in them: measured, or added from a table. Raises InvalidRecording."""
     total, linear, gravity = (folder / name for name in ("TotalAcceleration.csv", "Accelerometer.csv", "Gravity.csv"))
     if total.is_file():
         return _samples(total), True

@@ -41,12 +41,12 @@ class _Log:
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a file of JSON lines by this name."""
+    """Whether there is ``data.jsonl``."""
     return (folder / "data.jsonl").is_file()
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a line is not what it should be, or lines and video contradict each other.
@@ -132,7 +132,7 @@ def _calibration(path: Path) -> dict[str, Any] | None:
 
 
 def _intrinsics(values: Any) -> list[float]:
-    """fx, fy, cx, cy; NaN where there are none."""
+    """fx, fy, cx, cy of ``cameraParameters``; all NaN where one is missing."""
     try:
         return [float(values[name]) for name in _INTRINSICS]
     except (TypeError, KeyError, ValueError):

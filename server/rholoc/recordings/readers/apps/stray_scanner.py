@@ -35,12 +35,12 @@ _INTRINSICS = ("fx", "fy", "cx", "cy")
 
 
 def recognises(folder: Path) -> bool:
-    """Whether the odometry's table has this app's columns."""
+    """Whether ``odometry.csv`` has columns of time, frame, position and quaternion."""
     return has_columns(folder / "odometry.csv", ("timestamp", "frame", *_POSES))
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.

@@ -31,7 +31,7 @@ TABLES = ("*frames.csv", "*accelerometer.csv", "*gyro.csv", "*gyroscope.csv", "*
 
 
 def recognises(folder: Path) -> bool:
-    """Whether the iPhone's video and tables are there, with their numbers of columns."""
+    """Whether there are the iPhone's ``frames.mov``, ``frames.csv`` (2 columns) and two IMU files (4 each)."""
     phone = _phone(folder)
     return (
         (phone / "frames.mov").is_file()
@@ -42,7 +42,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.

@@ -57,7 +57,7 @@ _MAX_SENSOR_BYTES = 2**16
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a cam0 with a list of images."""
+    """Whether there is ``cam0/data.csv`` with columns of times and file names."""
     return has_columns(_root(folder) / "cam0" / "data.csv", ("timestamp", "filename"))
 
 
@@ -94,7 +94,9 @@ def read(folder: Path) -> Recording:
 
 
 def _rig(root: Path, first: Camera | None) -> Recording | None:
-    """Pictures of cam0 and cam1, linked where they are of one moment; None unless both are calibrated and mounted."""
+    """Pictures of cam0 and cam1, linked where they are of one moment; None unless both are calibrated and mounted, with
+    common moments. Raises InvalidRecording, InvalidCamera.
+    """
     paths: list[Path] = []
     moments: list[float] = []
     cameras: list[Camera] = []
@@ -156,7 +158,7 @@ def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
 
 
 def _body(sensor: dict[str, Any]) -> FloatArray | None:
-    """T_body_sensor (4, 4), or None where the file does not give it."""
+    """T_body_sensor (4, 4) of a sensor's description; None where it is missing or no rigid motion."""
     try:
         T = np.array(sensor["T_BS"]["data"], dtype=np.float64).reshape(4, 4)
     except (KeyError, TypeError, ValueError, OverflowError):

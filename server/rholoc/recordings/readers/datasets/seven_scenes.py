@@ -29,12 +29,12 @@ _COLOUR = (".color.png", ".color.jpg")
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there are colour images with poses beside them, by their names."""
+    """Whether the first colour image (``.color.png`` or ``.jpg``) has a pose beside it, by its name."""
     return any(_pose_file(image).is_file() for image in _images(folder)[:1])
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: an image is broken.
@@ -70,7 +70,7 @@ def _depth_file(image: Path) -> Path:
 
 
 def _read_pose(path: Path) -> FloatArray:
-    """T_world_camera (4, 4); NaN if unknown."""
+    """T_world_camera (4, 4); NaN without a file. Raises InvalidTrajectory if it is no matrix, or has no rotation."""
     if not path.is_file():
         return np.full((4, 4), np.nan)
     try:

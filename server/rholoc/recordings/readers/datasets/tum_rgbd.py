@@ -31,12 +31,12 @@ _SAME_MOMENT_S = 0.02  # of a colour and a depth image
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a list of colour images with this dataset's name and columns; its header is a comment."""
+    """Whether ``rgb.txt`` has two columns, the first of numbers; its header is a comment."""
     return is_bare_table(folder / "rgb.txt", 2)
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: the list or an image is missing or broken.
@@ -61,11 +61,7 @@ def read(folder: Path) -> Recording:
 
 
 def _list(path: Path) -> tuple[FloatArray, list[str]]:
-    """The times (M,) in seconds and the names of listed images.
-
-    Raises:
-        InvalidRecording: the list is broken.
-    """
+    """The times (M,) in seconds and the names of listed images. Raises InvalidRecording: the list is broken."""
     table = read_logged_table(path)
     if table.columns != 2:
         raise InvalidRecording(f"{path.name} has {table.columns} columns.", "Each row is a time and an image's name.")
@@ -73,10 +69,8 @@ def _list(path: Path) -> tuple[FloatArray, list[str]]:
 
 
 def _depth(folder: Path, times: FloatArray) -> DepthImages | None:
-    """For each frame, of some time (N,) in seconds, the depth image that was taken with it.
-
-    Raises:
-        InvalidRecording: the list is broken.
+    """For each frame, at times (N,) [s], the depth image nearest in time, if within 20 ms; None without a list of them.
+    Raises InvalidRecording: the list is broken.
     """
     if not (folder / "depth.txt").is_file():
         return None

@@ -84,12 +84,12 @@ class _Image:
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a model."""
+    """Whether the folder has a COLMAP model, as text or binary."""
     return _model(folder) is not None
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder; images that the model does not place are ignored.
+    """Read a recording of this format from its folder; images that the model does not place are ignored.
 
     Raises:
         InvalidRecording: the model or an image is broken.
@@ -115,7 +115,9 @@ def read(folder: Path) -> Recording:
 
 
 def _pictures_folder(folder: Path, name: str) -> Path:
-    """The folder that a picture's name is relative to: ``images`` if there is one, else any that has the picture."""
+    """The folder that a picture's name is relative to: ``images``, else the first that has it. Raises
+    InvalidRecording.
+    """
     if (folder / "images").is_dir():
         return folder / "images"
     some = [path for path in (folder, *sorted(folder.iterdir())) if path.is_dir()]
@@ -136,10 +138,8 @@ def _read_text(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
 
 
 def _read_binary(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
-    """The images, and the fields of each camera as a text file has them, by identifier.
-
-    Raises:
-        InvalidRecording: a file is cut off or is something else.
+    """The images, and the fields of each camera as a text file has them, by identifier. Raises InvalidRecording: a file
+    is cut off, is something else or lists no images.
     """
     try:
         return _binary_images((model / "images.bin").read_bytes()), _binary_cameras(
@@ -197,17 +197,13 @@ def _read_images(path: Path) -> list[_Image]:
 
 
 def _read_cameras(path: Path) -> dict[str, list[str]]:
-    """The fields after the identifier, by identifier."""
+    """The fields after the identifier, by identifier, of a text file. Raises InvalidRecording if it cannot be read."""
     rows = (line.split() for line in read_text(path).splitlines() if line.strip() and not line.startswith("#"))
     return {row[0]: row[1:] for row in rows}
 
 
 def _camera(fields: list[str]) -> Camera | None:
-    """The camera of a line's fields; None where the model is not supported.
-
-    Raises:
-        InvalidCamera: the fields are broken.
-    """
+    """The camera of a line's fields; None if the model is not supported. Raises InvalidCamera if they are broken."""
     try:
         values = [float(field) for field in fields[3:]]
         return camera_of_model(fields[0], (int(fields[1]), int(fields[2])), values)
@@ -220,7 +216,9 @@ def _camera(fields: list[str]) -> Camera | None:
 def _cameras(
     fields: dict[str, list[str]], used: Sequence[str]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
-    """Camera of each image; None if one of them is of a model that is not supported."""
+    """Camera of each image by the numbers ``used``; None, with a warning, if one is of a model that is not supported.
+    Raises InvalidCamera if a camera is missing or broken.
+    """
     found: dict[str, Camera] = {}
     for number in dict.fromkeys(used):
         if number not in fields:

@@ -40,12 +40,12 @@ _Pose = dict[tuple[str, str], FloatArray]
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there are sensors and pictures."""
+    """Whether there are ``sensors/sensors.txt`` and ``sensors/records_camera.txt``."""
     return all((folder / "sensors" / name).is_file() for name in ("sensors.txt", "records_camera.txt"))
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: a table or an image is broken.
@@ -108,7 +108,7 @@ def read_cameras(path: Path) -> dict[str, Camera | None]:
 
 
 def _rows(path: Path, fewest: int, error: type[InvalidInput] = InvalidRecording) -> list[list[str]]:
-    """The fields of each line; raises ``error`` where there are fewer, or no lines."""
+    """The fields of each line; raises ``error`` if a line has fewer than ``fewest``, or there are no lines."""
     lines = [line for line in read_text(path, error).splitlines() if line.strip() and not line.startswith("#")]
     rows = [[field.strip() for field in line.split(",")] for line in lines]
     broken = next((row for row in rows if len(row) < fewest), None)
@@ -131,7 +131,7 @@ def _number(text: str, table: str) -> float:
 def _cameras(
     known: dict[str, Camera | None], used: Sequence[str]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
-    """The camera of each picture; None if one of them is not known."""
+    """The camera of each picture, by the sensors ``used``; None if one is unknown, with a warning for its model."""
     cameras = [known.get(sensor) for sensor in used]
     unknown = next((sensor for sensor, camera in zip(used, cameras, strict=True) if camera is None), None)
     if unknown is None:
@@ -152,7 +152,7 @@ def _frames(
 
 
 def _imu(tables: Path) -> Imu | None:
-    """The first accelerometer and gyroscope that there are."""
+    """The IMU of the first accelerometer and gyroscope listed; None if one is missing. Raises InvalidRecording."""
     samples = []
     for name in ("accelerometer", "gyroscope"):
         path = tables / f"records_{name}.txt"
@@ -172,7 +172,7 @@ def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[st
 
 
 def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> GivenPoses | None:
-    """T_world_camera of each picture, by its own trajectory or by its rig's."""
+    """T_world_camera of each picture, by its own trajectory or its rig's; None without. Raises InvalidTrajectory."""
     path = tables / "trajectories.txt"
     if not path.is_file():
         return None
@@ -191,7 +191,7 @@ def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> Giv
 
 
 def _pose_table(path: Path) -> _Pose:
-    """The transform (4, 4) of each line, by its first two fields."""
+    """The transform (4, 4) of each line, by its first two fields. Raises InvalidTrajectory."""
     rows = _rows(path, 9, InvalidTrajectory)
     try:
         numbers = np.array([[float(text) for text in row[2:9]] for row in rows])

@@ -44,12 +44,12 @@ _ADVICE = "Export the cameras again, as Agisoft XML."
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is an XML file of Metashape's cameras."""
+    """Whether there is an XML file that lists a chunk's cameras."""
     return _document(folder) is not None
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: no camera is aligned, or a photo is missing or broken.
@@ -106,13 +106,15 @@ def _without_entities(text: str) -> str:
 
 
 def _photos(folder: Path) -> dict[str, Path]:
-    """Photos below the folder, by their lower-case names with and without suffix."""
+    """Photos below the folder, by their lower-case names with and without suffix; of equal names the first by path."""
     found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
     return {name.lower(): path for path in reversed(found) for name in (path.stem, path.name)}
 
 
 def _pose(camera: Element, frame: Element | None) -> FloatArray:
-    """T_map_camera (4, 4) of a camera, in the frame of its component, or of its chunk if that is None."""
+    """T_map_camera (4, 4) of a camera, in the frame of its component, or of its chunk if that is None. Raises
+    InvalidTrajectory if a transform is no pose.
+    """
     T = _numbers(camera.find("transform"), 16).reshape(4, 4)
     rotation, translation, scale = (
         None if frame is None else frame.find(n) for n in ("rotation", "translation", "scale")
@@ -137,7 +139,7 @@ def _numbers(element: Element | None, count: int) -> FloatArray:
 
 
 def _cameras(sensors: Sequence[Element | None]) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
-    """Camera of each sensor; None if one of them is of a type that is not supported."""
+    """Camera of each sensor; None, with a warning, if one is missing or of unknown type. Raises InvalidCamera."""
     known: dict[Element | None, Camera] = {}
     for sensor in dict.fromkeys(sensors):
         kind = "unknown" if sensor is None else str(sensor.get("type", "frame"))
@@ -148,7 +150,7 @@ def _cameras(sensors: Sequence[Element | None]) -> tuple[list[Camera] | None, tu
 
 
 def _camera(sensor: Element, lens: Lens) -> Camera:
-    """The adjusted calibration of a sensor, else the first one."""
+    """Camera of a sensor's adjusted calibration, else of its first one. Raises InvalidCamera if it has no valid one."""
     calibration = sensor.find("calibration[@class='adjusted']")
     calibration = sensor.find("calibration") if calibration is None else calibration
     resolution = sensor.find("resolution")
@@ -173,7 +175,7 @@ def _camera(sensor: Element, lens: Lens) -> Camera:
 
 
 def _three_coefficients(radial: Sequence[float], radius: float) -> tuple[float, float, float]:
-    """k1, k2, k3 nearest to k1 … k4 up to a ``radius`` on the plane z = 1."""
+    """k1, k2, k3 nearest to ``radial``, k1 … k4, in least squares up to a ``radius`` on the plane z = 1."""
     if not radial[3]:
         return radial[0], radial[1], radial[2]
     squares = np.linspace(0.05, 1, 40) ** 2 * radius**2

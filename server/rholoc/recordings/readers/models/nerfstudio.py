@@ -43,7 +43,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read the folder.
+    """Read a recording of this format from its folder.
 
     Raises:
         InvalidRecording: ``transforms.json`` or an image is broken.
@@ -96,7 +96,7 @@ def _pose(frame: dict[str, Any]) -> FloatArray:
 
 
 def _applied_transform(values: dict[str, Any]) -> FloatArray:
-    """(4, 4) of the transform that was applied to the original world; the identity if none is stated."""
+    """Transform (4, 4) applied to the original world; the identity if none is stated. Raises InvalidTrajectory."""
     try:
         given = np.array(values.get("applied_transform", np.eye(4)[:3]), dtype=np.float64)
     except (TypeError, ValueError):
@@ -109,7 +109,7 @@ def _applied_transform(values: dict[str, Any]) -> FloatArray:
 def _cameras(
     values: dict[str, Any], frames: list[dict[str, Any]], paths: list[Path]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
-    """Camera of each frame; None if one is unknown or of a model that is not supported."""
+    """Camera of each frame; None, with warnings, if one is unknown or of an unsupported model. Raises InvalidCamera."""
     cameras = []
     for frame, path in zip(frames, paths, strict=True):
         camera, warnings = _camera({**values, **frame}, _size(path))
@@ -127,11 +127,7 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def _number(values: dict[str, Any], name: str) -> float:
-    """A number; NaN if missing.
-
-    Raises:
-        InvalidCamera: it is something else, or far too large.
-    """
+    """The member ``name`` as a float; NaN if missing. Raises InvalidCamera for no number, or of size 1e9."""
     if name not in values:
         return math.nan
     value = values[name]

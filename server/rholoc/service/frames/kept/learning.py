@@ -69,13 +69,13 @@ class Learner:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start, if the settings enable it."""
+        """Start the thread that keeps queries, if the settings enable it."""
         if self._settings.learn:
             self._thread = threading.Thread(target=self._keep_all, name="rholoc-learner", daemon=True)
             self._thread.start()
 
     def close(self) -> None:
-        """Stop; pending lessons are dropped."""
+        """Drop pending lessons and stop the thread, within 5 s."""
         if self._thread is None:
             return
         with suppress(queue.Empty):
@@ -85,8 +85,10 @@ class Learner:
         self._thread.join(_STOP_S)
 
     def listener(self, asker: str) -> Listener | None:
-        """Listener for confident answers to ``asker``, the name of a key or an address; None if their queries are not
-        kept."""
+        """Listener for the answers to ``asker``, a key's name or an address; None if its queries are not kept.
+
+        It takes those of a confidence of at least 0.8, and drops them if 8 are pending.
+        """
         if self._thread is None or asker in self._barred:
             return None
         if asker.startswith(HANDED_PREFIX) and not self._settings.learn_from_handed:
@@ -107,7 +109,7 @@ class Learner:
         return self._thread is not None
 
     def pseudonym(self, asker: str) -> str:
-        """12 hex digits that stand for an asker, irreversible without the salt.
+        """12 hex digits that stand for an asker, irreversible without the salt, which is made on first use.
 
         Raises:
             StorageFull, InvalidInput: there is no salt yet, and it cannot be stored.

@@ -86,7 +86,11 @@ class Live:
         """Set by the next answer, which puts another one in its place."""
 
     def note(self, answer: LocalizationOut, expected: Sequence[float] | None = None) -> None:
-        """Record an answer; ``expected`` is the position of the request's prior."""
+        """Record an answer to the request's asker, and wake those who wait for ``changed``; ``expected`` is the prior's
+        position.
+
+        It is also a failure if it has no pose or a confidence below 0.8. Nothing happens if neither is enabled.
+        """
         if not (self._shown or self._keeps_failures):
             return
         now, asker = time.time(), ASKER.get()
@@ -124,7 +128,7 @@ class Live:
         self._failures.append(failure)
 
     def after(self, map_name: str, number: int) -> list[Sighting]:
-        """The last answer in a map to each recent asker, if it came after answer ``number``.
+        """The last answer in a map to each asker of the last 10 s, if its number is above ``number``; the oldest first.
 
         Raises:
             Conflict: this server does not show askers.

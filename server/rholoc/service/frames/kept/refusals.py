@@ -73,7 +73,11 @@ class Refusals:
         self.wanted = most > 0
 
     def keep(self, answer: LocalizationOut, image: bytes) -> None:
-        """Keep a small copy of a picture that was refused for a known cause."""
+        """Keep a JPEG of at most 480 px of a picture, with the diagnosis; nothing if it was localized or has none.
+
+        Raises:
+            InvalidImage: it cannot be decoded.
+        """
         why = answer.diagnosis
         if not self.wanted or answer.localized or why is None:
             return
@@ -101,11 +105,11 @@ class Refusals:
         return [one for one in reversed(tuple(self._kept)) if one.map == name and one.time >= since]
 
     def get(self, name: str, number: int) -> Refusal:
-        """A refusal of a map by its number.
+        """The refusal of a map of that number.
 
         Raises:
             Conflict: this server keeps none.
-            UnknownPicture: it is no longer kept.
+            UnknownPicture: it is no longer kept, or a day old.
         """
         for one in self.of_map(name):
             if one.number == number:
@@ -114,7 +118,7 @@ class Refusals:
 
 
 def likeness(localizer: AnyLocalizer, refusal: Refusal) -> LikenessOut:
-    """The view that a refused picture resembles most, and the matches between the two."""
+    """The view that a refused picture resembles most (None if none), and their matches as of :func:`lines_between`."""
     image = decode_image(refusal.picture, _MAX_PIXELS, SENT_FORMATS)
     features = localizer.extractor.extract(image)
     views = likeliest_views(localizer, features, 1)
@@ -126,7 +130,8 @@ def likeness(localizer: AnyLocalizer, refusal: Refusal) -> LikenessOut:
 
 
 def lines_between(features: FeatureSet, size: tuple[int, int], map_: Map, view: int, metric: Metric) -> FloatArray:
-    """Mutual matches (M, 4) of a picture with one of a map's views: u and v in either, as shares of width and height.
+    """At most 60 mutual matches (M, 4) of a picture with a map's view: u, v in it, u, v in the view, as shares of width
+    and height.
 
     Args:
         features: of the picture.

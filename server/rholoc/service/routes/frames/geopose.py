@@ -88,7 +88,9 @@ class OscpRequest(_OscpModel):
     @model_validator(mode="before")
     @classmethod
     def _of_version_1(cls, values: Any) -> Any:
-        """In version 1 readings are a list of {sensorId, reading}, and the intrinsics are the sensor's."""
+        """A request of version 1 (a list of {sensorId, reading}; intrinsics are the sensor's) as one of version 2;
+        others unchanged.
+        """
         if not isinstance(values, dict) or not isinstance(values.get("sensorReadings"), list):
             return values
         sensors = {one.get("id"): one for one in values.get("sensors") or () if isinstance(one, dict)}
@@ -175,10 +177,8 @@ async def find_geopose(request: Request, service: Service, requested: Requested)
 
 
 def _accepted(request: Request) -> str:
-    """The protocol's version that the client accepts.
-
-    Raises:
-        InvalidRequest: another than 1 and 2.
+    """The protocol's version that the client accepts, by its header: "1", "2", "1.0" or "2.0"; "2.0" if it says
+    nothing. Raises InvalidRequest: another than 1 and 2.
     """
     asked = _VERSION.search(request.headers.get("accept", ""))
     version = "2.0" if asked is None else asked[1]
@@ -188,10 +188,10 @@ def _accepted(request: Request) -> str:
 
 
 def _frame(wanted: OscpRequest) -> Frame:
-    """The frame to localize.
+    """The frame to localize: the last picture, encoded as PNG if it is raw, with its intrinsics.
 
     Raises:
-        InvalidImage: the picture is not base64, or raw pixels of an unknown format.
+        InvalidImage: the picture is not base64, or raw pixels of an unknown format or another size.
         InvalidCamera: its intrinsics are impossible.
     """
     reading = wanted.sensorReadings.cameraReadings[-1]
@@ -206,7 +206,7 @@ def _frame(wanted: OscpRequest) -> Frame:
 
 
 def _encoded(pixels: bytes, reading: OscpCameraReading) -> bytes:
-    """Raw pixels as a PNG."""
+    """Raw pixels as a PNG. Raises InvalidImage for an unknown format or a wrong length."""
     channels, conversion = _RAW.get(reading.imageFormat.upper(), (0, 0))
     width, height = reading.size if len(reading.size) == 2 else (0, 0)
     if not channels or min(width, height) < 1 or len(pixels) != width * height * channels:
@@ -218,7 +218,7 @@ def _encoded(pixels: bytes, reading: OscpCameraReading) -> bytes:
 
 
 def _camera(reading: OscpCameraReading) -> CameraChoice:
-    """The reading's intrinsics; those of the map where it has none."""
+    """The reading's intrinsics; empty, which stands for the map's, if it has none. Raises InvalidCamera."""
     params = reading.params
     if params is None or params.model == "UNKNOWN_CAMERA" or not params.modelParams:
         return CameraChoice()

@@ -42,7 +42,7 @@ _FAILURES = (
 
 
 def _multipart(images: str, request: dict[str, str], required: list[str]) -> dict[str, Any]:
-    """OpenAPI of a multipart body with JPEG or PNG parts and a JSON part ``request``."""
+    """OpenAPI of a multipart body with parts called ``images``, JPEG or PNG, and JSON of the schema ``request``."""
     return {
         "schema": {"type": "object", "required": required, "properties": {images: BINARY, "request": request}},
         "encoding": {images: {"contentType": "image/jpeg, image/png"}, "request": {"contentType": "application/json"}},

@@ -75,7 +75,7 @@ class OptionParameters:
     ] = None
 
     def options(self) -> dict[str, Any]:
-        """The given options as fields of :class:`LocalizeOptions`."""
+        """The given options as fields of :class:`LocalizeOptions`. Raises InvalidRequest for a list not of numbers."""
         camera = _given(
             name=self.camera,
             fx=self.fx,
@@ -124,10 +124,12 @@ Options = Annotated[OptionParameters, Depends()]
 
 @asynccontextmanager
 async def read_frame(request: Request, options: OptionParameters, service: State) -> AsyncIterator[Frame]:
-    """Read one picture or descriptor set; its memory is counted until the end of the block.
+    """Yield the picture or descriptor set of a request, with its options; its memory is counted until the end of the
+    block.
 
     Raises:
-        InvalidRequest, UnsupportedMediaType, TooLarge, InvalidImage, Busy: the body is none, or there is no room.
+        InvalidRequest, ValidationError, UnsupportedMediaType, TooLarge, InvalidImage, Busy: the body is none, or there
+            is no room.
         UnknownCamera, InvalidCamera: the request names a stored camera that there is not, or that is damaged.
     """
     settings, kind = service.settings, media_type(request)
@@ -160,7 +162,9 @@ async def read_frame(request: Request, options: OptionParameters, service: State
 
 @asynccontextmanager
 async def read_frames(request: Request, service: State) -> AsyncIterator[Frames]:
-    """Several frames, as JSON or multipart. Raises as :func:`read_frame`, and as :meth:`Frames.of`."""
+    """Yield the frames of a request, sent as JSON or multipart. Raises InvalidRequest, ValidationError,
+    UnsupportedMediaType, TooLarge, InvalidImage, Busy, UnknownCamera, InvalidCamera.
+    """
     settings, kind = service.settings, media_type(request)
     limits = JsonLimits.of_features(settings.max_request_bytes, MAX_FRAMES * settings.max_features)
     images: dict[int, bytes] = {}
@@ -185,7 +189,9 @@ async def read_frames(request: Request, service: State) -> AsyncIterator[Frames]
 
 
 async def _read_parts(request: Request, settings: Settings, on_piece: PieceListener) -> tuple[bytes, dict[str, bytes]]:
-    """The part ``request`` of a multipart body, empty if it is missing, and its other files by name."""
+    """The part ``request`` of a multipart body, empty if it is missing, and its other files by name. Raises
+    InvalidRequest.
+    """
     files: dict[str, bytearray] = {}
 
     def keep(field_name: str, _filename: str, chunk: bytes) -> None:
@@ -207,9 +213,7 @@ def _unsupported(kind: str) -> UnsupportedMediaType:
 
 def _image_listener(on_piece: PieceListener) -> PieceListener:
     """A listener that refuses, by its first bytes, a body that is not an image, and passes the pieces to ``on_piece``.
-
-    Raises:
-        InvalidImage: from the listener.
+    Raises InvalidImage: from the listener.
     """
     start = b""
 

@@ -46,7 +46,7 @@ async def track(socket: WebSocket, map_name: str) -> None:
 
 
 async def _end(socket: WebSocket, error: RholocError, request_id: str) -> None:
-    """Send the reason, and end the stream."""
+    """Send the error with the request's id, and close the WebSocket; does nothing if the client has left."""
     code = _ENDED_BY_FAILURE if isinstance(error, Internal) else _ENDED_BY_ERROR
     with suppress(RuntimeError, WebSocketDisconnect):  # the client has left
         await socket.send_text(StreamError.model_validate(error_body(error, request_id)).model_dump_json())

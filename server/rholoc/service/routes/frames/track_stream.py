@@ -49,7 +49,9 @@ class _Pace:
     last_s: float = 0.0
 
     def wait_s(self) -> float:
-        """Seconds to wait before the next message is read."""
+        """Seconds to wait before the next message is read, which is counted: 0 in a burst of 30, then to keep to 100 a
+        second.
+        """
         now_s = time.monotonic()
         self.left = min(_BURST, self.left + (now_s - self.last_s) * _FRAMES_PER_S)
         self.last_s = now_s
@@ -72,10 +74,11 @@ class Stream:
         self._pace = _Pace()
 
     async def run(self) -> None:
-        """Answer messages until the client leaves.
+        """Answer messages until the client leaves or errs: first a Begin, then frames.
 
         Raises:
             RholocError: what was sent cannot be used, or nothing was sent for long.
+            WebSocketDisconnect: the client has left.
         """
         begin = await self._receive(Begin)
         localizer = await self._service.frames.localizer(self._name)
@@ -167,7 +170,7 @@ class Stream:
         return message
 
     def _decoded(self, picture: bytes) -> np.ndarray | None:
-        """A picture in grey; None where it is too large to be followed."""
+        """A picture (H, W) in grey; None above a megapixel, which is not followed. Raises InvalidImage."""
         image = decode_image(picture, self._service.settings.max_image_pixels, SENT_FORMATS)
         if image.shape[0] * image.shape[1] > _FOLLOWED_PIXELS:
             return None
@@ -182,7 +185,7 @@ class _ServedTrack:
         self._track: FollowedTrack | None = None
 
     def frame(self, message: FrameMessage, image: np.ndarray | None) -> Tracked:
-        """Take in a frame.
+        """Take in a frame, its IMU readings first, and return where the camera was; ``image`` (H, W) grey is followed.
 
         Raises:
             InvalidInput: times go backward, a pose is not a rigid motion, a reading is not finite.
@@ -195,17 +198,17 @@ class _ServedTrack:
             return self._track.frame(message.time_s, _odometry(message), image)
 
     def now(self) -> Tracked:
-        """Where the camera was at the last frame."""
+        """Where the camera was at the last frame; after :meth:`frame`."""
         assert self._track is not None
         return self._track.now()
 
     @property
     def wants_answer(self) -> bool:
-        """Whether localizing the last frame would pay."""
+        """Whether the track wants the last frame localized; False before the first."""
         return self._track is not None and self._track.wants_answer
 
     def ask(self, picture: bytes) -> Frame:
-        """The frame to localize for the track's current question."""
+        """The frame to localize for the track's current question, with its prior; the question is open from then on."""
         assert self._track is not None
         question: Question = self._track.ask()
         prior = None if question.prior is None else PriorIn(**_lists(question.prior.as_sent()))
@@ -215,12 +218,12 @@ class _ServedTrack:
         return Frame(options, image=picture, stored=self._stored, effort=effort_of(picture))
 
     def unanswered(self) -> None:
-        """The question came to nothing."""
+        """Tell the track that its question is not answered."""
         assert self._track is not None
         self._track.unanswered()
 
     def answered(self, answer: LocalizationOut) -> None:
-        """Take in an answer."""
+        """Take in the answer to the open question. Raises InvalidInput."""
         assert self._track is not None
         found = parse_localization(answer.model_dump(mode="json"))
         matches = found.agreeing
@@ -250,7 +253,7 @@ def _lists(values: dict[str, Any]) -> dict[str, Any]:
 
 @contextmanager
 def _as_service_errors() -> Iterator[None]:
-    """The track's own errors as the service's."""
+    """Within the block, turn the track's InvalidTrack into InvalidInput."""
     try:
         yield
     except InvalidTrack as error:

@@ -38,10 +38,11 @@ class RequestedMaps:
     ] = 100.0
 
     async def choice(self, service: State) -> MapChoice:
-        """The maps to ask.
+        """The maps to ask: those named, of the site, near the place, or without any of these all; unknown ones of a
+        site are left out.
 
         Raises:
-            InvalidRequest: the request says more than one of names, site and place.
+            InvalidRequest: the request says more than one of names, site and place, or half a place.
             UnknownSite, UnknownMap: there is no such site, or no map of it, or none there.
         """
         place = self._place()
@@ -75,10 +76,10 @@ Requested = Annotated[RequestedMaps, Depends()]
 
 
 async def named_maps(maps: str | None, service: State) -> MapChoice:
-    """The maps of some names separated by commas, or all.
+    """The maps of some names separated by commas, which are not checked; all for None and "all".
 
     Raises:
-        UnknownMap: there is no map yet.
+        UnknownMap: all are asked for, and there is none.
     """
     names = list(dict.fromkeys(name.strip() for name in (maps or "all").split(",")))
     if names != ["all"]:

@@ -294,9 +294,8 @@ async def get_preview(map_name: str, request: Request, service: Service) -> Resp
 async def _made(
     request: Request, service: State, name: str, make: Callable[[Map], tuple[bytes, str]], *parts: object
 ) -> Response:
-    """Response with the content and media type that ``make`` returns for a map; 304 if the browser has it.
-
-    ``parts`` tell it from what else is made of the map.
+    """Response with the content and media type that ``make`` returns for a map; 304 if the browser has it. ``parts``
+    distinguish its ETag from those of other responses of the map. Raises InvalidName, UnknownMap, InvalidMap.
     """
     etag = etag_of(await service.maps.stat(name), *parts)
     if is_kept(request, etag):
@@ -306,7 +305,9 @@ async def _made(
 
 
 async def _rendered(request: Request, service: State, name: str, kind: Rendering, media_type: str) -> Response:
-    """A rendering, or 304 where the browser has it."""
+    """Response with a rendering of a map; 304 if the browser has it. Raises InvalidName, UnknownMap, InvalidMap,
+    StorageFull, Busy.
+    """
     etag = etag_of(await service.maps.stat(name), kind)
     if is_kept(request, etag):
         return unchanged(etag)

@@ -59,16 +59,14 @@ async def get_map(map_name: str, service: Service, response: Response) -> MapDet
 
 
 async def _answered(service: State, name: str, response: Response) -> MapDetail:
-    """The description of a map, with its tag in a header."""
+    """The description of a map; sets the header ``ETag``."""
     response.headers["ETag"] = etag_of(await service.maps.stat(name))
     return await service.maps.detail(name)
 
 
 async def _check_unchanged(request: Request, service: State, name: str) -> None:
-    """Check `If-Match` and `If-None-Match: *` of a request that replaces a map.
-
-    Raises:
-        PreconditionFailed: the map is not the one that the request means, or is there although it must not be.
+    """Check `If-Match` and `If-None-Match` of a request that replaces a map; nothing without them. Raises
+    PreconditionFailed: the map is not the one that the request means, or is there although it must not be.
     """
     wanted, unwanted = request.headers.get("if-match"), request.headers.get("if-none-match")
     if wanted is None and unwanted is None:
