@@ -1,9 +1,9 @@
 """The map and its file formats; sites of maps."""
 
 from rholoc.density import DensityKind
-from rholoc.maps.cloud import Cloud
 from rholoc.maps.correction_record import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
+from rholoc.maps.display import Cloud, Room
 from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
 from rholoc.maps.formats.coefficient_reading import is_coefficient_table, read_coefficient_table
 from rholoc.maps.formats.coefficient_table import coefficient_table, write_coefficient_table
@@ -47,7 +47,6 @@ from rholoc.maps.place_names import (
     points_near,
     within_outline,
 )
-from rholoc.maps.room import Room
 from rholoc.maps.sites import (
     MAX_MAPS,
     FramePose,

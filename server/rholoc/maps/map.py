@@ -9,10 +9,9 @@ import numpy as np
 from rholoc.density import Densities, RayDensities
 from rholoc.geometry import IntArray
 from rholoc.lazy import lazy
-from rholoc.maps.cloud import Cloud
+from rholoc.maps.display import Cloud, Room
 from rholoc.maps.info import MapInfo
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
-from rholoc.maps.room import Room
 
 
 @dataclass(frozen=True, eq=False)

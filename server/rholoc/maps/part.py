@@ -8,9 +8,8 @@ import numpy as np
 
 from rholoc.density import DensityKind
 from rholoc.geometry import IntArray, ranges
-from rholoc.maps.cloud import Cloud
+from rholoc.maps.display import Cloud, Room
 from rholoc.maps.map import Map
-from rholoc.maps.room import Room
 
 
 @dataclass(frozen=True, eq=False)

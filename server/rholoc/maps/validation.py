@@ -6,7 +6,7 @@ import numpy as np
 
 from rholoc.errors import InvalidMap, RholocError
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.maps.cloud import Cloud
+from rholoc.maps.display import Cloud
 from rholoc.maps.floor_plan import FloorPlan, check_plan
 from rholoc.maps.kept_observations import memory_fits, memory_of
 from rholoc.maps.map import Map

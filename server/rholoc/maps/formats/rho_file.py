@@ -24,13 +24,12 @@ from rholoc.density import FORMS, Densities, DensityKind
 from rholoc.disk import replace_file
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.geometry import FloatArray, IntArray, poses_from_rows, rows_from_poses
-from rholoc.maps.cloud import Cloud
+from rholoc.maps.display import Cloud, Room
 from rholoc.maps.formats.patch_bytes import packed_patches, unpacked_patches
 from rholoc.maps.info import MapInfo, info_from_json, info_to_json
 from rholoc.maps.kept_observations import packed_pixels, source_cameras, unpacked_pixels
 from rholoc.maps.map import Map
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapTable, MapViews
-from rholoc.maps.room import Room
 from rholoc.maps.validation import validate_map
 
 SUFFIX = ".rho"
