@@ -69,7 +69,7 @@ async def list_streams(service: Service) -> OpenStreamList:
 
 @router.delete("/streams/{stream}", status_code=204, **declared(NEEDS_ADMIN, "End a stream", NotFound))
 async def end_stream(stream: str, service: Service) -> None:
-    """At once. Its client may open another; revoke its key to prevent that."""
+    """Ends the stream at once. Its client may open another; revoke its key to prevent that."""
     service.streams.end(stream)
 
 

@@ -65,7 +65,7 @@ async def list_cameras(service: Service) -> CameraList:
 
 @router.get("/{camera}", **declared(NEEDS_READ, "One camera", UnknownCamera, InvalidName, InvalidCamera))
 async def get_camera(camera: str, service: Service) -> CameraProfileOut:
-    """Its intrinsics, and how accurate they are."""
+    """The camera's intrinsics, and how accurate they are."""
     return _out(camera, await service.cameras.get(camera))
 
 
@@ -82,7 +82,9 @@ async def get_camera(camera: str, service: Service) -> CameraProfileOut:
     ),
 )
 async def put_camera(camera: str, given: CameraProfileIn, service: Service, response: Response) -> CameraProfileOut:
-    """Requests that name it use it from then on; maps keep the camera that they were made with."""
+    """Stores a camera under the name, replacing any of that name. Requests that name it use it from then on; maps keep
+    the camera that they were made with.
+    """
     new = camera not in await service.cameras.names()
     profile = CameraProfile(Camera.from_dict(given.model_dump(exclude={"calibration"})), given.calibration)
     await service.cameras.put(camera, profile)
@@ -92,7 +94,7 @@ async def put_camera(camera: str, given: CameraProfileIn, service: Service, resp
 
 @router.delete("/{camera}", status_code=204, **declared(NEEDS_MAP, "Delete a camera", UnknownCamera, InvalidName))
 async def delete_camera(camera: str, service: Service) -> None:
-    """For good; maps that were made with it keep it."""
+    """Deletes the camera for good; maps that were made with it keep it."""
     await service.cameras.delete(camera)
 
 

@@ -119,7 +119,7 @@ async def get_here(site: Visited, service: Service) -> HereOut:
     ),
 )
 async def get_here_room(site: Visited, map_name: str, service: Service) -> Response:
-    """As `GET /v1/maps/{map_name}/room`, of a map of this site."""
+    """The room of a map of this site, in the format of `GET /v1/maps/{map_name}/room`."""
     if (await service.sites.get(site)).member(map_name) is None:
         raise UnknownMap(f"The site {site} has no map {map_name[:64]}.", "GET /v1/here/{site} names its maps.")
     map_ = await service.maps.get(map_name)
@@ -135,7 +135,7 @@ async def get_here_room(site: Visited, map_name: str, service: Service) -> Respo
     ),
 )  # fmt: skip
 async def localize_here(site: Visited, request: Request, service: Service, options: Options) -> HerePoseOut:
-    """Send a JPEG or PNG. It is not kept; nothing is learned from it."""
+    """The pose of one picture in the site. Send a JPEG or PNG. It is not kept; nothing is learned from it."""
     clock = Stopwatch()
     maps = await RequestedMaps(site=site).choice(service)
     async with read_frame(request, options, service) as frame:

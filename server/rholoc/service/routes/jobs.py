@@ -57,7 +57,7 @@ def _listed(jobs: list[Job], limit: int) -> str:
 
 @router.get("/{job}", **declared(NEEDS_READ, "One job", UnknownJob))
 async def get_job(job: str, service: Service) -> JobOut:
-    """Its state, stage and progress; why it failed, if it did."""
+    """The job's state, stage and progress; why it failed, if it did."""
     return job_out(await service.jobs.get(job))
 
 
@@ -115,7 +115,9 @@ async def cancel_job(
     service: Service,
     ended: Annotated[bool, Query(description="instead: remove a job that has ended from the list")] = False,
 ) -> JobOut:
-    """The recording is kept; the job can be tried again. With `ended=true` a job that has ended is removed for good."""
+    """Ends the job. The recording is kept; the job can be tried again. With `ended=true` a job that has ended is
+    removed for good.
+    """
     if ended:
         return job_out(await service.jobs.delete(job))
     await service.jobs.cancel(job)

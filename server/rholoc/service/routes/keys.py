@@ -139,22 +139,24 @@ async def list_keys(service: Service) -> KeyList:
 
 @router.get("/keys/{name}", **declared(NEEDS_ADMIN, "One key", NotFound))
 async def get_key(name: str, service: Service) -> KeyDetail:
-    """How much it allows, and what it holds."""
+    """How much the key allows, and what it holds: maps, recordings and jobs."""
     return await _detail(service, name)
 
 
 @router.put("/keys/{name}/limits", **declared(NEEDS_ADMIN, "Limit a key", NotFound, StorageFull))
 async def limit_key(name: str, wanted: KeyLimitsIn, service: Service) -> KeyDetail:
-    """Sets all its limits, from the next request on; those that are missing are lifted. What it holds stays, even where
-    it is more than it may."""
+    """Sets all limits of the key, from the next request on; those that are missing are lifted. What it holds stays,
+    even where it is more than it may.
+    """
     await service.keys.limit(name, _limits(wanted))
     return await _detail(service, name)
 
 
 @router.delete("/keys/{name}", status_code=204, **declared(NEEDS_ADMIN, "Revoke a key", NotFound))
 async def revoke_key(name: str, service: Service) -> None:
-    """With all keys that it handed on. They are refused from the next request on, their streams end within a second,
-    and their unfinished uploads are abandoned."""
+    """Revokes the key and all keys that it handed on. They are refused from the next request on, their streams end
+    within a second, and their unfinished uploads are abandoned.
+    """
     await service.keys.revoke(name)
     service.streams.end_invalid()
     await service.keys.abandon_uploads()
@@ -175,7 +177,7 @@ async def revoke_key(name: str, service: Service) -> None:
     ),
 )
 async def draw_qr(wanted: QrIn) -> Response:
-    """For links that a phone is to open; in black on white, whatever the page's colours are."""
+    """A QR code of a text, for links that a phone is to open; in black on white, whatever the page's colours are."""
     return Response(await run_in_threadpool(_svg, wanted.text), media_type=_SVG)
 
 

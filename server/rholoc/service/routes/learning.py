@@ -98,5 +98,7 @@ async def delete_learning(
         Query(description="only what one asked: the name of a key, or an address where none is asked for"),
     ] = None,
 ) -> DeletedQueries:
-    """For good. What the map has learned already stays: restore a version before, or forget the source `queries`."""
+    """Deletes the kept queries of a map for good. What the map has learned already stays: restore a version before, or
+    forget the source `queries`.
+    """
     return DeletedQueries(deleted=await service.learning.delete(map_name, asker))

@@ -152,7 +152,7 @@ async def list_refusals(map_name: str, service: Service) -> RefusalsOut:
     ),
 )
 async def get_likeness(map_name: str, number: int, service: Service) -> LikenessOut:
-    """The map's view that it resembles most, and the matches between the two."""
+    """The map's view that a refused picture resembles most, and the matches between the two."""
     return await service.frames.likeness(service.frames.refusals.get(map_name, number))
 
 
@@ -164,5 +164,5 @@ async def get_likeness(map_name: str, number: int, service: Service) -> Likeness
     ),
 )  # fmt: skip
 async def get_refused_picture(map_name: str, number: int, service: Service) -> Response:
-    """A small copy of what the camera sent."""
+    """A small copy of the picture that was refused."""
     return Response(service.frames.refusals.get(map_name, number).picture, media_type="image/jpeg")

@@ -130,13 +130,13 @@ def _form_schema() -> dict[str, Any]:
 
 @router.get("", **declared(NEEDS_READ, "All recordings"))
 async def list_recordings(request: Request, service: Service) -> RecordingList:
-    """Those that are completely uploaded, the newest first."""
+    """The recordings that are completely uploaded, the newest first."""
     return await run_in_threadpool(_list, await service.recordings.list(), _may_see(request))
 
 
 @router.get("/{recording}", **declared(NEEDS_READ, "One recording", UnknownRecording))
 async def get_recording(recording: str, request: Request, service: Service) -> RecordingDetail:
-    """What it holds, and its waypoints: as corrected, else as a job read them from it."""
+    """What the recording holds, and its waypoints: as corrected, else as a job read them from it."""
     return _detail(await service.recordings.get(recording), _may_see(request))
 
 
@@ -151,7 +151,7 @@ async def get_recording(recording: str, request: Request, service: Service) -> R
     ),
 )
 async def get_thumbnail(recording: str, service: Service) -> Response:
-    """A frame from its beginning, once a job has read it."""
+    """A frame from the recording's beginning, as JPEG, once a job has read it."""
     _, notes = await service.recordings.get(recording)
     picture = read_thumbnail(notes)
     if picture is None:
@@ -164,15 +164,16 @@ async def get_thumbnail(recording: str, service: Service) -> Response:
     **declared(NEEDS_MAP, "Correct a recording's waypoints", UnknownRecording, InvalidWaypoints, StorageFull),
 )
 async def put_waypoints(recording: str, wanted: WaypointsIn, request: Request, service: Service) -> RecordingDetail:
-    """They replace the recording's own whenever it is mapped from then on. The recording's files and existing maps stay
-    as they are."""
+    """Stores corrected waypoints, which replace the recording's own whenever it is mapped from then on. The recording's
+    files and existing maps stay as they are.
+    """
     given = tuple(_recorded(one) for one in wanted.waypoints)
     return _detail(await service.recordings.correct(recording, given), _may_see(request))
 
 
 @router.delete("/{recording}/waypoints", **declared(NEEDS_MAP, "Take back corrected waypoints", UnknownRecording))
 async def delete_waypoints(recording: str, request: Request, service: Service) -> RecordingDetail:
-    """The recording is mapped with its own again."""
+    """Deletes corrected waypoints: the recording is mapped with its own again."""
     return _detail(await service.recordings.correct(recording, None), _may_see(request))
 
 
@@ -184,7 +185,9 @@ async def delete_waypoints(recording: str, request: Request, service: Service) -
 async def map_again(
     recording: str, wanted: RecordingFields, request: Request, service: Service, response: Response
 ) -> JobOut:
-    """With other options, corrected waypoints, fewer frames, or as another map. `Location` is the job's address."""
+    """Begins a job that maps the recording again: with other options, corrected waypoints, fewer frames, or as another
+    map. `Location` is the job's address.
+    """
     options = await checked_options(wanted, service)
     key = request_key(request.scope)
     job = await service.jobs.begin(key, wanted.map, lambda jobs: jobs.submit(recording, wanted.map, options))

@@ -62,7 +62,7 @@ async def list_sites(service: Service) -> SiteList:
 
 @router.get("/{site}", **declared(NEEDS_READ, "One site", UnknownSite, InvalidName, InvalidInput))
 async def get_site(site: str, service: Service) -> SiteOut:
-    """Its maps with their poses, and the links that these follow from."""
+    """The site's maps with their poses, and the links that these follow from."""
     return site_out(site, await service.sites.get(site), await service.maps.names())
 
 
@@ -80,9 +80,10 @@ async def get_site(site: str, service: Service) -> SiteOut:
     ),
 )
 async def put_site(site: str, wanted: SiteIn, service: Service, response: Response) -> SiteOut:
-    """Poses that are not given are found from links; without any given pose the first map's frame is the site's. Links
-    that contradict each other are refused, with what is left over around them. Maps that nothing joins to the others
-    are the site's without a pose: frames are looked for in them, and answered in the map's frame alone."""
+    """Stores a site. Poses that are not given are found from links; without any given pose the first map's frame is the
+    site's. Links that contradict each other are refused, with what is left over around them. Maps that nothing joins to
+    the others are the site's without a pose: frames are looked for in them, and answered in the map's frame alone.
+    """
     present = set(await service.maps.names())
     for one in wanted.maps:
         if one.map not in present:
@@ -95,7 +96,7 @@ async def put_site(site: str, wanted: SiteIn, service: Service, response: Respon
 
 @router.delete("/{site}", status_code=204, **declared(NEEDS_ADMIN, "Delete a site", UnknownSite, InvalidName))
 async def delete_site(site: str, service: Service) -> None:
-    """Its maps stay."""
+    """Deletes the site; its maps stay."""
     await service.sites.delete(site)
 
 
@@ -107,8 +108,10 @@ async def delete_site(site: str, service: Service) -> None:
     ),
 )  # fmt: skip
 async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) -> SiteOut:
-    """By three measured or named points that both maps have, else by views of the second localized in the first. The
-    link takes the place of one that was found before, and poses that nobody gave follow anew."""
+    """Finds the pose between two maps: by three measured or named points that both have, else by views of the second
+    localized in the first. The link takes the place of one that was found before, and poses that nobody gave follow
+    anew.
+    """
     before = await service.sites.get(site)
     for name in (wanted.first, wanted.second):
         if before.member(name) is None:

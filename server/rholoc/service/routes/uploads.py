@@ -28,7 +28,7 @@ _FILE_NAME = "filename"
 @router.options("", status_code=204, **declared(NEEDS_MAP, "What resumable uploads can do here"))
 @router.options("/{recording}", dependencies=[NEEDS_READ], status_code=204, include_in_schema=False)
 async def upload_abilities(service: Service) -> Response:
-    """tus 1.0: version, extensions, checksums, and the largest upload, in headers."""
+    """What uploads may be: tus 1.0's version, extensions, checksums, and the largest upload, in headers."""
     return Response(status_code=204, headers=tus.abilities(service.settings.max_upload_bytes))
 
 
@@ -74,8 +74,9 @@ async def begin_upload(request: Request, service: State) -> Response:
     ),
 )
 async def upload_standing(recording: str, service: Service) -> Response:
-    """In headers: `Upload-Offset`, `Upload-Length`, `Upload-Expires`; once it is whole, its mapping job's id in
-    `Rholoc-Job`."""
+    """How far an upload is, in headers: `Upload-Offset`, `Upload-Length`, `Upload-Expires`; once it is whole, its
+    mapping job's id in `Rholoc-Job`.
+    """
     upload = await service.recordings.upload(recording)
     return Response(headers=tus.standing(upload))
 
@@ -106,8 +107,10 @@ async def continue_upload(
         str | None, Header(description="algorithm and base64; the body is kept if right")
     ] = None,
 ) -> Response:
-    """The next bytes. What arrived before a connection broke is kept, and `HEAD` says how much that is; a body with
-    `Upload-Checksum` is kept whole or not at all. The last byte completes the recording, and starts its job."""
+    """Appends the next bytes of an upload. What arrived before a connection broke is kept, and `HEAD` says how much
+    that is; a body with `Upload-Checksum` is kept whole or not at all. The last byte completes the recording, and
+    starts its job.
+    """
     if media_type(request) != tus.PATCH_TYPE:
         raise UnsupportedMediaType(
             "The bytes of an upload must be sent as " + tus.PATCH_TYPE + ".", "Use a tus client."
@@ -132,7 +135,9 @@ async def continue_upload(
     **declared(NEEDS_MAP, "Delete a recording, or give up its upload", UnknownRecording, Conflict, UnsupportedVersion),
 )
 async def delete_recording(recording: str, service: Service) -> Response:
-    """For good, unless a job is waiting for it or working on it. Maps made from it stay."""
+    """Deletes a recording or an unfinished upload for good, unless a job is waiting for it or working on it. Maps made
+    from it stay.
+    """
     await service.recordings.delete(recording)
     return Response(status_code=204)
 

@@ -74,8 +74,9 @@ _FRAMES_BODY = request_body(
     **declared(NEEDS_LOCALIZE, "Where a frame was taken, in one map", *_FAILURES),
 )
 async def localize_in_map(map_name: str, request: Request, service: Service, options: Options) -> LocalizationOut:
-    """Send a JPEG or PNG as it is, with options in the query; or multipart, with an `image` and a JSON `request`; or a
-    descriptor set as JSON. "No pose" is an answer: `localized` is false and `reason` says why."""
+    """The pose of one frame. Send a JPEG or PNG as it is, with options in the query; or multipart, with an `image` and
+    a JSON `request`; or a descriptor set as JSON. "No pose" is an answer: `localized` is false and `reason` says why.
+    """
     clock = Stopwatch()
     async with read_frame(request, options, service) as frame:
         return await service.frames.localize(frame, MapChoice([map_name]), clock)
@@ -117,7 +118,7 @@ async def localize_frames_in_map(map_name: str, request: Request, service: Servi
     **declared(NEEDS_LOCALIZE, "Where several frames were taken, in the best of several maps", *_FAILURES),
 )
 async def localize_frames_in_maps(request: Request, service: Service, requested: Requested) -> LocalizationOut:
-    """As in one map. Of many maps it asks those that the first frame resembles most."""
+    """2 to 10 frames, sent as to one map. Of many maps it asks those that the first frame resembles most."""
     clock = Stopwatch()
     maps = await requested.choice(service)
     async with read_frames(request, service) as frames:

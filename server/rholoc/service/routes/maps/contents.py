@@ -85,7 +85,9 @@ async def get_report(map_name: str, service: Service) -> MapReportOut:
     ),
 )
 async def get_report_picture(map_name: str, request: Request, service: Service) -> Response:
-    """Coverage by position and heading, how consistent frames held out are with it, how exact the landmarks are."""
+    """A picture of the report: coverage by position and heading, how consistent frames held out are with it, how exact
+    the landmarks are.
+    """
     return await _rendered(request, service, map_name, Rendering.REPORT, "image/png")
 
 
@@ -126,8 +128,9 @@ async def get_coverage(map_name: str, request: Request, service: Service) -> Res
     ),
 )
 async def get_names(map_name: str, request: Request, service: Service) -> Response:
-    """Longitude, latitude and height of WGS 84 in a map with a place on Earth, its own or its site's; else metres of
-    the map, and the collection says `"frame": "map"`."""
+    """Named points and areas as GeoJSON: longitude, latitude and height of WGS 84 in a map with a place on Earth, its
+    own or its site's; else metres of the map, and the collection says `"frame": "map"`.
+    """
 
     by_site = await service.sites.earth_of(map_name)
 
@@ -149,7 +152,7 @@ async def get_names(map_name: str, request: Request, service: Service) -> Respon
     ),
 )
 async def get_plan(map_name: str, request: Request, service: Service) -> Response:
-    """As it was sent; `plan` of the map says where it lies."""
+    """The floor plan's file as it was sent; `plan` of the map says where it lies."""
 
     def plan(map_: Map) -> tuple[bytes, str]:
         if map_.info.plan is None:
@@ -174,9 +177,10 @@ async def get_scene(
     ] = None,
     level: Level = False,
 ) -> Response:
-    """Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y, z, standard deviation;
-    K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its colours, F × 3 uint8: red,
-    green, blue. Lengths in metres."""
+    """Landmarks and views. Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y,
+    z, standard deviation; K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its
+    colours, F × 3 uint8: red, green, blue. Lengths in metres.
+    """
 
     def scene(map_: Map) -> tuple[bytes, str]:
         return map_to_scene(map_, landmarks, levelled(map_) if level else None), _BINARY_TYPE
@@ -193,7 +197,9 @@ async def get_feature(
     feature: Annotated[int, PathParameter(ge=0, description="its number, from 0", examples=[100])],
     service: Service,
 ) -> FeatureOut:
-    """Features are numbered as in `…/scene`, where all of them are asked for. Lengths in the map's unit."""
+    """One landmark of the map. Features are numbered as in `…/scene`, where all of them are asked for. Lengths in the
+    map's unit.
+    """
     return await run_in_threadpool(_feature, await service.maps.get(map_name), feature)
 
 
@@ -268,7 +274,7 @@ async def get_view_picture(
     request: Request,
     service: Service,
 ) -> Response:
-    """What the camera saw there, if the map keeps pictures and this server's setting `keep_pictures` is on."""
+    """The picture of a view, if the map keeps pictures and this server's setting `keep_pictures` is on."""
 
     def picture(map_: Map) -> tuple[bytes, str]:
         pictures = map_.views.known_pictures if service.settings.keep_pictures else ()
@@ -287,7 +293,7 @@ async def get_view_picture(
     **declared(NEEDS_READ, "A map from above", *_FAILURES, Busy, also=content("A picture.", "image/png")),
 )
 async def get_preview(map_name: str, request: Request, service: Service) -> Response:
-    """Landmarks, the walk, waypoints."""
+    """A picture of landmarks, the walk and waypoints."""
     return await _rendered(request, service, map_name, Rendering.PREVIEW, "image/png")
 
 

@@ -162,7 +162,7 @@ async def put_plan(
     "/{map_name}/plan", **declared(NEEDS_MAP, "Remove a map's floor plan", *_FAILURES, Conflict, StorageFull)
 )
 async def delete_plan(map_name: str, service: Service) -> MapDetail:
-    """The map itself does not move."""
+    """Removes the floor plan; the map itself does not move."""
     planned = await service.maps.keep_plan(map_name, b"", None)
     return await service.maps.detail(map_name, planned)
 

@@ -117,7 +117,7 @@ async def put_map(map_name: str, request: Request, service: Service, response: R
 
 @router.patch("/{map_name}", **declared(NEEDS_MAP, "Rename a map", *_FAILURES, Conflict))
 async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDetail:
-    """The new name must be free. The map stays in its sites."""
+    """Renames the map. The new name must be free. The map stays in its sites."""
     check_map_name(change.name)
     if change.name != map_name:
         await service.maps.rename(map_name, change.name)
@@ -129,7 +129,7 @@ async def patch_map(map_name: str, change: MapPatch, service: Service) -> MapDet
 
 @router.delete("/{map_name}", status_code=204, **declared(NEEDS_ADMIN, "Delete a map", UnknownMap, InvalidName))
 async def delete_map(map_name: str, service: Service) -> None:
-    """For good, with what is kept for it to learn from. Requests in progress still finish on it."""
+    """Deletes the map for good, with what is kept for it to learn from. Requests in progress still finish on it."""
     await service.maps.delete(map_name)
     await service.frames.forget_missing()
 
