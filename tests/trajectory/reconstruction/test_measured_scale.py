@@ -13,8 +13,14 @@ from scene import CAMERA, arc, in_pixels
 from rholoc.geometry import BoolArray, FloatArray, Similarity
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.trajectory.frame.map_frame import ScaleMeasurement, ScaleSource
-from rholoc.trajectory.optimization.adjustment import Problem, State
-from rholoc.trajectory.reconstruction.measured_scale import scale_by_depth, scales_by_lengths, with_depths
+from rholoc.trajectory.optimization.adjustment import Problem, State, Step
+from rholoc.trajectory.reconstruction.measured_scale import (
+    scale_by_depth,
+    scale_by_steps,
+    scaled_by_steps,
+    scales_by_lengths,
+    with_depths,
+)
 from rholoc.trajectory.visual.tracks import Observations
 
 _COUNT = 12
@@ -102,3 +108,48 @@ def test_a_known_length_gives_the_unit_the_surer_the_longer_it_is() -> None:
     assert long.ratio == pytest.approx(_UNIT)
     assert long.sigma < 0.02 < short.sigma
     assert scales_by_lengths([], adjusted) == []  # type: ignore[arg-type]
+
+
+def _steps(factors: FloatArray, turned: FloatArray | None = None, is_mounting: bool = False) -> list[Step]:
+    """From each camera to the next, times a factor and turned by a rotation."""
+    T = np.linalg.inv(arc(_COUNT)[:-1]) @ arc(_COUNT)[1:]
+    T[:, :3, 3] *= factors[:, None]
+    if turned is not None:
+        T[:, :3, 3] = T[:, :3, 3] @ turned.T
+    return [Step(k, k + 1, one, 0.01, 0.01, is_mounting) for k, one in enumerate(T)]
+
+
+def _by_steps(steps: list[Step]) -> tuple[ScaleMeasurement | None, State | None]:
+    T = arc(_COUNT)
+    shrunk = Similarity(1 / _UNIT, np.eye(3), np.array([3.0, 1.0, 2.0]))
+    adjusted = _Adjusted(State(shrunk.poses(T), np.zeros((0, 3)), CAMERA), np.zeros(0, np.bool_))
+    return scale_by_steps(steps, adjusted), scaled_by_steps(steps, adjusted)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("is_mounting", "source"), [(False, ScaleSource.ODOMETRY), (True, ScaleSource.MOUNTING)])
+def test_steps_give_the_unit_of_a_reconstruction(is_mounting: bool, source: ScaleSource) -> None:
+    found, state = _by_steps(_steps(np.ones(_COUNT - 1), is_mounting=is_mounting))
+    assert found is not None
+    assert found.source is source
+    assert found.ratio == pytest.approx(_UNIT)
+    assert found.sigma == pytest.approx(0.01)
+    assert state is not None
+    np.testing.assert_allclose(np.diff(state.positions, axis=0), np.diff(arc(_COUNT)[:, :3, 3], axis=0), atol=1e-9)
+
+
+def test_steps_that_slip_are_less_certain() -> None:
+    found, _ = _by_steps(_steps(np.tile([0.95, 1.0, 1.05], _COUNT)[: _COUNT - 1]))
+    assert found is not None
+    assert 0.012 < found.sigma < 0.05
+    assert abs(found.ratio / _UNIT - 1) < 2 * found.sigma
+
+
+def test_steps_of_another_way_fix_no_scale() -> None:
+    about = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    for steps in (_steps(np.geomspace(0.4, 2.5, _COUNT - 1)), _steps(np.ones(_COUNT - 1), about)):
+        found, state = _by_steps(steps)
+        assert found is not None
+        assert not found.usable
+        assert state is None
+    assert _by_steps(_steps(np.ones(_COUNT - 1))[:4]) == (None, None)
+    assert _by_steps([]) == (None, None)
