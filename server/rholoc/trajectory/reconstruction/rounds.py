@@ -75,9 +75,9 @@ def _cleaned(problem: Problem, observations: Observations, off_px: FloatArray) -
     return replace(problem, observations=kept, pixel_sigma_px=sigma)
 
 
-def camera_sigmas(given: Camera | None) -> CameraSigmas | None:
+def camera_sigmas(given: Camera | None, guessed: CameraSigmas = GUESSED) -> CameraSigmas | None:
     """Prior sigmas of the intrinsics; None (held) if the adjustment's camera model has too few coefficients."""
     if given is None:
-        return GUESSED
+        return guessed
     is_modelled = given.lens is Lens.PINHOLE and len(given.distortion) <= _MODELLED_DISTORTION
     return GIVEN if is_modelled else None
