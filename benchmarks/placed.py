@@ -12,12 +12,13 @@ pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, ``--seco
 be named, with ``truth.csv`` where the truth is known. Sets of more than ``--most`` pictures are left out.
 
 Plain pycolmap: its own SIFT, its mappers with default options, the intrinsics that the folder states; all pairs of up
-to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. Both of its mappers have the
-same matches, whose time counts for the first one. rholoc: default options.
+to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. Both of its mappers have
+the same matches, whose time counts for the first one. rholoc: default options.
 
-For each: pictures placed of those given, wall-clock and processor seconds (of all cores) a picture; where there is truth, centimetres after
-a similarity alignment and the error that rholoc expects, in the same unit. The last lines judge rholoc beside the
-better of pycolmap's mappers. With ``--write`` the judgements go to benchmarks/results/placed.json. ``--cache`` keeps
+For each: pictures placed of those given, wall-clock seconds and processor seconds (of all cores) a picture; where there
+is truth, centimetres after a similarity alignment and the error that rholoc expects, in the same unit. The last lines
+judge rholoc beside the better of pycolmap's mappers. With ``--write`` the judgements go to
+benchmarks/results/placed.json. ``--cache`` keeps
 simulated walks and pycolmap's answers.
 """
 
