@@ -1,23 +1,25 @@
 """Whether any recording makes mapping fail otherwise than in one line with advice.
 
     python benchmarks/fuzz_recordings.py [redkitchen splat_desk …] [--cases 30] [--first 0] [--seed 0] [--pictures 24]
-        [--minutes 20] [--json FILE] [--write]
+        [--minutes 20] [--json FILE] [--write] [--add]
 
 Each case is a stretch of one recording's pictures, in a folder, to which one to three things have befallen: pictures
 were thinned, shuffled, cut out, doubled, rotated, rescaled or blanked, a second camera took some, the camera stood
 still; another recording's may be mixed in, and there may be times, wrong poses or wrong intrinsics. It is built into a
 map by default options, whose report is not made. A case fails that raises anything but an error of ``rholoc.errors``
-with a message and advice, or the message that asks to report the recording; and one whose map is trusted, but wrong:
+with a message and advice, or the one of a reconstruction that broke; and one whose map is trusted, but wrong:
 places are off by a tenth of the walk, or another room is part of it.
 
-Prints each case and how it ended; exit status 1 where one failed. A case is made from the seed and its number. No case
-begins after so many minutes. With ``--write`` the totals go to benchmarks/results/fuzz.json.
+Prints each case, its processor time and how it ended; exit status 1 where one failed. A case is made from the seed and
+its number. No case begins after so many minutes. With ``--write`` the totals go to benchmarks/results/fuzz.json, with
+``--add`` together with those of other seeds that are there already.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
 import sys
 import tempfile
@@ -26,16 +28,18 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from figures import Figure, write_results
+from figures import RESULTS, Figure, write_results
 from measuring import SHARED_DATA
 from rholoc.errors import RholocError
 from rholoc.geometry import ByteArray, FloatArray, umeyama
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import read_recording
+from rholoc.trajectory.child import ReconstructionBroken
 
 NAMES = (
     "redkitchen",
@@ -50,7 +54,6 @@ _WIDTH_PX = 640  # to which pictures are shrunk
 _MIN_STRANGERS = 3  # pictures of another room that make a map wrong
 _MIN_KNOWN = 5  # positions, for a map to be checked
 _MAX_OFF = 0.1  # of the walk's extent, in all but a tenth of the pictures
-_PLEASE_REPORT = "report this recording"
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +261,7 @@ def outcome(folder: Path, pictures: Sequence[Picture]) -> tuple[bool, str]:
         recording = read_recording(folder)
         built = build_map([recording], BuildOptions(report=False))
     except RholocError as error:
-        fine = bool(error.message and error.hint) and _PLEASE_REPORT not in f"{error.message} {error.hint}".lower()
+        fine = bool(error.message and error.hint) and not isinstance(error, ReconstructionBroken)
         return fine, f"{type(error).__name__}: {error.message} {error.hint}"
     except Exception as error:
         return False, f"{type(error).__name__}: {error}"
@@ -280,30 +283,48 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=np.inf)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--add", action="store_true")
     arguments = parser.parse_args()
+    before = _written(arguments.seed) if arguments.add else None
     found, ends, begun = [], Counter[str](), time.monotonic()
     for number in range(arguments.first, arguments.first + arguments.cases):
         if time.monotonic() - begun > 60 * arguments.minutes:
             break
         with tempfile.TemporaryDirectory() as folder:
             pictures, what = make_case(arguments.names, number, arguments.seed, arguments.pictures, Path(folder))
-            start = time.monotonic()
+            start = os.times()
             fine, how = outcome(Path(folder), pictures)
-        seconds = round(time.monotonic() - start, 1)
+        cpu_s = round(sum(os.times()[:4]) - sum(start[:4]), 1)
         ends[how.split(":")[0] if fine else "FAILED"] += 1
-        found.append({"case": number, "what": what, "fine": fine, "how": how, "seconds": seconds})
-        print(f"{number:4d} {seconds:6.1f} s  {'' if fine else 'FAILED '}{what}\n          {how}", flush=True)
+        found.append({"case": number, "what": what, "fine": fine, "how": how, "cpu_s": cpu_s})
+        print(f"{number:4d} {cpu_s:6.1f} CPU s  {'' if fine else 'FAILED '}{what}\n          {how}", flush=True)
     print(", ".join(f"{count} {end}" for end, count in ends.most_common()))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(found, indent=1))
     if arguments.write:
-        figures = {
-            "fuzz.recordings": Figure(len(found), len(found), True),
-            "fuzz.maps": Figure(ends["map"], len(found), True),
-            "fuzz.ended_otherwise": Figure(ends["FAILED"], 0, False),
-        }
-        write_results("fuzz", figures, "python benchmarks/fuzz_recordings.py --write", [arguments.seed])
+        _write_totals(arguments, len(found), ends, before)
     return 1 if ends["FAILED"] else 0
+
+
+def _written(seed: int) -> dict[str, Any]:
+    """What fuzz.json has of other seeds' cases."""
+    before: dict[str, Any] = json.loads((RESULTS / "fuzz.json").read_text())
+    if seed in before["seeds"]:
+        raise SystemExit(f"The cases of seed {seed} are in fuzz.json already: choose another --seed.")
+    return before
+
+
+def _write_totals(asked: argparse.Namespace, cases: int, ends: Counter[str], before: dict[str, Any] | None) -> None:
+    """Write the totals of one seed's cases, with those ``before``."""
+    totals = {"recordings": cases, "maps": ends["map"], "ended_otherwise": ends["FAILED"]}
+    command = f"python benchmarks/fuzz_recordings.py --seed {asked.seed} --pictures {asked.pictures} --write"
+    seeds = [asked.seed]
+    if before is not None:
+        totals = {name: count + before["figures"][f"fuzz.{name}"]["value"] for name, count in totals.items()}
+        command, seeds = f"{command} --add", [*before["seeds"], *seeds]
+    noise = {"recordings": totals["recordings"], "maps": totals["recordings"], "ended_otherwise": 0}
+    figures = {f"fuzz.{name}": Figure(totals[name], noise[name], name != "ended_otherwise") for name in totals}
+    write_results("fuzz", figures, command, seeds)
 
 
 if __name__ == "__main__":

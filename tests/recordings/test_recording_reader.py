@@ -170,6 +170,16 @@ def test_pictures_of_several_sizes_become_frames_of_one_camera(make_images, tmp_
     assert int(portrait[32, 32, 0]) == 200
 
 
+@pytest.mark.parametrize(("shape", "assumed"), [((64, 48, 3), False), ((24, 32, 3), True)])
+def test_a_picture_of_another_size_may_be_of_another_camera(
+    make_images, tmp_path: Path, shape: tuple[int, int, int], assumed: bool
+) -> None:
+    """Half as large is assumed to show the same angle of view; upright is the same camera."""
+    folder = make_images(tmp_path / "sizes")
+    cv2.imwrite(str(folder / "frame-000006.png"), np.full(shape, 200, np.uint8))
+    assert read_recording(folder).focals_assumed is assumed
+
+
 def test_files_without_numbers_are_counted_in_the_order_of_their_names(make_images, tmp_path: Path) -> None:
     folder = make_images(tmp_path / "nameless")
     cv2.imwrite(str(folder / "cover.png"), np.full((48, 64, 3), 200, np.uint8))

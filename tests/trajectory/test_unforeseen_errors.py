@@ -6,7 +6,7 @@ import pytest
 
 from rholoc.errors import MappingFailed
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.trajectory.child import run_in_child
+from rholoc.trajectory.child import ReconstructionBroken, run_in_child
 
 
 def _fail(text: str, _: ProgressListener) -> None:
@@ -29,3 +29,4 @@ def test_a_librarys_error_is_reported_in_words(text: str, message: str) -> None:
         run_in_child(_fail, text, progress=silent, stage=Stage.POSES)
     assert raised.value.message == message
     assert raised.value.hint
+    assert isinstance(raised.value, ReconstructionBroken) == ("unexpected" in message)

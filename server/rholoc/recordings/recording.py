@@ -197,6 +197,7 @@ class Recording:
         depth: depth images of its frames, or None.
         odometry: None if there is none.
         focal_px: first guess of the focal length where the intrinsics are unknown, by EXIF; or None.
+        focals_assumed: whether pictures of several sizes are assumed to show the same angle of view.
         lengths: measured distances between the camera's places.
         mounted: pairs of pictures by cameras whose mounting on a rig is known.
         warnings: its problems.
@@ -215,6 +216,7 @@ class Recording:
     depth: DepthImages | None = None
     odometry: Odometry | None = None
     focal_px: float | None = None
+    focals_assumed: bool = False
     lengths: tuple[KnownLength, ...] = ()
     mounted: tuple[Mounted, ...] = ()
     warnings: tuple[RecordingWarning, ...] = ()

@@ -17,7 +17,11 @@ _log = logging.getLogger("rholoc.trajectory")
 _SINGULAR = "Indeterminant linear system"  # of gtsam's message
 
 
-class ReconstructionKilled(MappingFailed):
+class ReconstructionBroken(MappingFailed):
+    """The process died or a library failed in a way that nothing in the code expects."""
+
+
+class ReconstructionKilled(ReconstructionBroken):
     """The operating system killed the process, probably for lack of memory."""
 
 
@@ -32,7 +36,8 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
 
     Raises:
         ReconstructionKilled: the process was killed.
-        MappingFailed: the process died otherwise, or the function failed.
+        ReconstructionBroken: the process died otherwise, or the function failed unexpectedly.
+        MappingFailed: the measurements leave the shape of the walk open.
         RholocError: the function raised it.
     """
     latest: tuple[Stage, float, str] = (stage, 0.0, "")
@@ -46,7 +51,7 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
         return processes.run_in_child(function, *args, progress=note, check=lambda: progress(*latest), quiet=True)
     except ChildDied as died:
         hint = "Give the machine more memory, or record a shorter walk."
-        kind = ReconstructionKilled if died.was_killed else MappingFailed
+        kind = ReconstructionKilled if died.was_killed else ReconstructionBroken
         raise kind(f"The reconstruction's process died ({died.reason}).", hint) from None
     except ChildFailed as error:
         _log.exception("the reconstruction failed unexpectedly")
@@ -57,7 +62,7 @@ def _unexpected(error: str) -> MappingFailed:
     """MappingFailed for users in place of an unforeseen error, such as a library's."""
     if _SINGULAR in error:
         return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
-    return MappingFailed(
+    return ReconstructionBroken(
         f"The reconstruction stopped at an unexpected error: {error}",
         "Retry. If it happens again, report this line together with the recording.",
     )

@@ -55,6 +55,10 @@ _MAX_WAYPOINT_MISS_M = 0.10
 _MAX_IMU_MISFIT = 2.0  # times the noise expected, from which the IMU's readings are not what moved the camera
 _MAX_IMU_RESIDUAL = 8.0  # times the noise expected, from which IMU and pictures contradict each other
 
+_SAME_VIEW = (
+    "Pictures of several sizes came without focal lengths, and were assumed to show the same angle of view: "
+    "keep the EXIF data of the originals, or map each camera's pictures alone."
+)
 _MOVE = "Walk through the room while recording; keep texture in view."
 _SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
 
@@ -297,6 +301,9 @@ def _placed(
         reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
     )
     trajectory = _trajectory_of(found, method, sights, progress)
+    if recording.focals_assumed:
+        why = f"{_SAME_VIEW} {trajectory.report.why}"
+        trajectory = replace(trajectory, report=replace(trajectory.report, trusted=False, why=why))
     if method is PoseMethod.VISUAL:
         return trajectory
     report = replace(trajectory.report, imu=_imu_report(recording, found))

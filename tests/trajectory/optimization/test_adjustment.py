@@ -16,6 +16,7 @@ from rholoc.trajectory.optimization import adjustment
 from rholoc.trajectory.optimization.adjustment import (
     GUESSED,
     Adjusted,
+    CameraSigmas,
     Fix,
     Problem,
     State,
@@ -182,6 +183,18 @@ def test_an_unknown_camera_is_found_within_its_sigma() -> None:
     assert sigmas[0] < 0.03 * CAMERA.fx
     assert state.camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
     assert state.camera.distortion[0] == pytest.approx(CAMERA.distortion[0], abs=max(0.03, 4 * sigmas[5]))
+
+
+def test_a_prior_on_the_intrinsics_stays_where_it_is_when_all_is_adjusted_again() -> None:
+    T = arc(_CAMERAS)
+    observations = _sightings(T, cloud(_POINTS), 0.5, 3)
+    guess = replace(CAMERA, fx=560.0, fy=560.0)
+    problem = Problem(np.arange(_CAMERAS) / 2, observations, camera_sigmas=CameraSigmas(0.001, 0.01), camera_mean=guess)
+    state, focal_px = State(T, np.zeros((_POINTS, 3)), guess), []
+    for _ in range(5):
+        state = adjust(problem, state, 20).state
+        focal_px.append(state.camera.focal)
+    assert focal_px[-1] == pytest.approx(focal_px[0], abs=0.3)
 
 
 def test_a_wrong_sighting_moves_nothing() -> None:

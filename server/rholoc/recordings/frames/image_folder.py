@@ -132,7 +132,9 @@ def image_frames(
         cameras = [nominal_camera(size, focal) for size, focal in zip(sizes, focals, strict=True)]
         common = common_camera(cameras)
         focal_px = common.focal if 2 * len(known) >= len(paths) else None
-        return UnifiedPictures(tuple(paths), tuple(cameras), common, numbers, times, timed, focal_px)
+        longer = {max(size) for size, focal in zip(sizes, focals, strict=True) if focal is None}
+        assumed = len(longer) > 1 or 0 < len(known) < len(paths)
+        return UnifiedPictures(tuple(paths), tuple(cameras), common, numbers, times, timed, focal_px, assumed)
     if len(set(cameras)) == 1 and set(sizes) == {(cameras[0].width, cameras[0].height)}:
         return ImageFolderFrames(tuple(paths), numbers, times, sizes[0], timed)
     cameras = [camera.fitted(*size) for camera, size in zip(cameras, sizes, strict=True)]

@@ -35,6 +35,7 @@ class UnifiedPictures:
         times: (N,) seconds, or rows.
         timed: whether the times were measured.
         focal_px: the common camera's focal length by EXIF; None if it is given, or nominal.
+        assumed: whether pictures of several sizes are assumed to show the same angle of view.
     """
 
     paths: tuple[Path, ...]
@@ -44,6 +45,7 @@ class UnifiedPictures:
     times: FloatArray
     timed: bool
     focal_px: float | None = None
+    assumed: bool = False
 
     @property
     def size(self) -> tuple[int, int]:

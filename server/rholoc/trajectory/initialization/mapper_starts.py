@@ -20,6 +20,9 @@ _MIN_PIECE = 3  # pictures
 _SEED = 1
 _THREADS = 2
 _CAMERA = 1
+_TRACKS_PER_PICTURE = 300  # more take the global mapper's time, and place no more pictures
+_GROWTH = 1.3  # of an incremental model, after which all of it is adjusted again
+_TOLERANCE = 1e-5  # relative, of the cost
 _CENTRE_SHIFT = 0.5  # COLMAP's pixel (0.5, 0.5) is the centre of the top-left one
 
 
@@ -28,8 +31,8 @@ class Mapper(StrEnum):
 
     DEPTH = "depth"  # metric relative poses by depth pictures
     OWN = "own"  # rotation averaging, then global positioning
+    INCREMENTAL = "incremental"  # pycolmap's incremental mapper, which takes less time
     GLOBAL = "global"  # pycolmap's global mapper
-    INCREMENTAL = "incremental"  # pycolmap's incremental mapper
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +150,7 @@ def _global_options(is_known: bool) -> pycolmap.GlobalPipelineOptions:
     options = pycolmap.GlobalPipelineOptions()
     options.mapper.bundle_adjustment.refine_focal_length = not is_known
     options.mapper.bundle_adjustment.refine_extra_params = not is_known
+    options.mapper.track_required_tracks_per_view = _TRACKS_PER_PICTURE
     options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _MIN_PIECE
     return options
 
@@ -155,6 +159,9 @@ def _incremental_options(is_known: bool) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     options.ba_refine_focal_length = options.ba_refine_extra_params = not is_known
     options.extract_colors = False
+    options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWTH
+    options.ba_global_max_refinements, options.ba_local_max_refinements = 2, 1  # first poses need not be exact
+    options.ba_global_function_tolerance = options.ba_local_function_tolerance = _TOLERANCE
     options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _MIN_PIECE
     return options
 

@@ -82,6 +82,7 @@ class CameraSigmas:
 
 
 GUESSED = CameraSigmas(0.05, 0.15)
+ANY = CameraSigmas(0.15, 0.15)  # around a first guess, wherever an adjustment begins
 GIVEN = CameraSigmas(5e-4, 0.01)  # most calibrations leave some distortion uncertain
 
 
@@ -175,6 +176,7 @@ class Problem:
         depth_sigma: relative, of the observations' depths, which fix the scale. None to ignore depths.
         level_sigma_rad: of the fixes' z axis against gravity; None if it need not be vertical.
         camera_sigmas: of the intrinsics; None to hold them.
+        camera_mean: of the intrinsics' prior; None for those of the state that an adjustment begins with.
         pixel_sigma_px: of a sighting's coordinates.
         imu_noise: of the IMU, as a multiple of the usual.
     """
@@ -188,6 +190,7 @@ class Problem:
     depth_sigma: float | None = None
     level_sigma_rad: float | None = _LEVEL_SIGMA_RAD
     camera_sigmas: CameraSigmas | None = None
+    camera_mean: Camera | None = None
     pixel_sigma_px: float = _PIXEL_SIGMA_PX
     imu_noise: float = 1.0
 
@@ -385,9 +388,9 @@ def _add_sightings(
                 gtsam.GenericProjectionFactorCal3_S2(place, noise, C(keyframe), L(track), ideal, False, False, turned)
             )
         return
-    model = _to_gtsam(camera)
-    values.insert(D(0), model)
-    graph.add(gtsam.PriorFactorCal3DS2(D(0), model, _camera_prior(camera, problem.camera_sigmas)))
+    mean = problem.camera_mean or camera
+    values.insert(D(0), _to_gtsam(camera))
+    graph.add(gtsam.PriorFactorCal3DS2(D(0), _to_gtsam(mean), _camera_prior(mean, problem.camera_sigmas)))
     for keyframe, track, place in zip(keyframes, tracks, observations.pixels[used], strict=True):
         graph.add(gtsam.GeneralSFMFactor2Cal3DS2(place, noise, C(keyframe), L(track), D(0)))
 

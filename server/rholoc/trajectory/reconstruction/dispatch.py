@@ -18,7 +18,8 @@ from rholoc.trajectory.reconstruction.from_pictures import Pictured, solve_from_
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
-from rholoc.trajectory.visual.focal_guess import guess_camera
+from rholoc.trajectory.visual.focal_guess import centred_camera, focal_by_matches, guess_camera
+from rholoc.trajectory.visual.matching import with_poses_anew
 
 _WELL_PLACED = 0.9  # share of a film's keyframes, below which other ways to place them are tried
 _AS_SET = "What was followed from frame to frame left it open; the keyframes were matched as a set of pictures."
@@ -48,7 +49,7 @@ def reconstruct(
 def _reconstruct(
     sights: Sights, imu: Imu | None, waypoints: Sequence[tuple[Waypoint, ...]], progress: ProgressListener
 ) -> Reconstruction:
-    camera = sights.camera or guess_camera(sights.flow, imu, sights.focal_px)
+    camera = sights.camera or guess_camera(sights.flow, imu, sights.focal_px, sights.is_film)
     gyro, reason = (None, "") if imu is None else calibrated(sights, camera, imu)
     evidence: Evidence | None = None
     if imu is not None and gyro is None and not sights.is_film:
@@ -67,7 +68,24 @@ def _reconstruct(
         return _from_film(Pictured(sights, camera, evidence, waypoints, reason), steps)
     if felt is not None:  # pairs that a wrong gyroscope contradicts were left out
         evidence = gather_evidence(sights, camera, None, progress)
-    return solve_from_set(Pictured(sights, camera, evidence, waypoints, reason), steps)
+    return solve_from_set(_with_focal_by_matches(Pictured(sights, camera, evidence, waypoints, reason)), steps)
+
+
+def _with_focal_by_matches(walk: Pictured) -> Pictured:
+    """A set of pictures with the focal length that its pairs agree on, if it was only guessed."""
+    sights, evidence = walk.sights, walk.evidence
+    if sights.camera is not None or sights.focal_px is not None:
+        return walk
+    places = [found.pixels.astype(np.float64) for found in sights.features]
+    pairs = evidence.sequential
+    matched = [(places[one.first][one.matches[:, 0]], places[one.second][one.matches[:, 1]]) for one in pairs]
+    focal_px = focal_by_matches(matched, sights.flow.size)
+    if focal_px is None:
+        return walk
+    camera = centred_camera(sights.flow.size, focal_px)
+    rays = [camera.rays(pixels) for pixels in places]
+    sequential, weak = (with_poses_anew(some, rays, focal_px) for some in (pairs, evidence.weak))
+    return replace(walk, camera=camera, evidence=replace(evidence, sequential=sequential, weak=weak))
 
 
 def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:

@@ -16,7 +16,7 @@ from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
-from rholoc.trajectory.optimization.adjustment import GUESSED, Adjusted, Problem, State, adjust
+from rholoc.trajectory.optimization.adjustment import ANY, GUESSED, Adjusted, Problem, State, adjust
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.figures import median_depth_of
@@ -84,7 +84,7 @@ def solve_from_pictures(walk: Pictured, progress: AdjustmentProgress) -> Reconst
         MappingFailed: no two pictures overlap, or the waypoints contradict them.
     """
     whole = walk.observations()
-    part = _adjusted(walk.sights, whole, _own_start(walk, whole), progress, (0.45, 0.75))
+    part = _adjusted(walk, whole, _own_start(walk, whole), progress, (0.45, 0.75))
     return _finished(walk, part, progress)
 
 
@@ -167,10 +167,10 @@ def _placed_by(
                 return None
             start = State(piece.T_world_camera, np.zeros((0, 3)), piece.camera), piece.members
         middle = sum(span) / 2
-        part = _adjusted(sights, whole, start, progress, (span[0], middle))
+        part = _adjusted(walk, whole, start, progress, (span[0], middle))
         more = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
         if len(more[1]) > len(part.members):
-            part = _adjusted(sights, whole, more, progress, (middle, span[1]))
+            part = _adjusted(walk, whole, more, progress, (middle, span[1]))
     except (MappingFailed, RuntimeError):  # gtsam's word for a system that cannot be solved
         return None
     return replace(part, in_metres=mapper is Mapper.DEPTH)
@@ -185,21 +185,21 @@ def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple
     whole = with_depths(richer.observations(sights, MANY_FEATURES), sights.depth, walk.camera)
     start = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
     try:
-        found = _adjusted(sights, whole, start, progress, (0.75, 0.85))
+        found = _adjusted(walk, whole, start, progress, (0.75, 0.85))
     except (MappingFailed, RuntimeError):
         return part, walk
     if not _agreement(found, part).same:
         return part, walk
-    return _unzoomed(found, sights, whole, progress), replace(walk, evidence=richer)
+    return _unzoomed(found, walk, whole, progress), replace(walk, evidence=richer)
 
 
-def _unzoomed(part: _Part, sights: Sights, whole: Observations, progress: AdjustmentProgress) -> _Part:
+def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> _Part:
     """The part with each picture's zoom estimated; the part as it is if the zooms are alike, it is no pinhole, or that
     fails.
     """
     if part.adjusted.state.camera.lens is not Lens.PINHOLE:
         return part
-    found, zooms = part, np.ones(len(sights.rows))
+    found, zooms = part, np.ones(len(walk.sights.rows))
     for _ in range(_ZOOM_ROUNDS):
         problem = found.problem
         more, differ = measure_zooms(problem.observations, found.adjusted.state, problem.pixel_sigma_px)
@@ -209,7 +209,7 @@ def _unzoomed(part: _Part, sights: Sights, whole: Observations, progress: Adjust
         start = replace(found.adjusted.state, points=np.zeros((0, 3))), found.members
         try:
             corrected = zoomed(whole, zooms, found.adjusted.state.camera)
-            found = _adjusted(sights, corrected, start, progress, (0.85, 0.85))
+            found = _adjusted(walk, corrected, start, progress, (0.85, 0.85))
         except (MappingFailed, RuntimeError):
             return part
     return found if found is part else replace(found, zooms=zooms[found.members])
@@ -296,7 +296,7 @@ def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | No
 
 
 def _adjusted(
-    sights: Sights,
+    walk: Pictured,
     whole: Observations,
     start: tuple[State, IntArray],
     progress: AdjustmentProgress,
@@ -305,12 +305,13 @@ def _adjusted(
     """Adjust some pictures from their first poses ``start`` (state, members) to those of the ``whole`` sightings they
     see. Also to depths or odometry steps, in metres, if these fix the scale. Raises MappingFailed.
     """
-    state, members = start
+    sights, (state, members) = walk.sights, start
     number = np.full(len(sights.rows), -1)
     number[members] = np.arange(len(members))
     numbered = replace(whole, keyframes=number[whole.keyframes])
     observations = numbered.take(numbered.keyframes >= 0)
-    problem = Problem(sights.times[members], observations, camera_sigmas=camera_sigmas(sights.camera))
+    sigmas = camera_sigmas(sights.camera, ANY)
+    problem = Problem(sights.times[members], observations, camera_sigmas=sigmas, camera_mean=walk.camera)
     problem, adjusted = adjusted_in_rounds(problem, state, progress, span, _ROUNDS_OF_PICTURES)
     scaled = scaled_by_depth(problem, adjusted)
     if scaled is not None:

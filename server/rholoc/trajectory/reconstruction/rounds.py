@@ -77,11 +77,11 @@ def _cleaned(problem: Problem, observations: Observations, off_px: FloatArray) -
     return replace(problem, observations=kept, pixel_sigma_px=sigma)
 
 
-def camera_sigmas(given: Camera | None) -> CameraSigmas | None:
-    """Prior sigmas of intrinsics: ``GUESSED`` for None, ``GIVEN`` for a pinhole with up to four coefficients, else None
+def camera_sigmas(given: Camera | None, guessed: CameraSigmas = GUESSED) -> CameraSigmas | None:
+    """Prior sigmas of intrinsics: ``guessed`` for None, ``GIVEN`` for a pinhole with up to four coefficients, else None
     (held).
     """
     if given is None:
-        return GUESSED
+        return guessed
     is_modelled = given.lens is Lens.PINHOLE and len(given.distortion) <= _MODELLED_DISTORTION
     return GIVEN if is_modelled else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import poselib
 
@@ -22,6 +24,8 @@ _CLEARLY = 0.9  # maximum ratio of best to worst residual, for a conclusive resu
 _PICTURE_PAIRS = 60
 _PICTURE_MOTION = 0.08  # image motion between the pictures of a pair, as a share of the longer side
 _PLAUSIBLE = (0.5, 2.0)
+_MATCHED_PAIRS, _MATCHES = 40, 150  # of pictures, and about so many matches of each, to estimate a focal length
+_MAX_SPREAD = 1.6  # of the upper to the lower quartile of pairs' focal lengths that agree
 
 
 def centred_camera(size: tuple[int, int], focal_px: float) -> Camera:
@@ -50,16 +54,17 @@ def calibrate_by_flow(flow: Flow, camera: Camera, imu: Imu, most_pairs: int | No
     return calibrate_gyro(flow.times[rows], R, imu)
 
 
-def guess_camera(flow: Flow, imu: Imu | None, focal_px: float | None = None) -> Camera:
+def guess_camera(flow: Flow, imu: Imu | None, focal_px: float | None = None, is_film: bool = True) -> Camera:
     """Undistorted camera with the focal length that fits the gyroscope best.
 
-    Without a gyroscope, or if the camera hardly turns, ``focal_px`` if given; else the median over pairs of pictures;
-    else 0.85 × the longer side.
+    Without a gyroscope, or if the camera hardly turns, ``focal_px`` if given; else the median over pairs of pictures
+    of a film; else 0.85 × the longer side.
     """
     longer = max(flow.size)
     stated = None if focal_px is None else focal_px / longer
     focal = None if imu is None else _focal_by_gyroscope(flow, imu)
-    return centred_camera(flow.size, longer * (focal or stated or _focal_by_pictures(flow) or _USUAL_FOCAL))
+    followed = _focal_by_pictures(flow) if is_film and not (focal or stated) else None
+    return centred_camera(flow.size, longer * (focal or stated or followed or _USUAL_FOCAL))
 
 
 def _focal_by_gyroscope(flow: Flow, imu: Imu) -> float | None:
@@ -108,6 +113,25 @@ def _focal_by_pictures(flow: Flow) -> float | None:
         if agreeing > 0.7 * len(shared) and _PLAUSIBLE[0] < share < _PLAUSIBLE[1]:
             found.append(share)
     return float(np.median(found)) if len(found) >= _PICTURE_PAIRS // 6 else None
+
+
+def focal_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tuple[int, int]) -> float | None:
+    """Focal length [px] by pairs of pictures: the median of those with most matches; None if they do not agree.
+
+    Args:
+        matched: pixels (M, 2) of a pair's matches in either picture.
+        size: of the images, width and height in pixels.
+    """
+    centre, longer = (np.array(size, dtype=np.float64) - 1) / 2, max(size)
+    best = sorted(matched, key=lambda pair: len(pair[0]), reverse=True)[:_MATCHED_PAIRS]
+    steps = [max(1, len(a) // _MATCHES) for a, _ in best]
+    thinned = [(a[::step] - centre, b[::step] - centre) for (a, b), step in zip(best, steps, strict=True)]
+    found = [_shared_focal(a, b)[0] for a, b in thinned if len(a) >= 2 * _MIN_SHARED]
+    if not found:
+        return None
+    low, middle, high = np.quantile(found, (0.25, 0.5, 0.75))
+    agree = high <= _MAX_SPREAD * low and _PLAUSIBLE[0] * longer < middle < _PLAUSIBLE[1] * longer
+    return float(middle) if agree else None
 
 
 def _shared_focal(a: FloatArray, b: FloatArray) -> tuple[float, int]:
