@@ -32,7 +32,6 @@ from rholoc.localization.belief.confidence import (
     ConfidenceFeatures,
     Weights,
     belief_by,
-    belief_of,
     confidence_features,
 )
 from rooms import ROOMS, NamedRoom, Room, map_of, strangers
@@ -66,7 +65,7 @@ class Case:
     Attributes:
         kind: what was asked.
         features: the confidence features; None where no pose was found.
-        factor: 0..1, by how much rivals and the focal length lower ``recognized``.
+        factor: 0..1, by how much rivals, the focal length and a position that is hardly known lower ``recognized``.
         off_m: how far off the pose is; None in another room, or where there is none.
         turned_rad: by how much it is turned, likewise.
         right: whether it is within 10 cm and 5°.
@@ -125,7 +124,7 @@ def case(kind: Kind, localizer: Localizer, query: Query, truth: FloatArray | Non
         return Case(kind, None, 0.0, None, None, False)
     verified, belief = found
     features = confidence_features((verified,), verified.covariance)
-    alone = belief_of(verified).recognized
+    alone = belief_by(features).recognized
     factor = belief.recognized / alone if alone > 0 else 0.0
     if truth is None:
         return Case(kind, features, factor, None, None, False)

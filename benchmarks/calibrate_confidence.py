@@ -1,20 +1,21 @@
 """Fit and check the confidence of answers (rholoc.localization.belief.confidence), by recordings that are held back.
 
     python benchmarks/calibrate_confidence.py --cache FOLDER [--features gray,lab,lab3,rgb,sift,sift48] [--minutes 10]
-        [--room "kitchen, hard" ...]
+        [--room "kitchen, hard" ...] [--fit redkitchen ...]
 
 Every kind of features in every room of benchmarks/rooms.py. What is asked of a room's map: frames of the room, whole
 and with an eighth of their features (frames that are easy say nothing about doubt); and pictures of all other rooms,
-which are all wrong. To these confidence is fitted. Besides, frames as if by a camera whose focal length is a tenth off;
-and windows of a frame, over a seventh of its area, in a picture of another room: a thing that looks alike.
+which are all wrong; of what is asked from a walk's other end, whole frames alone. To these confidence is fitted, to all
+recordings or to those named by ``--fit``. Besides, frames as if by a camera whose focal length is a tenth off; and
+windows of a frame, over a seventh of its area, in a picture of another room: a thing that looks alike.
 
 Answers are kept in the cache, room by room, until the code that gives them changes; after ``--minutes`` of processor
 time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of each
 kind of features, by weights fitted to all kinds together and to all recordings but the one that is asked
 about, for several thresholds and each recording how many pictures of other rooms are refused, how many good answers are
 kept, and how many of the answers given are wrong; whole frames and those with an eighth of their features apart. In the
-end it prints, side by side, these figures and how reliable confidence is. Simulated rooms are built alike: other ones
-are the hardest pictures of other rooms.
+end it prints, side by side, these figures, those of the weights in use, and how reliable these are. Simulated rooms are
+built alike: other ones are the hardest pictures of other rooms.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ from asking import Answered, Case, Kind, answers_of
 from measuring import print_table
 from rholoc.features import extractor_names
 from rholoc.geometry import BoolArray, FloatArray
-from rholoc.localization.belief.confidence import MIN_RECOGNIZED, Weights
-from rooms import ROOMS, NamedRoom
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED, WEIGHTS, Weights
+from rooms import ROOMS, WIDE, NamedRoom
 
 NOT_FITTED = (Kind.FOCAL_OFF, Kind.WINDOW)
 LESS_EXACT = ("xfeat",)  # than their sigma says: fitted apart
@@ -51,7 +52,7 @@ def all_answered(
     features: list[str], rooms: list[NamedRoom], kept: Path, is_late: Callable[[], bool]
 ) -> tuple[list[Answered], int]:
     """What is kept or can be asked in time, and how much is missing then."""
-    found = [answers_of(named, name, kept, is_late) for name in features for named in rooms]
+    found = [answers_of(named, name, kept, is_late, named in WIDE) for name in features for named in rooms]
     return [one for one in found if one is not None], found.count(None)
 
 
@@ -112,7 +113,7 @@ def beliefs_by(weights: Weights, cases: list[Case]) -> tuple[FloatArray, FloatAr
 
 @dataclass(frozen=True)
 class Judged:
-    """Answers, their ``recognized`` (N,) and ``confidence`` (N,) by weights fitted without their recording."""
+    """Answers, their ``recognized`` (N,) and ``confidence`` (N,) by some weights."""
 
     features: str
     recording: str
@@ -122,17 +123,17 @@ class Judged:
     confidence: FloatArray
 
 
-def held_back(answered: list[Answered]) -> list[Judged]:
-    """All answers, the recordings in turn held back."""
-    judged = []
-    for recording in sorted({one.recording for one in answered}):
-        weights = fit([one for one in answered if one.recording != recording])
-        judged += [
-            Judged(one.features, recording, one.room, one.cases, *beliefs_by(weights, one.cases))
-            for one in answered
-            if one.recording == recording
-        ]
-    return judged
+def held_back(answered: list[Answered], fitted: list[Answered]) -> list[Judged]:
+    """All answers, by weights that are fitted to those of other recordings among ``fitted``."""
+    recordings = {one.recording for one in answered}
+    weights = {name: fit([one for one in fitted if one.recording != name]) for name in recordings}
+    return [judge(one, weights[one.recording]) for one in answered]
+
+
+def judge(answered: Answered, weights: Weights = WEIGHTS) -> Judged:
+    """A room's answers by some weights."""
+    one = answered
+    return Judged(one.features, one.recording, one.room, one.cases, *beliefs_by(weights, one.cases))
 
 
 def of(judged: list[Judged], chosen: Callable[[Case], bool], exact: bool = False) -> tuple[FloatArray, BoolArray]:
@@ -230,27 +231,31 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True)
     parser.add_argument("--features", default=",".join(extractor_names()))
     parser.add_argument("--room", action="append", help="only this one; again for another")
+    parser.add_argument("--fit", action="append", help="recording that weights are fitted to; again for another")
     parser.add_argument("--minutes", type=float, default=np.inf, help="of processor time, after which it ends")
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    rooms = [one for one in ROOMS if not args.room or one.name in args.room]
+    rooms = [one for one in (*ROOMS, *WIDE) if not args.room or one.name in args.room]
     answered, missing = all_answered(
         args.features.split(","), rooms, args.cache, lambda: time.process_time() > 60 * args.minutes
     )
-    fitted: dict[str, list[Judged]] = {}
     if answered:
-        for name, values in asdict(fit(answered)).items():
+        fitted = [one for one in answered if not args.fit or one.recording in args.fit]
+        for name, values in asdict(fit(fitted)).items():
             print(f"{name} that fits all best: {np.round(values, 2).tolist()}")
-        for one in held_back(answered):
-            fitted.setdefault(one.features, []).append(one)
-        for name, judged in fitted.items():
+        every = {"held back": held_back(answered, fitted), "in use": [judge(one) for one in answered]}
+        names = list(dict.fromkeys(one.features for one in answered))
+        rows = []
+        for name in names:
             print(name)
-            show(judged)
-        rows = [{"": name} | figures(judged, MIN_RECOGNIZED) for name, judged in fitted.items()]
+            show([one for one in every["held back"] if one.features == name])
+            for how, judged in every.items():
+                chosen = [one for one in judged if one.features == name]
+                rows.append({"": f"{name}, {how}", "log score": f"{log_score(chosen):.4f}"})
+                rows[-1] |= figures(chosen, MIN_RECOGNIZED)
         print_table(rows, list(rows[0]))
-        every = [one for some in fitted.values() for one in some]
         for exact, said in ((False, "recognized"), (True, "confidence")):
-            print_table(reliability_table(every, exact), [said, "says", *fitted])
+            print_table(reliability_table(every["in use"], exact), [said, "says", *names])
     if missing:
         print(f"{missing} rooms are still to be asked: run it again.")
         raise SystemExit(OUT_OF_TIME)

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, pose_distances, pose_matrix
-from rholoc.localization.pose.ascent import ascend, covariance_at, information_at, moved, optimum_at
-from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances
+from rholoc.localization.pose.ascent import ascend, covariance_at, information_at, moved, optimum_at, refined
+from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances, refined_together
 from rholoc.localization.types import Dof
 
 _FOCAL_PX = 500.0
@@ -58,12 +58,11 @@ def test_frames_climb_together_to_where_each_was() -> None:
     truth = _random_poses(3, 5)
     evidences = [_evidence(T, seed, false=8) for seed, T in enumerate(truth)]
     start = _moved_all(truth, np.random.default_rng(6).normal(0, 0.02, 18))
-    optima = ascend_together(RayDensities(), evidences, start, _links(truth), _TOLERANCES_PX, Dof.FREE)
-    for one, T, evidence in zip(optima, truth, evidences, strict=True):
-        apart_m, turned_rad = pose_distances(one.T_map_camera, T)
-        assert apart_m < 1e-3
-        assert turned_rad < 1e-3
-        assert one.value == optimum_at(RayDensities(), evidence, one.T_map_camera, _TOLERANCES_PX[-1]).value
+    climbed = ascend_together(RayDensities(), evidences, start, _links(truth), _TOLERANCES_PX, Dof.FREE)
+    for T in (climbed, refined_together(evidences, climbed, _links(truth), Dof.FREE)):
+        apart_m, turned_rad = pose_distances(T, truth)
+        assert np.all(apart_m < 1e-3)
+        assert np.all(turned_rad < 1e-3)
 
 
 def test_a_frame_without_matches_goes_where_its_link_says() -> None:
@@ -71,10 +70,19 @@ def test_a_frame_without_matches_goes_where_its_link_says() -> None:
     seen, blind = _evidence(truth[0], 0), _evidence(truth[1], 1).take(np.zeros(0, np.int64))
     start = truth.copy()
     start[1] = moved(start[1], np.array([0.1, -0.05, 0.08, 0.05, 0.02, -0.04]))
-    optima = ascend_together(RayDensities(), [seen, blind], start, _links(truth), _TOLERANCES_PX, Dof.FREE)
-    apart_m, turned_rad = pose_distances(optima[1].T_map_camera, truth[1])
-    assert apart_m < 1e-3
-    assert turned_rad < 1e-3
+    climbed = ascend_together(RayDensities(), [seen, blind], start, _links(truth), _TOLERANCES_PX, Dof.FREE)
+    refined_ = refined_together([seen, blind], start, _links(truth), Dof.FREE)
+    for T in (climbed, refined_):
+        apart_m, turned_rad = pose_distances(T[1], truth[1])
+        assert apart_m < 1e-3
+        assert turned_rad < 1e-3
+
+
+def test_frames_without_matches_stay_where_they_are() -> None:
+    start = _random_poses(2, 7)
+    blind = _evidence(start[0], 1).take(np.zeros(0, np.int64))
+    links = [Link(0, 1, np.eye(4), 0.01, 0.01)]
+    np.testing.assert_array_equal(refined_together([blind, blind], start, links, Dof.FREE), start)
 
 
 def test_one_frame_alone_climbs_as_it_always_does() -> None:
@@ -83,7 +91,19 @@ def test_one_frame_alone_climbs_as_it_always_does() -> None:
     start = moved(truth[0], np.full(6, 0.01))
     joint = ascend_together(RayDensities(), [evidence], start[None], [], _TOLERANCES_PX, Dof.FREE)[0]
     alone = ascend(RayDensities(), evidence, start, _TOLERANCES_PX, Dof.FREE)
-    np.testing.assert_allclose(joint.T_map_camera, alone.T_map_camera, atol=1e-4)
+    np.testing.assert_allclose(joint, alone.T_map_camera, atol=1e-4)
+
+
+def test_one_frame_alone_is_refined_as_it_always_is() -> None:
+    T = _random_poses(1, 8)[0]
+    exact = _evidence(T, 2)
+    offsets = np.random.default_rng(1).standard_t(2, (30, 3))
+    evidence = replace(exact, landmarks=exact.landmarks + 0.01 * offsets)
+    joint = refined_together([evidence], T[None], [], Dof.FREE)[0]
+    alone = refined(evidence, T, Dof.FREE)
+    apart_m, _ = pose_distances(joint, T)
+    assert apart_m > 1e-3  # the landmarks' errors move it
+    np.testing.assert_allclose(joint, alone, atol=1e-4)
 
 
 def test_stiff_links_share_what_each_frame_knows_and_loose_ones_do_not() -> None:
@@ -141,8 +161,7 @@ def test_five_steps_at_each_tolerance_unless_they_are_below_a_tenth_of_a_millime
 
     def climbed(iterations: int | None) -> FloatArray:
         more = {} if iterations is None else {"iterations": iterations}
-        optima = ascend_together(RayDensities(), evidences, start, _links(truth, 0.3, 0.3), (30.0,), Dof.FREE, **more)
-        return np.array([one.T_map_camera for one in optima])
+        return ascend_together(RayDensities(), evidences, start, _links(truth, 0.3, 0.3), (30.0,), Dof.FREE, **more)
 
     ways = [climbed(count) for count in range(1, 40)]
     np.testing.assert_array_equal(climbed(None), ways[4])

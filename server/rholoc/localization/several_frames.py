@@ -23,10 +23,10 @@ from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.large_map import AnyLocalizer
 from rholoc.localization.localizer import Localizer, check_kind
-from rholoc.localization.pose.ascent import Optimum
-from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances
+from rholoc.localization.pose.ascent import optimum_at
+from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances, refined_together
 from rholoc.localization.pose.pose_evidence import Support, support_of
-from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of
+from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of, settling
 from rholoc.localization.pose.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, shares, unexplained_by_place
 from rholoc.localization.pose.seeds import vote_for_places
 from rholoc.localization.types import Belief, Dof, Intrinsics, Localization, Query, Reason
@@ -276,7 +276,6 @@ class _Joint:
         either radius has fewer than six matches over all frames.
         """
         T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities
-        verified: tuple[Verified, ...] = ()
         wide: list[Matches] = []
         for radius in SEARCH_RADII_PX:
             near = [
@@ -291,14 +290,18 @@ class _Joint:
                 for (matches, _), rays, frame in zip(near, self.rays, self.frames, strict=True)
             ]
             tolerances_px = (*(px for px in (radius, radius / 2) if px > FINAL_TOLERANCE_PX), FINAL_TOLERANCE_PX)
-            optima = ascend_together(densities, evidences, T, links, tolerances_px, self.dof)
-            T = np.array([optimum.T_map_camera for optimum in optima])
-            verified = tuple(
-                _verified(self.index, frame, optimum, matches, evidence, by_chance, around)
-                for optimum, (matches, by_chance), evidence, frame, around in zip(
-                    optima, near, evidences, self.frames, wide, strict=True
-                )
+            T = ascend_together(densities, evidences, T, links, tolerances_px, self.dof)
+        some = [
+            one.take(settling(self.index, matches, optimum_at(densities, one, pose, FINAL_TOLERANCE_PX)))
+            for one, (matches, _), pose in zip(evidences, near, T, strict=True)
+        ]
+        T = refined_together(some, T, links, self.dof)
+        verified = tuple(
+            _verified(self.index, frame, pose, matches, evidence, by_chance, around)
+            for frame, pose, (matches, by_chance), evidence, around in zip(
+                self.frames, T, near, evidences, wide, strict=True
             )
+        )
         covariances = joint_covariances([one.evidence for one in verified], [one.optimum for one in verified], links)
         return _Candidate(verified, covariances, joint_belief(verified, covariances[0]))
 
@@ -331,11 +334,12 @@ class _Joint:
 def _verified(
     index: MapIndex,
     frame: Query,
-    optimum: Optimum,
+    T_map_camera: FloatArray,
     matches: Matches,
     evidence: Evidence,
     by_chance: FloatArray,
     wide: Matches,
 ) -> Verified:
+    optimum = optimum_at(index.map.densities, evidence, T_map_camera, FINAL_TOLERANCE_PX)
     support = support_of(index, frame, matches, evidence, optimum, by_chance, wide)
     return Verified(optimum, matches, evidence, frame.features.pixels[matches.detections], wide, support)

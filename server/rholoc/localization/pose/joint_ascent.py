@@ -1,24 +1,35 @@
 """Joint ascent over several frames: the sum of their log densities, with known relative poses as soft constraints.
 
-Each frame contributes Σ log(ε + ρ); each link subtracts its squared error over 2σ². Stiff links make it the density of
-one rig; links from odometry give way as far as the odometry may be wrong.
+Each frame contributes Σ log(ε + ρ), in the last steps Cauchy's log-likelihood as for one frame; each link subtracts its
+squared error over 2σ². Stiff links make it the density of one rig; links from odometry give way as far as the odometry
+may be wrong.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.density import Densities, Evidence
 from rholoc.geometry import FloatArray
-from rholoc.localization.pose.ascent import Optimum, information_at, moved, normal_equations, optimum_at
+from rholoc.localization.pose.ascent import (
+    Optimum,
+    information_at,
+    moved,
+    normal_equations,
+    refinement_equations,
+)
 from rholoc.localization.types import Dof
 
 _SETTLED = 1e-4  # metres or radians
 _LONGEST_STEP = np.repeat([0.5, 0.3], 3)  # metres, radians
+_LAST_ITERATIONS = 10
+
+_Equations = Callable[[FloatArray], tuple[FloatArray, FloatArray]]  # gradient (6,), curvature (6, 6) at a pose (4, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,28 +59,49 @@ def ascend_together(
     tolerances_px: tuple[float, ...],
     dof: Dof,
     iterations: int = 5,
-) -> list[Optimum]:
-    """Gauss–Newton over the poses (N, 4, 4) of N frames, with decreasing tolerances [px] of at most ``iterations``
-    steps each.
-
-    Returns each frame's optimum, rated at the last tolerance. ``evidences`` has one entry per frame.
+) -> FloatArray:
+    """Poses (N, 4, 4) of N frames after Gauss–Newton from others, with decreasing tolerances [px] of at most
+    ``iterations`` steps each. ``evidences`` has one entry per frame.
     """
-    T = np.array(T_map_cameras, dtype=np.float64)
+    T = T_map_cameras
     for tolerance_px in tolerances_px:
-        locals_ = [densities.near(one, pose, tolerance_px) for one, pose in zip(evidences, T, strict=True)]
-        for _ in range(iterations):
-            slope, curvature = _link_equations(T, links)
-            for i, (local, evidence) in enumerate(zip(locals_, evidences, strict=True)):
-                if len(evidence):
-                    own = slice(6 * i, 6 * i + 6)
-                    pull, stiffness = normal_equations(local, evidence.epsilon, T[i], tolerance_px, dof)
-                    slope[own] += pull
-                    curvature[own, own] += stiffness
-            step = _bounded(slope, curvature)
-            T = np.array([moved(pose, part) for pose, part in zip(T, step, strict=True)])
-            if np.abs(step).max() < _SETTLED:
-                break
-    return [optimum_at(densities, one, pose, tolerances_px[-1]) for one, pose in zip(evidences, T, strict=True)]
+        equations: list[_Equations | None] = []
+        for evidence, pose in zip(evidences, T, strict=True):
+            local = densities.near(evidence, pose, tolerance_px)
+            climbed = partial(normal_equations, local, evidence.epsilon, tolerance_px=tolerance_px, dof=dof)
+            equations.append(climbed if len(evidence) else None)
+        T = _climbed(equations, T, links, iterations)
+    return T
+
+
+def refined_together(
+    evidences: Sequence[Evidence], T_map_cameras: FloatArray, links: Sequence[Link], dof: Dof
+) -> FloatArray:
+    """Last steps from the poses (N, 4, 4) of N frames, as :func:`~rholoc.localization.pose.ascent.refined` takes them
+    for one. A frame without evidence goes by its links. Returns their poses.
+    """
+    equations = [partial(refinement_equations, one, dof=dof) if len(one) else None for one in evidences]
+    return _climbed(equations, T_map_cameras, links, _LAST_ITERATIONS) if any(equations) else T_map_cameras
+
+
+def _climbed(
+    equations: Sequence[_Equations | None], T_map_cameras: FloatArray, links: Sequence[Link], iterations: int
+) -> FloatArray:
+    """Poses (N, 4, 4) after Gauss–Newton steps by each frame's equations, None where it has none, and the links."""
+    T = T_map_cameras
+    for _ in range(iterations):
+        slope, curvature = _link_equations(T, links)
+        for i, of_frame in enumerate(equations):
+            if of_frame is not None:
+                own = slice(6 * i, 6 * i + 6)
+                pull, stiffness = of_frame(T[i])
+                slope[own] += pull
+                curvature[own, own] += stiffness
+        step = _bounded(slope, curvature)
+        T = np.array([moved(pose, part) for pose, part in zip(T, step, strict=True)])
+        if np.abs(step).max() < _SETTLED:
+            break
+    return T
 
 
 def joint_covariances(evidences: Sequence[Evidence], optima: Sequence[Optimum], links: Sequence[Link]) -> FloatArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.density import Evidence
-from rholoc.geometry import Camera, FloatArray, pose_distances
+from rholoc.geometry import Camera, FloatArray, IntArray, pose_distances
 from rholoc.lazy import lazy
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
@@ -75,21 +75,28 @@ def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Cam
 
 
 def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optimum, dof: Dof) -> Optimum:
-    """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``; rates the end at that tolerance again.
+    """Last steps of an ascent that ended at ``FINAL_TOLERANCE_PX``, by :func:`settling` matches; rates the end at that
+    tolerance again. The optimum itself if there are none.
+    """
+    some = settling(index, matches, optimum)
+    if len(some) == 0:
+        return optimum
+    T = refined(evidence.take(some), optimum.T_map_camera, dof)
+    return optimum_at(index.map.densities, evidence, T, FINAL_TOLERANCE_PX)
+
+
+def settling(index: MapIndex, matches: Matches, optimum: Optimum) -> IntArray:
+    """Rows of the matches that the last steps go by; none if fewer than six of them agree, or the densities have no
+    exact peaks.
 
     Landmarks that were only seen from elsewhere look different from here and are detected less exactly. They help to
-    find and to believe a pose, but the last steps only use landmarks that nearby views saw too. The optimum is returned
-    unchanged if fewer than six of these agree, or if the densities have no exact peaks.
+    find and to believe a pose, but the last steps only use landmarks that nearby views saw too.
     """
-    densities = index.map.densities
-    if not densities.has_exact_peaks:
-        return optimum
+    if not index.map.densities.has_exact_peaks:
+        return np.zeros(0, dtype=np.int64)
     agreeing = optimum.density > 0
     alike = index.seen_alike(matches.landmarks[agreeing], _VIEWS_ALIKE)[matches.landmarks]
-    if (agreeing & alike).sum() < _MIN_MATCHES:
-        return optimum
-    T = refined(evidence.take(np.flatnonzero(alike)), optimum.T_map_camera, dof)
-    return optimum_at(densities, evidence, T, FINAL_TOLERANCE_PX)
+    return np.flatnonzero(alike if (agreeing & alike).sum() >= _MIN_MATCHES else np.zeros_like(alike))
 
 
 def polished(index: MapIndex, query: Query, verified: Verified) -> Verified:
