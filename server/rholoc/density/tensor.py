@@ -114,7 +114,9 @@ class TensorDensities:
         return taken
 
     def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalTensorDensities:
-        """Matches with a landmark within twice the tolerance of their pixel and a density that is valid there."""
+        """Densities at a pose (4, 4) of matches whose landmark is within √((2 × tolerance)² + (2 σ)²) of their ray, σ
+        of the landmark, and for which a density is valid there.
+        """
         points = (evidence.landmarks - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
         along = np.einsum("mi,mi->m", points, evidence.rays)
         aside = np.einsum("mi,mi->m", points, points) - along**2

@@ -86,8 +86,9 @@ def posed_alignment(
     """Similarity from poses ``source`` (N, 4, 4) to poses ``target`` (N, 4, 4) of the same cameras; rotations fix its
     rotation.
 
-    So a walk along a line, or on the spot, is aligned as well. The scale stays 1 if it is fixed, if the positions
-    disagree, or if the target's spread is at most ``min_spread_m``. ``weights`` (N,) are relative.
+    So a walk along a line, or on the spot, is aligned as well. The rotation is the weighted mean of the relative
+    rotations alone. The scale stays 1 if it is fixed, if the rotated positions do not correlate positively with the
+    target's, or if the target's spread is at most ``min_spread_m``. ``weights`` (N,) are relative.
     """
     w = _normalized(weights, len(source))
     R, _ = _nearest_rotation(np.einsum("l,lij,lkj->ik", w, target[:, :3, :3], source[:, :3, :3]))

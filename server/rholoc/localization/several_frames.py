@@ -165,7 +165,7 @@ class _Joint:
 
     def localize(self) -> JointLocalization:
         """Try one set of matches after the other until a candidate is conclusive or the deadline has passed; answer
-        with the best.
+        with the best. Without a candidate, a refusal with its reason.
         """
         best: _Candidate | None = None
         found: list[_Candidate] = []

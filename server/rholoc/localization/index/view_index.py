@@ -157,8 +157,8 @@ class _Held:
         return cls(index, named, numbers.astype(np.int32), len(vectors))
 
     def is_outgrown_by(self, owners: IntArray) -> bool:
-        """Whether the lists should be built anew for vectors with these owners (V,): four times as many as they were
-        made for, or a third of removed maps (-1); never below 5000.
+        """Whether the lists should be built anew for vectors with these owners (V,): more than four times as many as
+        they were made for, or more than a third of removed maps (-1), and either more than 5000.
         """
         dead = np.count_nonzero(owners < 0)
         return bool(len(owners) > max(_FEW, _GROWTH * self.made_for) or dead > max(_FEW, _DEAD_SHARE * len(owners)))

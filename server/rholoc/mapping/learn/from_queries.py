@@ -221,8 +221,8 @@ def _is_of_queries(info: MapInfo) -> BoolArray:
 
 
 def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
-    """Queries that become views: of at most 3 × the median sigma, at a new time, from the four most common cameras, and
-    spread over the map.
+    """Queries that become views: position sigma at most 3 × the median of ``teaching``, a time of which no view was
+    learned from queries, one of the four most common cameras; thinned to spread over the map.
     """
     learned = set(known.views.times[~_is_recorded(known)].tolist())
     new = [one for one in _exact(teaching, _MAX_VIEW_SIGMA_RATIO) if one.query.time_s not in learned]

@@ -31,7 +31,7 @@ _COARSER = 1.25
 
 
 def draw_room(map_: Map, recordings: Sequence[Recording], progress: ProgressListener = silent) -> Map:
-    """The map with the surfaces of its room, as far as its recordings show them.
+    """The map with the surfaces of its room that one of its recordings shows: the one that gives most vertices.
 
     Depth is measured in pairs of frames, or was recorded with them; what only one pair sees is dropped. The floor and
     up to four walls are fitted, and close gaps where pictures show no texture. A map whose recordings show too little

@@ -45,7 +45,8 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     """A ROS 1 bag, or a ROS 2 bag: a file, or the folder that ``ros2 bag record`` makes.
 
     Raises:
-        InvalidRecording: the bag cannot be read, or is found damaged within the block.
+        InvalidRecording: the bag cannot be read, or is found damaged within the block; in place of any exception in it
+            that is no RholocError.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore

@@ -86,7 +86,9 @@ def common_camera(cameras: Sequence[Camera]) -> Camera:
 
 
 def resampled(image: ByteArray, camera: Camera, common: Camera) -> ByteArray:
-    """Resample an image (H, W, 3) or (H, W) from ``camera`` to ``common`` at the same position."""
+    """Resample an image (H, W, 3) or (H, W) from ``camera`` to ``common`` at the same position: pixels
+    outside it repeat its edge. For equal cameras, the image itself.
+    """
     if camera == common:
         return image
     shrunk = common.focal / camera.focal

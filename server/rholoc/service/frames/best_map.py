@@ -19,9 +19,10 @@ T = TypeVar("T")
 _log = structlog.get_logger("rholoc.service")
 
 
-def chosen(maps: MapChoice, features_by: Callable[[Extractor], FeatureSet], clock: Stopwatch) -> Candidates:
-    """Candidate maps for a frame, the likeliest first; adds the time without feature extraction to the clock's stage
-    "choose".
+def choose_candidates(maps: MapChoice, features_by: Callable[[Extractor], FeatureSet], clock: Stopwatch) -> Candidates:
+    """Candidate maps for a frame: of more than can be asked, the likeliest first, if they can be ranked; else all.
+
+    The time of ranking, without feature extraction, is added to the clock's stage "choose".
     """
     before_ms, start_s = clock.worked_ms, time.perf_counter()
     found = maps.candidates(features_by)

@@ -21,7 +21,7 @@ from rholoc.localization import (
     localize_together,
 )
 from rholoc.service.frames.answers import FramePoseOut, LocalizationOut, PoseOut, answer_of, pose_out, too_late
-from rholoc.service.frames.best_map import best_map, chosen
+from rholoc.service.frames.best_map import best_map, choose_candidates
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.map_choice import MapChoice
@@ -101,7 +101,7 @@ def localize_frames(
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     features = [FrameFeatures(frame, settings, clock, deadline_s) for frame in frames.frames]
     name, localizer, joint = best_map(
-        chosen(maps, features[0].by, clock),
+        choose_candidates(maps, features[0].by, clock),
         localizers,
         lambda localizer: _localize(frames, localizer, features, deadline_s, clock),
         lambda found: (found.first.localized, found.first.recognized),

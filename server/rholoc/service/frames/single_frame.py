@@ -15,7 +15,7 @@ from rholoc.localization import (
     likeliest_views,
 )
 from rholoc.service.frames.answers import LocalizationOut, PlaceOut, PlacesOut, answer_of, pose_out, too_late
-from rholoc.service.frames.best_map import best_map, chosen, each_map
+from rholoc.service.frames.best_map import best_map, choose_candidates, each_map
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.kept.learning import Lesson, Listener
 from rholoc.service.frames.localizers import LocalizerSource
@@ -56,7 +56,7 @@ def localize_frame(
 
         return best_map(asked, localizers, localize, _rank, clock)
 
-    likely = chosen(maps, features.by_quick, clock)
+    likely = choose_candidates(maps, features.by_quick, clock)
     if likely.are_ranked:
         name, localizer, found = _looking_twice(likely.at_first(), maps, features, surest, clock)
     else:
@@ -94,7 +94,7 @@ def likeliest_places(
             for found in likeliest_views(localizer, features.by(localizer.extractor), most)
         )
 
-    each_map(chosen(maps, features.by, clock), localizers, ask, clock)
+    each_map(choose_candidates(maps, features.by, clock), localizers, ask, clock)
     return PlacesOut(places=sorted(places, key=lambda place: -place.score)[:most])
 
 
@@ -116,7 +116,7 @@ def _looking_twice(
     except RholocError as error:
         refused = error
     if not answers or _rank(answers[0][2]) < (True, CONCLUSIVE):
-        others = chosen(maps, features.by, clock).besides(at_first)
+        others = choose_candidates(maps, features.by, clock).besides(at_first)
         if others.names:
             answers.append(surest(others))
     if not answers and refused is not None:

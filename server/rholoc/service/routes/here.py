@@ -119,7 +119,7 @@ async def get_here(site: Visited, service: Service) -> HereOut:
     ),
 )
 async def get_here_room(site: Visited, map_name: str, service: Service) -> Response:
-    """The room of a map of this site, in the format of `GET /v1/maps/{map_name}/room`."""
+    """The room of a map of this site, in the format of `GET /v1/maps/{map_name}/room`; empty if none was drawn."""
     if (await service.sites.get(site)).member(map_name) is None:
         raise UnknownMap(f"The site {site} has no map {map_name[:64]}.", "GET /v1/here/{site} names its maps.")
     map_ = await service.maps.get(map_name)

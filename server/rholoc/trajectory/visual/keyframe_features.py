@@ -70,8 +70,10 @@ class KeyframeFeatures:
         self._pool.shutdown(cancel_futures=True)
 
     def foresee(self, row: int, image: ByteArray, motion: float, sharpness: float) -> None:
-        """Take the next frame (H, W, 3) BGR of the walk; if it ends a step, extract the features of that step's
-        keyframe.
+        """Take the next frame (H, W, 3) BGR, its motion since the frame before [share of the longer side], sharpness.
+
+        Starts to extract, in a thread, the keyframe of the step that it ends, and itself if it is certain to be one.
+        Blocks while two images per thread wait.
         """
         ended = self._steps.add(row, float(self._frames.times[row]), motion, sharpness)
         if ended is not None and self._sharpest is not None:

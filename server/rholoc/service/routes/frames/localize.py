@@ -152,7 +152,8 @@ async def find_places(
 )
 async def see_landscape(map_name: str, request: Request, service: Service, options: Options) -> LandscapeOut:
     """The product of the densities of what the frame shows, over positions around its pose, and the paths of ascents to
-    it. One picture or descriptor set is sent as for a pose; it takes a few times as long."""
+    it; around the likeliest place if there is no pose, with `localized` false. One picture or descriptor set is sent as
+    for a pose; it takes a few times as long."""
     clock = Stopwatch()
     await service.frames.check_known([map_name])
     async with read_frame(request, options, service) as frame:
