@@ -52,6 +52,13 @@ def test_changes_are_noted_with_who_made_them(locked, picture_world) -> None:
     assert len(boss.get("/v1/audit?limit=1").json()["changes"]) == 1
 
 
+def test_without_keys_the_address_is_noted(serve, picture_world) -> None:
+    with httpx.Client(base_url=serve().url, timeout=PATIENCE_S) as anyone:
+        assert anyone.put("/v1/maps/hall", content=picture_world.rho()).status_code == 201
+        (change,) = anyone.get("/v1/audit").json()["changes"]
+    assert change["who"] == "127.0.0.1"
+
+
 def test_a_recording_is_noted_with_its_job(locked) -> None:
     _, mapper, boss = locked
     sent = mapper.post("/v1/recordings", files={"file": ("walk.mp4", b"\0\0\0\x18ftypmp42")}, data={"map": "hall"})
