@@ -49,10 +49,12 @@ def test_zooms_are_taken_out_of_a_reconstruction(zooms: FloatArray) -> None:
     taken: Any = type("Sights", (), {"steps": ()})()
     things = {"rows": np.arange(COUNT), "times": np.arange(float(COUNT)), "camera": CAMERA, "take": lambda *_: taken}
     sights: Any = type("Sights", (), things)()
+    evidence: Any = None
+    walk = from_pictures.Pictured(sights, CAMERA, evidence)
     whole, progress = seen(zooms), AdjustmentProgress(silent)
     start = State(T, np.zeros((0, 3)), CAMERA), np.arange(COUNT)
-    part = from_pictures._adjusted(sights, whole, start, progress, (0.0, 0.5))
-    found = from_pictures._unzoomed(part, sights, whole, progress)
+    part = from_pictures._adjusted(walk, whole, start, progress, (0.0, 0.5))
+    found = from_pictures._unzoomed(part, walk, whole, progress)
     if zooms is not ZOOMS:
         assert found is part
         return
