@@ -49,8 +49,8 @@ def test_zooms_are_taken_out_of_a_reconstruction(zooms: FloatArray) -> None:
     taken: Any = type("Sights", (), {"steps": ()})()
     things = {"rows": np.arange(COUNT), "times": np.arange(float(COUNT)), "camera": CAMERA, "take": lambda *_: taken}
     sights: Any = type("Sights", (), things)()
-    nothing: Any = None
-    walk = from_pictures.Pictured(sights, CAMERA, nothing)
+    evidence: Any = None
+    walk = from_pictures.Pictured(sights, CAMERA, evidence)
     whole, progress = seen(zooms), AdjustmentProgress(silent)
     start = State(T, np.zeros((0, 3)), CAMERA), np.arange(COUNT)
     part = from_pictures._adjusted(walk, whole, start, progress, (0.0, 0.5))

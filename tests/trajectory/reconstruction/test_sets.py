@@ -77,7 +77,7 @@ def taken(
     covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
     evidence: Any = type("Evidence", (), {"observations": lambda *_: None})()
-    sights: Any = type("Sights", (), {"depth": None, "rows": np.arange(COUNT)})()
+    sights: Any = type("Sights", (), {"depth": None, "rows": np.arange(COUNT), "is_film": False})()
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "_agreement", compared)
     monkeypatch.setattr(from_pictures, "_comparison", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3]))

@@ -203,3 +203,12 @@ def test_a_corner_that_comes_into_view_later_is_followed_from_there() -> None:
         here = np.isin(found.pixels, pixels[:, number]).all(axis=1)
         assert len(np.unique(found.tracks[here])) == 1
         assert np.sort(found.keyframes[here]).tolist() == expected
+
+
+@pytest.mark.parametrize(("fewest", "points"), [(3, 1), (2, 2)])
+def test_points_that_two_pictures_show_count_where_that_is_enough(fewest: int, points: int) -> None:
+    places = [np.arange(4.0).reshape(2, 2)] * 3
+    pairs = [_pair(0, 1, [(0, 0), (1, 1)]), _pair(1, 2, [(0, 0)])]
+    found = matched_features(places, pairs, fewest)
+    assert found.points == points
+    assert found.thinned(5).points == points

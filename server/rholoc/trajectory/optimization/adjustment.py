@@ -39,7 +39,6 @@ _CAUCHY_PIXELS = 2.0  # sigmas
 _CAUCHY_WAYPOINTS = 3.0
 _CAUCHY_STEPS = 3.0
 _MIN_PARALLAX_DEG = 1.5  # between the rays to a usable point
-_MIN_SIGHTINGS = 3
 _ACCELEROMETER_NOISE = 0.01  # m/s² / √Hz: a phone's, and hand motion between its readings
 _GYROSCOPE_NOISE = 5e-4  # rad/s / √Hz
 _INTEGRATION_NOISE = 1e-4  # m / √s
@@ -341,7 +340,7 @@ def _usable_points(observations: Observations, state: State, sigma_px: float) ->
     points, parallax_deg = triangulate(observations, state)
     off = residuals_px(observations, state, points)
     near = off < max(20.0, 4 * float(np.median(off)))
-    often = np.bincount(observations.tracks[near], minlength=observations.points) >= _MIN_SIGHTINGS
+    often = np.bincount(observations.tracks[near], minlength=observations.points) >= observations.fewest
     good = (parallax_deg > _MIN_PARALLAX_DEG) & often
     used = near & good[observations.tracks]
     return _settled(points, observations.at(used), state, sigma_px), used

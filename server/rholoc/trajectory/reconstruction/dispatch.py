@@ -18,7 +18,7 @@ from rholoc.trajectory.reconstruction.from_pictures import Pictured, solve_from_
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
-from rholoc.trajectory.visual.focal_guess import centred_camera, focal_by_matches, guess_camera
+from rholoc.trajectory.visual.focal_guess import camera_by_matches, guess_camera
 from rholoc.trajectory.visual.matching import with_poses_anew
 
 _WELL_PLACED = 0.9  # share of a film's keyframes, below which other ways to place them are tried
@@ -68,23 +68,22 @@ def _reconstruct(
         return _from_film(Pictured(sights, camera, evidence, waypoints, reason), steps)
     if felt is not None:  # pairs that a wrong gyroscope contradicts were left out
         evidence = gather_evidence(sights, camera, None, progress)
-    return solve_from_set(_with_focal_by_matches(Pictured(sights, camera, evidence, waypoints, reason)), steps)
+    return solve_from_set(_with_camera_by_matches(Pictured(sights, camera, evidence, waypoints, reason)), steps)
 
 
-def _with_focal_by_matches(walk: Pictured) -> Pictured:
-    """A set of pictures with the focal length that its pairs agree on, if it was only guessed."""
+def _with_camera_by_matches(walk: Pictured) -> Pictured:
+    """A set of pictures with the camera that its pairs agree on, if it was only guessed."""
     sights, evidence = walk.sights, walk.evidence
     if sights.camera is not None or sights.focal_px is not None:
         return walk
     places = [found.pixels.astype(np.float64) for found in sights.features]
     pairs = evidence.sequential
     matched = [(places[one.first][one.matches[:, 0]], places[one.second][one.matches[:, 1]]) for one in pairs]
-    focal_px = focal_by_matches(matched, sights.flow.size)
-    if focal_px is None:
+    camera = camera_by_matches(matched, sights.flow.size)
+    if camera is None:
         return walk
-    camera = centred_camera(sights.flow.size, focal_px)
     rays = [camera.rays(pixels) for pixels in places]
-    sequential, weak = (with_poses_anew(some, rays, focal_px) for some in (pairs, evidence.weak))
+    sequential, weak = (with_poses_anew(some, rays, camera.focal) for some in (pairs, evidence.weak))
     return replace(walk, camera=camera, evidence=replace(evidence, sequential=sequential, weak=weak))
 
 

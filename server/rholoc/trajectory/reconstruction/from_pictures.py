@@ -37,11 +37,19 @@ from rholoc.trajectory.reconstruction.rounds import (
     adjusted_in_rounds,
     camera_sigmas,
 )
-from rholoc.trajectory.reconstruction.sights import ADVICE, DENSER, MANY_FEATURES, Evidence, Sights
+from rholoc.trajectory.reconstruction.sights import (
+    ADVICE,
+    DENSER,
+    FEATURES_PER_KEYFRAME,
+    MANY_FEATURES,
+    Evidence,
+    Sights,
+)
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.matching import VerifiedPair
-from rholoc.trajectory.visual.tracks import Observations, pieces_of
+from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS, Observations, pieces_of
 
+_FEWEST_OF_SET = 2  # sightings of a point: pictures far apart share few points with two others
 _ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
@@ -74,7 +82,13 @@ class Pictured:
         """Sightings of corners and matched features, with their depths where these were measured. Raises MappingFailed
         if there are none.
         """
-        return with_depths(self.evidence.observations(self.sights), self.sights.depth, self.camera)
+        return self.observed(self.evidence, FEATURES_PER_KEYFRAME)
+
+    def observed(self, evidence: Evidence, features: int) -> Observations:
+        """The same by some evidence, of about ``features`` matched features per keyframe."""
+        fewest = MIN_SIGHTINGS if self.sights.is_film else _FEWEST_OF_SET
+        found = evidence.observations(self.sights, features, fewest)
+        return with_depths(found, self.sights.depth, self.camera)
 
 
 def solve_from_pictures(walk: Pictured, progress: AdjustmentProgress) -> Reconstruction:
@@ -182,7 +196,7 @@ def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple
     """
     sights, evidence = walk.sights, walk.evidence
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
-    whole = with_depths(richer.observations(sights, MANY_FEATURES), sights.depth, walk.camera)
+    whole = walk.observed(richer, MANY_FEATURES)
     start = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
     try:
         found = _adjusted(walk, whole, start, progress, (0.75, 0.85))

@@ -19,11 +19,11 @@ from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, match_pictures
 from rholoc.trajectory.visual.parallax import only_turned
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
-from rholoc.trajectory.visual.tracks import Observations, followed_corners, matched_features
+from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS, Observations, followed_corners, matched_features
 from rholoc.trajectory.visual.two_view import PairRotation
 
 _CORNERS_PER_KEYFRAME = 90
-_FEATURES_PER_KEYFRAME = 150
+FEATURES_PER_KEYFRAME = 150
 MANY_FEATURES = 800  # per keyframe, for the last adjustment of a set of pictures
 _USUAL_KEYFRAMES = 1000
 _FOLLOWED = 60  # corners that neighbouring keyframes share, in the median, where pictures are close enough to follow
@@ -105,16 +105,18 @@ class Evidence:
         """Relative rotations of all pairs of keyframes: by corners, by matches of neighbours, by loops."""
         return [*self.turned, *(pair.rotation for pair in (*self.sequential, *self.loops))]
 
-    def observations(self, sights: Sights, features: int = _FEATURES_PER_KEYFRAME) -> Observations:
-        """Sightings of corners and of about ``features`` matched features per keyframe; fewer of both above 1000
-        keyframes.
+    def observations(
+        self, sights: Sights, features: int = FEATURES_PER_KEYFRAME, fewest: int = MIN_SIGHTINGS
+    ) -> Observations:
+        """Sightings of corners and of about ``features`` matched features per keyframe, ``fewest`` or more of a point;
+        fewer of both above 1000 keyframes.
 
         Raises:
             MappingFailed: there are none.
         """
         share = min(1.0, np.sqrt(_USUAL_KEYFRAMES / len(sights.rows)))
         places = [features.pixels.astype(np.float64) for features in sights.features]
-        matched = matched_features(places, [*self.sequential, *self.loops])
+        matched = matched_features(places, [*self.sequential, *self.loops], fewest)
         matched = matched.thinned(round(share * features))
         found = self.corners.thinned(round(share * _CORNERS_PER_KEYFRAME)).joined(matched)
         if len(found) == 0:

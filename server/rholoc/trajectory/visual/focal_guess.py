@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import poselib
 
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, on_plane
 from rholoc.recordings import Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro, spaced_rows
 from rholoc.trajectory.visual.flow import Flow
-from rholoc.trajectory.visual.two_view import relative_pose
+from rholoc.trajectory.visual.two_view import UNIT_CAMERA, relative_pose
 
 _FOCALS = np.arange(0.6, 1.31, 0.1)  # times the longer side of the image: phones and webcams have 0.7 to 1.25
 _FINE = np.array([-0.05, 0.05])
@@ -24,7 +25,11 @@ _CLEARLY = 0.9  # maximum ratio of best to worst residual, for a conclusive resu
 _PICTURE_PAIRS = 60
 _PICTURE_MOTION = 0.08  # image motion between the pictures of a pair, as a share of the longer side
 _PLAUSIBLE = (0.5, 2.0)
-_MATCHED_PAIRS, _MATCHES = 40, 150  # of pictures, and about so many matches of each, to estimate a focal length
+_MATCHED_PAIRS, _MATCHES = 40, 120  # of pictures, and about so many matches of each, to estimate a focal length
+_COMPARED_PAIRS = 24  # of them, by which lenses are compared
+_SHARES = (0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.5)  # focal lengths of these, in longer sides
+_BARRELS = ((0.0, 0.0, 0.0, 0.0), (-0.15, 0.02, 0.0, 0.0), (-0.3, 0.09, 0.0, 0.0))  # and distortions
+_MUCH_BETTER = 0.75  # of the misfit without distortion, below which there is some
 _MAX_SPREAD = 1.6  # of the upper to the lower quartile of pairs' focal lengths that agree
 
 
@@ -115,23 +120,41 @@ def _focal_by_pictures(flow: Flow) -> float | None:
     return float(np.median(found)) if len(found) >= _PICTURE_PAIRS // 6 else None
 
 
-def focal_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tuple[int, int]) -> float | None:
-    """Focal length [px] by pairs of pictures: the median of those with most matches; None if they do not agree.
+def camera_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tuple[int, int]) -> Camera | None:
+    """Camera by the pairs of pictures with most matches: one with barrel distortion if it fits them clearly better,
+    else one with the median of their focal lengths. None if these do not agree.
 
     Args:
         matched: pixels (M, 2) of a pair's matches in either picture.
         size: of the images, width and height in pixels.
     """
-    centre, longer = (np.array(size, dtype=np.float64) - 1) / 2, max(size)
     best = sorted(matched, key=lambda pair: len(pair[0]), reverse=True)[:_MATCHED_PAIRS]
     steps = [max(1, len(a) // _MATCHES) for a, _ in best]
-    thinned = [(a[::step] - centre, b[::step] - centre) for (a, b), step in zip(best, steps, strict=True)]
-    found = [_shared_focal(a, b)[0] for a, b in thinned if len(a) >= 2 * _MIN_SHARED]
-    if not found:
+    thinned = [(a[::step], b[::step]) for (a, b), step in zip(best, steps, strict=True) if len(a) >= 2 * _MIN_SHARED]
+    if not thinned:
         return None
+    cameras = [replace(centred_camera(size, share * max(size)), distortion=k) for share in _SHARES for k in _BARRELS]
+    misfits = {camera: _epipolar_misfit(camera, thinned[:_COMPARED_PAIRS]) for camera in cameras}
+    fittest = min(cameras, key=misfits.__getitem__)
+    straight = min(misfits[camera] for camera in cameras if not any(camera.distortion))
+    if misfits[fittest] < _MUCH_BETTER * straight:
+        return fittest
+    centre, longer = (np.array(size, dtype=np.float64) - 1) / 2, max(size)
+    found = [_shared_focal(a - centre, b - centre)[0] for a, b in thinned]
     low, middle, high = np.quantile(found, (0.25, 0.5, 0.75))
     agree = high <= _MAX_SPREAD * low and _PLAUSIBLE[0] * longer < middle < _PLAUSIBLE[1] * longer
-    return float(middle) if agree else None
+    return centred_camera(size, float(middle)) if agree else None
+
+
+def _epipolar_misfit(camera: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """Mean over pairs of the truncated squared epipolar error [px²] of the best relative pose."""
+    options = {"max_epipolar_error": 1 / camera.focal, "min_iterations": 20, "max_iterations": 100, "seed": 1}
+    score = 0.0
+    for a, b in matched:
+        first, second = on_plane(camera.rays(a)), on_plane(camera.rays(b))
+        _, info = poselib.estimate_relative_pose(first, second, UNIT_CAMERA, UNIT_CAMERA, options, {})
+        score += info["model_score"] * camera.focal**2 / len(a)
+    return score / len(matched)
 
 
 def _shared_focal(a: FloatArray, b: FloatArray) -> tuple[float, int]:

@@ -20,7 +20,7 @@ from rholoc.trajectory.visual.two_view import PairRotation, inliers_of_rotation,
 _TOLERANCE_PX = 2.0
 _MIN_SHARED = 12  # corners, for a relative pose
 _MIN_FOR_ROTATION = 30
-_MIN_SIGHTINGS = 3
+MIN_SIGHTINGS = 3
 _MAX_FELT_APART_RAD = np.radians(1.0)  # from the image's rotation of neighbours to use the gyroscope's
 _MIN_TOGETHER = 10  # common points that connect two keyframes
 _MIN_PIECE = 3  # keyframes of a connected component that counts
@@ -36,12 +36,14 @@ class Observations:
         tracks: (N,) point numbers, 0..M-1.
         pixels: (N, 2) of the full image.
         depths: (N,) along the camera's axis by depth pictures [m], NaN where unknown; None without depth pictures.
+        fewest: minimum sightings of a point to be of use.
     """
 
     keyframes: IntArray
     tracks: IntArray
     pixels: FloatArray
     depths: FloatArray | None = None
+    fewest: int = MIN_SIGHTINGS
 
     def __len__(self) -> int:
         return len(self.keyframes)
@@ -54,16 +56,16 @@ class Observations:
     def at(self, rows: IntArray | BoolArray) -> Observations:
         """The sightings ``rows``; points keep their numbers."""
         depths = None if self.depths is None else self.depths[rows]
-        return Observations(self.keyframes[rows], self.tracks[rows], self.pixels[rows], depths)
+        return Observations(self.keyframes[rows], self.tracks[rows], self.pixels[rows], depths, self.fewest)
 
     def scaled(self, factor: float) -> Observations:
         """The same with depths multiplied by a factor; unchanged without depths."""
         return self if self.depths is None else replace(self, depths=factor * self.depths)
 
     def take(self, kept: BoolArray) -> Observations:
-        """The sightings ``kept`` (N,) of points with at least three of them; points are renumbered."""
+        """The sightings ``kept`` (N,) of points with at least ``fewest`` of them; points are renumbered."""
         tracks = self.tracks[kept]
-        often = np.bincount(tracks, minlength=self.points)[tracks] >= _MIN_SIGHTINGS
+        often = np.bincount(tracks, minlength=self.points)[tracks] >= self.fewest
         rows = np.flatnonzero(kept)[often]
         _, numbers = np.unique(self.tracks[rows], return_inverse=True)
         return replace(self.at(rows), tracks=numbers)
@@ -74,6 +76,7 @@ class Observations:
             np.concatenate([self.keyframes, others.keyframes]),
             np.concatenate([self.tracks, others.tracks + self.points]),
             np.concatenate([self.pixels, others.pixels]),
+            fewest=min(self.fewest, others.fewest),
         )
 
     def thinned(self, per_keyframe: int) -> Observations:
@@ -164,14 +167,17 @@ def _neighbours(
     return shared, inliers, turned
 
 
-def matched_features(places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> Observations:
-    """Sightings of matched features. A point is a connected component of matches, with at least three sightings.
+def matched_features(
+    places: Sequence[FloatArray], pairs: Sequence[VerifiedPair], fewest: int = MIN_SIGHTINGS
+) -> Observations:
+    """Sightings of matched features. A point is a connected component of matches, with at least ``fewest`` sightings.
 
     Two sightings of one point by the same keyframe are both left out.
 
     Args:
         places: coordinates (N, 2) of the features in every keyframe, copied to the sightings' ``pixels``.
         pairs: verified matches.
+        fewest: minimum sightings of a point to be of use.
     """
     offsets = np.concatenate([[0], np.cumsum([len(some) for some in places])])
     if not pairs:
@@ -185,7 +191,7 @@ def matched_features(places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
     label, keyframe, pixels = label[order], keyframe[order], pixels[order]
     same = (label[1:] == label[:-1]) & (keyframe[1:] == keyframe[:-1])
     twice = np.concatenate([same, [False]]) | np.concatenate([[False], same])
-    found = Observations(keyframe, label, pixels)
+    found = Observations(keyframe, label, pixels, fewest=fewest)
     return found.take(~twice)
 
 

@@ -15,7 +15,7 @@ from rholoc.trajectory.visual.sphere import relative_pose_on_sphere
 _RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
 _ROUNDING = 1e-6  # of a dot product of equal unit descriptors
 _ITERATIONS = (30, 1000)  # of RANSAC, minimum and maximum
-_UNIT_CAMERA = {"model": "PINHOLE", "width": 2, "height": 2, "params": [1.0, 1.0, 0.0, 0.0]}
+UNIT_CAMERA = {"model": "PINHOLE", "width": 2, "height": 2, "params": [1.0, 1.0, 0.0, 0.0]}
 _HYPOTHESES = 300  # of the translation, with known rotation
 _MIN_PARALLAX = 0.05  # radians, for a ray to constrain the translation
 _SEED = 1
@@ -68,7 +68,7 @@ def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> Tw
         "seed": _SEED,
     }
     pose, info = poselib.estimate_relative_pose(
-        on_plane(first), on_plane(second), _UNIT_CAMERA, _UNIT_CAMERA, options, {}
+        on_plane(first), on_plane(second), UNIT_CAMERA, UNIT_CAMERA, options, {}
     )
     inliers = np.array(info["inliers"], dtype=np.bool_)
     return TwoView(inliers if len(inliers) == len(first) else np.zeros(len(first), np.bool_), np.asarray(pose.R))
