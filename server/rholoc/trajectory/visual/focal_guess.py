@@ -25,12 +25,12 @@ _CLEARLY = 0.9  # maximum ratio of best to worst residual, for a conclusive resu
 _PICTURE_PAIRS = 60
 _PICTURE_MOTION = 0.08  # image motion between the pictures of a pair, as a share of the longer side
 _PLAUSIBLE = (0.5, 2.0)
-_MATCHED_PAIRS, _MATCHES = 40, 120  # of pictures, and about so many matches of each, to estimate a focal length
-_COMPARED_PAIRS = 24  # of them, by which lenses are compared
+_MATCHED_PAIRS, _MATCHES = 40, 150  # of pictures, and about so many matches of each, to estimate a focal length
+_COMPARED_PAIRS = 12  # of them, by which lenses are compared
 _SHARES = (0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.5)  # focal lengths of these, in longer sides
 _BARRELS = ((0.0, 0.0, 0.0, 0.0), (-0.15, 0.02, 0.0, 0.0), (-0.3, 0.09, 0.0, 0.0))  # and distortions
 _MUCH_BETTER = 0.75  # of the misfit without distortion, below which there is some
-_MAX_SPREAD = 1.6  # of the upper to the lower quartile of pairs' focal lengths that agree
+_MAX_SPREAD = 2.0  # of the upper to the lower quartile of pairs' focal lengths that agree
 
 
 def centred_camera(size: tuple[int, int], focal_px: float) -> Camera:
