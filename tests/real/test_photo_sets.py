@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -36,6 +37,29 @@ def test_every_picture_of_a_shuffled_set_is_placed(real_data: Path, tmp_path: Pa
     assert found.report.trusted
     assert found.report.missing == ()
     T = known.poses.T_map_camera[order[found.rows]]
+    off_m = np.linalg.norm(align_poses(found.T_map_camera, T).poses(found.T_map_camera)[:, :3, 3] - T[:, :3, 3], axis=1)
+    assert np.median(off_m) < 0.02
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.6, True), (0.25, False)])
+def test_a_second_lens_is_measured_or_the_map_not_trusted(
+    real_data: Path, tmp_path: Path, share: float, told: bool
+) -> None:
+    """Every other picture is cropped, as a longer lens would have taken it."""
+    known = read_recording(real_data / "redkitchen", "525.505,525.505,320,240", "400:800:20")
+    assert known.poses is not None
+    for number, image in enumerate(known.frames.images(range(20))):
+        height, width = (round((share if number % 2 else 1) * side) for side in image.shape[:2])
+        top, left = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
+        cv2.imwrite(str(tmp_path / f"{number:04d}.png"), image[top : top + height, left : left + width])
+    found = estimate_trajectory(read_recording(tmp_path), PoseMethod.AUTO)
+    assert found.report.trusted is told
+    if not told:
+        assert "several sizes" in found.report.why
+        return
+    assert found.zooms is not None
+    assert np.median(found.zooms[1::2]) == pytest.approx(1 / share, rel=0.03)
+    T = known.poses.T_map_camera[found.rows]
     off_m = np.linalg.norm(align_poses(found.T_map_camera, T).poses(found.T_map_camera)[:, :3, 3] - T[:, :3, 3], axis=1)
     assert np.median(off_m) < 0.02
 

@@ -170,14 +170,14 @@ def test_pictures_of_several_sizes_become_frames_of_one_camera(make_images, tmp_
     assert int(portrait[32, 32, 0]) == 200
 
 
-@pytest.mark.parametrize(("shape", "assumed"), [((64, 48, 3), False), ((24, 32, 3), True)])
+@pytest.mark.parametrize(("shape", "several"), [((64, 48, 3), False), ((24, 32, 3), True)])
 def test_a_picture_of_another_size_may_be_of_another_camera(
-    make_images, tmp_path: Path, shape: tuple[int, int, int], assumed: bool
+    make_images, tmp_path: Path, shape: tuple[int, int, int], several: bool
 ) -> None:
-    """Half as large is assumed to show the same angle of view; upright is the same camera."""
+    """Half as large may be by another lens; upright is the same camera."""
     folder = make_images(tmp_path / "sizes")
     cv2.imwrite(str(folder / "frame-000006.png"), np.full(shape, 200, np.uint8))
-    assert read_recording(folder).focals_assumed is assumed
+    assert read_recording(folder).lenses == (dict.fromkeys(range(6), 0) | {6: 1} if several else {})
 
 
 def test_files_without_numbers_are_counted_in_the_order_of_their_names(make_images, tmp_path: Path) -> None:

@@ -135,6 +135,13 @@ def test_absurd_intrinsics(service, picture_world, intrinsics):
     assert "fx" in hint
 
 
+def test_intrinsics_of_a_picture_twice_as_large(service, picture_world):
+    half = cv2.imencode(".png", picture_world.image[::2, ::2])[1].tobytes()
+    answer = refused(localize(service, half, PNG, fx=520, fy=520, cx=319.5, cy=239.5), 422, "invalid_camera")
+    assert "320×240" in answer["message"]
+    assert "scaled" in answer["hint"]
+
+
 def test_missing_intrinsics(service, picture_world):
     cut = cv2.imencode(".png", picture_world.image[:, :400])[1].tobytes()
     assert "400×480" in refused(localize(service, cut, PNG), 422, "invalid_camera")["message"]

@@ -15,7 +15,7 @@ from rholoc.jobs.table import JobTable
 from rholoc.library import MapLibrary
 from rholoc.maps import load_map, save_map
 from rholoc.service.access.keys import HANDED_PREFIX, KeyStore, Scope
-from rholoc.service.frames import learning
+from rholoc.service.frames.kept import learning
 from rholoc.service.housekeeping import learn_tonight
 from rholoc.service.settings import KeyPolicy
 from waiting import until

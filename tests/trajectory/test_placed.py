@@ -70,13 +70,6 @@ def _placed(monkeypatch: pytest.MonkeyPatch, found: Reconstruction, method: Pose
     return trajectory, asked, heard
 
 
-def test_assumed_angles_of_view_make_no_trusted_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert _placed(monkeypatch, _found(20, 20), PoseMethod.VISUAL)[0].report.trusted
-    report = _placed(monkeypatch, _found(20, 20), PoseMethod.VISUAL, focals_assumed=True)[0].report
-    assert not report.trusted
-    assert "several sizes" in report.why
-
-
 def test_only_keyframes_that_have_a_place_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     trajectory, asked, heard = _placed(monkeypatch, _found(20, 19), PoseMethod.VISUAL)
     assert trajectory.rows.tolist() == list(range(0, 38, 2))

@@ -69,8 +69,11 @@ class Camera:
                 raise InvalidCamera(
                     f"The camera's {name} {focal:g} px means a field of view of {field_deg:.1f}° over {size} px.", hint
                 )
-        if not (0 <= self.cx <= self.width and 0 <= self.cy <= self.height):
-            raise InvalidCamera(f"The principal point ({self.cx:g}, {self.cy:g}) lies outside the image.", hint)
+        if not (-0.5 < self.cx < self.width - 0.5 and -0.5 < self.cy < self.height - 0.5):  # the edges' coordinates
+            raise InvalidCamera(
+                f"The principal point ({self.cx:g}, {self.cy:g}) lies outside the {self.width}×{self.height} image.",
+                f"{hint} Those of a larger picture must be scaled with it.",
+            )
         allowed = self.lens.coefficients
         if len(self.distortion) not in allowed:
             numbers = ", ".join(map(str, allowed[:-1])) + f" or {allowed[-1]}" if len(allowed) > 1 else "0"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Protocol
@@ -197,7 +197,8 @@ class Recording:
         depth: depth images of its frames, or None.
         odometry: None if there is none.
         focal_px: first guess of the focal length where the intrinsics are unknown, by EXIF; or None.
-        focals_assumed: whether pictures of several sizes are assumed to show the same angle of view.
+        lenses: number of the lens that took each frame, by the frame's number, where pictures of several sizes came
+            without focal lengths; empty if one took all.
         lengths: measured distances between the camera's places.
         mounted: pairs of pictures by cameras whose mounting on a rig is known.
         warnings: its problems.
@@ -216,7 +217,7 @@ class Recording:
     depth: DepthImages | None = None
     odometry: Odometry | None = None
     focal_px: float | None = None
-    focals_assumed: bool = False
+    lenses: Mapping[int, int] = field(default_factory=dict)
     lengths: tuple[KnownLength, ...] = ()
     mounted: tuple[Mounted, ...] = ()
     warnings: tuple[RecordingWarning, ...] = ()

@@ -55,10 +55,6 @@ _MAX_WAYPOINT_MISS_M = 0.10
 _MAX_IMU_MISFIT = 2.0  # times the noise expected, from which the IMU's readings are not what moved the camera
 _MAX_IMU_RESIDUAL = 8.0  # times the noise expected, from which IMU and pictures contradict each other
 
-_SAME_VIEW = (
-    "Pictures of several sizes came without focal lengths, and were assumed to show the same angle of view: "
-    "keep the EXIF data of the originals, or map each camera's pictures alone."
-)
 _MOVE = "Walk through the room while recording; keep texture in view."
 _SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
 
@@ -301,9 +297,6 @@ def _placed(
         reconstruct, sights, imu, choices if recording.waypoints else [], progress=progress, stage=Stage.POSES
     )
     trajectory = _trajectory_of(found, method, sights, progress)
-    if recording.focals_assumed:
-        why = f"{_SAME_VIEW} {trajectory.report.why}"
-        trajectory = replace(trajectory, report=replace(trajectory.report, trusted=False, why=why))
     if method is PoseMethod.VISUAL:
         return trajectory
     report = replace(trajectory.report, imu=_imu_report(recording, found))
@@ -362,7 +355,10 @@ def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[Fea
             first, second = np.searchsorted(rows, (a, b)).tolist()
             steps += (Step(first, second, one.T_first_second, _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD, True),)
     follows = is_film(flow) and not recording.mounted
-    return Sights(flow, rows, features, recording.camera, follows, shutter, depth, recording.focal_px, lengths, steps)
+    focal_px, lenses = recording.focal_px, None
+    if recording.lenses:
+        lenses = np.array([recording.lenses[number] for number in recording.frames.numbers[rows].tolist()])
+    return Sights(flow, rows, features, recording.camera, follows, shutter, depth, focal_px, lengths, steps, lenses)
 
 
 def _rows_of(recording: Recording, pairs: Sequence[KnownLength | Mounted]) -> list[tuple[int, int]]:

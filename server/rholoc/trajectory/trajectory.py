@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-
-import numpy as np
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.reports import TrajectoryReport
-from rholoc.trajectory.optimization.zooms import unzoomed
+from rholoc.trajectory.optimization.zooms import unzoomed_features
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
 
 
@@ -69,8 +67,4 @@ class Trajectory:
         """``features`` of frame ``k`` (0..K-1), moved to their pixels at the read-out of the middle row, unzoomed."""
         if self.rolling_shutter is not None:
             features = self.rolling_shutter.at_once(k, features)
-        if self.zooms is None:
-            return features
-        factor = 1 / float(self.zooms[k])
-        pixels = unzoomed(features.pixels.astype(np.float64), factor, self.camera).astype(np.float32)
-        return replace(features, pixels=pixels, sizes=np.asarray(features.sizes * factor, np.float32))
+        return features if self.zooms is None else unzoomed_features(features, float(self.zooms[k]), self.camera)

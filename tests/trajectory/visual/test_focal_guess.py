@@ -9,10 +9,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 from synthetic_walk import DELAY_S, SyntheticWalk, followed
 
-from rholoc.geometry import Camera, FloatArray
+from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.simulation import PHONE_CAMERA
 from rholoc.trajectory.visual.flow import Flow
-from rholoc.trajectory.visual.focal_guess import calibrate_by_flow, camera_by_matches, centred_camera, guess_camera
+from rholoc.trajectory.visual.focal_guess import (
+    calibrate_by_flow,
+    camera_by_matches,
+    centred_camera,
+    guess_camera,
+    zoom_by_matches,
+)
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +106,32 @@ def test_pairs_that_do_not_agree_give_no_camera() -> None:
     chance = [(rng.uniform(0, 480, (80, 2)), rng.uniform(0, 480, (80, 2))) for _ in range(12)]
     assert camera_by_matches(chance, (640, 480)) is None
     assert camera_by_matches([], (640, 480)) is None
+
+
+def _pairs_of_two_lenses(zoom: float, flat: bool) -> list[tuple[FloatArray, FloatArray]]:
+    """Pixels of points in pictures by a camera, and by one whose focal length is ``zoom`` times as long."""
+    rng = np.random.default_rng(5)
+    camera = centred_camera((640, 480), 500.0)
+    longer = replace(camera, fx=zoom * camera.fx, fy=zoom * camera.fy)
+    pairs = []
+    for _ in range(12):
+        points = rng.uniform([-1, -0.8, 2.0], [1, 0.8, 2.0 if flat else 4.0], (80, 3))
+        T = pose_matrix(Rotation.from_rotvec(rng.uniform(-0.1, 0.1, 3)).as_matrix(), rng.uniform(-0.4, 0.4, 3))
+        moved = (points - T[:3, 3]) @ T[:3, :3]
+        pairs.append(
+            (camera.project(points) + rng.normal(0, 0.3, (80, 2)), longer.project(moved) + rng.normal(0, 0.3, (80, 2)))
+        )
+    return pairs
+
+
+@pytest.mark.parametrize("zoom", [0.6, 0.85, 1.0, 1.7])
+def test_a_second_lens_is_measured_by_what_both_saw(zoom: float) -> None:
+    found = zoom_by_matches(centred_camera((640, 480), 500.0), _pairs_of_two_lenses(zoom, flat=False))
+    assert found == pytest.approx(zoom, rel=0.03)
+
+
+def test_a_wall_does_not_tell_a_longer_lens_from_a_step_ahead() -> None:
+    camera = centred_camera((640, 480), 500.0)
+    assert zoom_by_matches(camera, _pairs_of_two_lenses(1.4, flat=True)) is None
+    assert zoom_by_matches(camera, []) is None
+    assert zoom_by_matches(camera, [(np.zeros((9, 2)), np.zeros((9, 2)))]) is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -132,13 +133,22 @@ def image_frames(
         cameras = [nominal_camera(size, focal) for size, focal in zip(sizes, focals, strict=True)]
         common = common_camera(cameras)
         focal_px = common.focal if 2 * len(known) >= len(paths) else None
-        longer = {max(size) for size, focal in zip(sizes, focals, strict=True) if focal is None}
-        assumed = len(longer) > 1 or 0 < len(known) < len(paths)
-        return UnifiedPictures(tuple(paths), tuple(cameras), common, numbers, times, timed, focal_px, assumed)
+        lenses = _lenses([max(size) if focal is None else None for size, focal in zip(sizes, focals, strict=True)])
+        return UnifiedPictures(tuple(paths), tuple(cameras), common, numbers, times, timed, focal_px, lenses)
     if len(set(cameras)) == 1 and set(sizes) == {(cameras[0].width, cameras[0].height)}:
         return ImageFolderFrames(tuple(paths), numbers, times, sizes[0], timed)
     cameras = [camera.fitted(*size) for camera, size in zip(cameras, sizes, strict=True)]
     return UnifiedPictures(tuple(paths), tuple(cameras), common_camera(cameras), numbers, times, timed)
+
+
+def _lenses(longer_px: Sequence[int | None]) -> tuple[int, ...]:
+    """Number of each picture's lens, by its longer side, None where EXIF tells the focal length; empty if one took all.
+
+    Number 0 are those of known focal lengths, or else the commonest.
+    """
+    kinds = sorted(Counter(longer_px).items(), key=lambda one: (one[0] is not None, -one[1]))
+    numbers = {longer: number for number, (longer, _) in enumerate(kinds)}
+    return tuple(numbers[one] for one in longer_px) if len(numbers) > 1 else ()
 
 
 def nominal_camera(size: tuple[int, int], focal_px: float | None = None) -> Camera:

@@ -35,7 +35,7 @@ class UnifiedPictures:
         times: (N,) seconds, or rows.
         timed: whether the times were measured.
         focal_px: the common camera's focal length by EXIF; None if it is given, or nominal.
-        assumed: whether pictures of several sizes are assumed to show the same angle of view.
+        lenses: which lens took each, where focal lengths are unknown: pictures of one size share one; empty if all do.
     """
 
     paths: tuple[Path, ...]
@@ -45,12 +45,17 @@ class UnifiedPictures:
     times: FloatArray
     timed: bool
     focal_px: float | None = None
-    assumed: bool = False
+    lenses: tuple[int, ...] = ()
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in pixels."""
         return self.common.width, self.common.height
+
+    @property
+    def lens_by_number(self) -> dict[int, int]:
+        """The ``lenses`` by the frames' numbers."""
+        return dict(zip(self.numbers.tolist(), self.lenses, strict=True)) if self.lenses else {}
 
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
         """The frames (H, W, 3) BGR of the rows, which must increase.

@@ -61,7 +61,7 @@ def read(folder: Path) -> Recording:
         readout_s=description.readout_s,
         odometry=read_odometry_csv(odometry_csv) if odometry_csv.is_file() else None,
         focal_px=frames.focal_px if isinstance(frames, ImageFolderFrames | UnifiedPictures) else None,
-        focals_assumed=isinstance(frames, UnifiedPictures) and frames.assumed,
+        lenses=frames.lens_by_number if isinstance(frames, UnifiedPictures) else {},
         warnings=(*warnings, *imu_warnings),
     )
 

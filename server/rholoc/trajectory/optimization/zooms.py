@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, cross, on_plane
 from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.visual.tracks import Observations
@@ -28,6 +29,12 @@ def unzoomed(pixels: FloatArray, factor: FloatArray | float, camera: Camera) -> 
     """Pixels (N, 2) with their distance from the principal point multiplied by a ``factor``, one or (N, 1)."""
     centre = np.array([camera.cx, camera.cy])
     return np.asarray(centre + (pixels - centre) * factor)
+
+
+def unzoomed_features(features: FeatureSet, zoom: float, camera: Camera) -> FeatureSet:
+    """Features as if their picture had the camera's focal length instead of ``zoom`` times as long a one."""
+    pixels = unzoomed(features.pixels.astype(np.float64), 1 / zoom, camera).astype(np.float32)
+    return replace(features, pixels=pixels, sizes=np.asarray(features.sizes / zoom, np.float32))
 
 
 def measure_zooms(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, bool]:

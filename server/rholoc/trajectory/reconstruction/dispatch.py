@@ -9,19 +9,25 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rholoc.errors import MappingFailed
+from rholoc.geometry import FloatArray
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import Imu, Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.inertial.gyroscope import camera_rotations
+from rholoc.trajectory.optimization.zooms import unzoomed_features
 from rholoc.trajectory.reconstruction.from_imu import calibrated, solve_with_imu, start_with_imu
 from rholoc.trajectory.reconstruction.from_pictures import Pictured, solve_from_pictures, solve_from_set
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
-from rholoc.trajectory.visual.focal_guess import camera_by_matches, guess_camera
+from rholoc.trajectory.visual.focal_guess import camera_by_matches, guess_camera, zoom_by_matches
 from rholoc.trajectory.visual.matching import with_poses_anew
 
 _WELL_PLACED = 0.9  # share of a film's keyframes, below which other ways to place them are tried
+_SAME_VIEW = (
+    "Pictures of several sizes came without focal lengths, and were assumed to show the same angle of view: "
+    "keep the EXIF data of the originals, or map each camera's pictures alone."
+)
 _AS_SET = "What was followed from frame to frame left it open; the keyframes were matched as a set of pictures."
 
 
@@ -62,29 +68,70 @@ def _reconstruct(
     if imu is not None and gyro is not None and felt is not None:
         start = start_with_imu(sights, camera, evidence, imu, gyro, felt)
         if start is not None:
-            return solve_with_imu(sights, imu, gyro, evidence, start, waypoints, steps)
+            return _judged(sights, solve_with_imu(sights, imu, gyro, evidence, start, waypoints, steps))
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
     if sights.is_film:
-        return _from_film(Pictured(sights, camera, evidence, waypoints, reason), steps)
+        return _judged(sights, _from_film(Pictured(sights, camera, evidence, waypoints, reason), steps))
     if felt is not None:  # pairs that a wrong gyroscope contradicts were left out
         evidence = gather_evidence(sights, camera, None, progress)
-    return solve_from_set(_with_camera_by_matches(Pictured(sights, camera, evidence, waypoints, reason)), steps)
+    walk = _with_camera_by_matches(Pictured(sights, camera, evidence, waypoints, reason))
+    walk = _with_lenses_by_matches(walk, progress)
+    return _judged(walk.sights, solve_from_set(walk, steps))
+
+
+def _judged(sights: Sights, found: Reconstruction) -> Reconstruction:
+    """The reconstruction with a doubt, if several lenses took the pictures and their focal lengths are unknown."""
+    if sights.lenses is None:
+        return found
+    return replace(found, frame=replace(found.frame, doubts=(_SAME_VIEW, *found.frame.doubts)))
 
 
 def _with_camera_by_matches(walk: Pictured) -> Pictured:
-    """A set of pictures with the camera that its pairs agree on, if it was only guessed."""
-    sights, evidence = walk.sights, walk.evidence
+    """A set of pictures with the camera that its pairs agree on, of the first lens if several took it; unchanged if the
+    camera is known, EXIF tells its focal length, or they do not agree.
+    """
+    sights = walk.sights
     if sights.camera is not None or sights.focal_px is not None:
         return walk
-    places = [found.pixels.astype(np.float64) for found in sights.features]
-    pairs = evidence.sequential
-    matched = [(places[one.first][one.matches[:, 0]], places[one.second][one.matches[:, 1]]) for one in pairs]
-    camera = camera_by_matches(matched, sights.flow.size)
+    camera = camera_by_matches(_matched(walk, 0, 0), sights.flow.size)
     if camera is None:
         return walk
-    rays = [camera.rays(pixels) for pixels in places]
-    sequential, weak = (with_poses_anew(some, rays, camera.focal) for some in (pairs, evidence.weak))
+    evidence, rays = walk.evidence, [camera.rays(found.pixels.astype(np.float64)) for found in sights.features]
+    sequential, weak = (with_poses_anew(some, rays, camera.focal) for some in (evidence.sequential, evidence.weak))
     return replace(walk, camera=camera, evidence=replace(evidence, sequential=sequential, weak=weak))
+
+
+def _with_lenses_by_matches(walk: Pictured, progress: ProgressListener) -> Pictured:
+    """A set whose pictures by further lenses look as if the first one had taken them, zoomed by what pairs of one and
+    the other agree on, and matched once more; unchanged if they leave that open for a lens.
+    """
+    sights = walk.sights
+    if sights.lenses is None:
+        return walk
+    zooms = np.ones(len(sights.rows))
+    for lens in np.setdiff1d(sights.lenses, [0]).tolist():
+        zoom = zoom_by_matches(walk.camera, _matched(walk, 0, lens))
+        if zoom is None:
+            return walk
+        zooms[sights.lenses == lens] = zoom
+    features = [unzoomed_features(one, zoom, walk.camera) for one, zoom in zip(sights.features, zooms, strict=True)]
+    sights = replace(sights, features=features, lenses=None, zooms=zooms)
+    return replace(walk, sights=sights, evidence=gather_evidence(sights, walk.camera, None, progress))
+
+
+def _matched(walk: Pictured, lens: int, other: int) -> list[tuple[FloatArray, FloatArray]]:
+    """Pixels (M, 2) of matches in pictures by a lens and in pictures by another or the same one, of each clear pair."""
+    lenses = np.zeros(len(walk.sights.rows)) if walk.sights.lenses is None else walk.sights.lenses
+    places = [found.pixels.astype(np.float64) for found in walk.sights.features]
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for pair in walk.evidence.sequential:
+        seen = places[pair.first][pair.matches[:, 0]], places[pair.second][pair.matches[:, 1]]
+        by = lenses[pair.first], lenses[pair.second]
+        if by == (lens, other):
+            found.append(seen)
+        elif by == (other, lens):
+            found.append(seen[::-1])
+    return found
 
 
 def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:

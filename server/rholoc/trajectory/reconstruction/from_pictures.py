@@ -360,6 +360,10 @@ def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reco
         found = replace(
             found, zooms=part.zooms, note=f"Autofocus zooms its pictures by {spread:.1f} %; this is corrected."
         )
+    if members.zooms is not None:
+        others = ", ".join(f"{zoom:.2f}" for zoom in np.unique(members.zooms) if zoom != 1)
+        note = f"Lenses of {others} times the focal length took some of its pictures. {found.note}".strip()
+        found = replace(found, zooms=members.zooms * (1 if found.zooms is None else found.zooms), note=note)
     return _of_all(found, part.members, len(sights.rows))
 
 

@@ -46,6 +46,8 @@ class Sights:
         focal_px: first guess of the focal length where the intrinsics are unknown; or None.
         lengths: measured distances [m] between two keyframes each.
         steps: measured by odometry, each from a keyframe to the next, or between keyframes of one moment by a rig.
+        lenses: (K,) number of the lens that took each, if their focal lengths differ by unknown factors; or None.
+        zooms: (K,) focal length of each relative to the camera's, which the features are corrected for; or None.
     """
 
     flow: Flow
@@ -58,6 +60,8 @@ class Sights:
     focal_px: float | None = None
     lengths: tuple[tuple[int, int, float], ...] = ()
     steps: tuple[Step, ...] = ()
+    lenses: IntArray | None = None
+    zooms: FloatArray | None = None
 
     @property
     def times(self) -> FloatArray:
@@ -84,6 +88,8 @@ class Sights:
             depth=depth,
             lengths=lengths,
             steps=steps,
+            lenses=None if self.lenses is None else self.lenses[some],
+            zooms=None if self.zooms is None else self.zooms[some],
         )
 
 

@@ -30,6 +30,9 @@ _COMPARED_PAIRS = 12  # of them, by which lenses are compared
 _SHARES = (0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.5)  # focal lengths of these, in longer sides
 _BARRELS = ((0.0, 0.0, 0.0, 0.0), (-0.15, 0.02, 0.0, 0.0), (-0.3, 0.09, 0.0, 0.0))  # and distortions
 _MUCH_BETTER = 0.75  # of the misfit without distortion, below which there is some
+_ZOOMS = np.geomspace(0.4, 2.5, 24)  # focal lengths of a second lens, in those of the first
+_FINE_ZOOMS = np.geomspace(0.94, 1 / 0.94, 9)
+_ANOTHER_ZOOM, _TOLD = 1.25, 1.15  # a zoom that must fit worse, and by how much
 _MAX_SPREAD = 2.0  # of the upper to the lower quartile of pairs' focal lengths that agree
 
 
@@ -128,13 +131,11 @@ def camera_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tu
         matched: pixels (M, 2) of a pair's matches in either picture.
         size: of the images, width and height in pixels.
     """
-    best = sorted(matched, key=lambda pair: len(pair[0]), reverse=True)[:_MATCHED_PAIRS]
-    steps = [max(1, len(a) // _MATCHES) for a, _ in best]
-    thinned = [(a[::step], b[::step]) for (a, b), step in zip(best, steps, strict=True) if len(a) >= 2 * _MIN_SHARED]
+    thinned = _best_matched(matched)
     if not thinned:
         return None
     cameras = [replace(centred_camera(size, share * max(size)), distortion=k) for share in _SHARES for k in _BARRELS]
-    misfits = {camera: _epipolar_misfit(camera, thinned[:_COMPARED_PAIRS]) for camera in cameras}
+    misfits = {camera: _epipolar_misfit(camera, camera, thinned[:_COMPARED_PAIRS]) for camera in cameras}
     fittest = min(cameras, key=misfits.__getitem__)
     straight = min(misfits[camera] for camera in cameras if not any(camera.distortion))
     if misfits[fittest] < _MUCH_BETTER * straight:
@@ -146,14 +147,45 @@ def camera_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tu
     return centred_camera(size, float(middle)) if agree else None
 
 
-def _epipolar_misfit(camera: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Mean over pairs of the truncated squared epipolar error [px²] of the best relative pose."""
-    options = {"max_epipolar_error": 1 / camera.focal, "min_iterations": 20, "max_iterations": 100, "seed": 1}
+def zoom_by_matches(camera: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float | None:
+    """Focal length of a second lens as a multiple of the camera's, 0.4 to 2.5, by pictures that both took of a place;
+    None if the pairs do not tell it from one that is 25 % longer or shorter.
+
+    Args:
+        camera: that took the first picture of each pair.
+        matched: pixels (M, 2) of a pair's matches in either picture.
+    """
+    pairs = _best_matched(matched)[: 2 * _COMPARED_PAIRS]
+    if not pairs:
+        return None
+
+    def misfit(zoom: float) -> float:
+        return _epipolar_misfit(camera, replace(camera, fx=zoom * camera.fx, fy=zoom * camera.fy), pairs)
+
+    coarse = min(_ZOOMS, key=misfit)
+    found = min((coarse * fine for fine in _FINE_ZOOMS), key=misfit)
+    if min(misfit(found / _ANOTHER_ZOOM), misfit(found * _ANOTHER_ZOOM)) < _TOLD * misfit(found):
+        return None
+    return float(found)
+
+
+def _best_matched(matched: Sequence[tuple[FloatArray, FloatArray]]) -> list[tuple[FloatArray, FloatArray]]:
+    """Of the pairs with most matches, at most 40 and with at least 30 each: about 150 matches of each."""
+    best = sorted(matched, key=lambda pair: len(pair[0]), reverse=True)[:_MATCHED_PAIRS]
+    steps = [max(1, len(a) // _MATCHES) for a, _ in best]
+    return [(a[::step], b[::step]) for (a, b), step in zip(best, steps, strict=True) if len(a) >= 2 * _MIN_SHARED]
+
+
+def _epipolar_misfit(first: Camera, second: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """Mean over pairs of the truncated squared epipolar error [px² of the first camera] of the best relative pose, the
+    cameras those of either picture.
+    """
+    options = {"max_epipolar_error": 1 / first.focal, "min_iterations": 50, "max_iterations": 200, "seed": 1}
     score = 0.0
     for a, b in matched:
-        first, second = on_plane(camera.rays(a)), on_plane(camera.rays(b))
-        _, info = poselib.estimate_relative_pose(first, second, UNIT_CAMERA, UNIT_CAMERA, options, {})
-        score += info["model_score"] * camera.focal**2 / len(a)
+        rays = on_plane(first.rays(a)), on_plane(second.rays(b))
+        _, info = poselib.estimate_relative_pose(*rays, UNIT_CAMERA, UNIT_CAMERA, options, {})
+        score += info["model_score"] * first.focal**2 / len(a)
     return score / len(matched)
 
 
