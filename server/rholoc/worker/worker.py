@@ -31,6 +31,7 @@ from rholoc.worker.timing import Timing
 
 _log = logging.getLogger("rholoc.worker")
 
+_LISTENS_EVERY_S = 1.0  # for signals
 _END_TAKES_S = 5.0  # of a job's thread, after its build was killed
 
 
@@ -165,6 +166,7 @@ def run_worker(
     worker = Worker(setup, pipeline, timing)
     telemetry.begin("rholoc-worker")
     worker.start()
-    stop.wait()
+    while not stop.wait(_LISTENS_EVERY_S):  # a signal on the way into a wait without end would not be heard
+        pass
     worker.stop()
     telemetry.end()
