@@ -157,9 +157,10 @@ def test_a_key_that_is_revoked_in_the_middle_of_an_upload_sends_no_more_of_it(lo
         yield content[1000:2000]
         yield content[2000:]
 
-    with suppress(httpx.WriteError):  # the server answers before all is sent
+    with suppress(httpx.TransportError):  # the server answers before all is sent
         answer = httpx.put(f"{locked.url}/v1/maps/sent", content=parts(), headers=bearer(secret))
-        assert (answer.status_code, answer.json()["message"]) == (401, "This API key was revoked.")
+        assert answer.status_code == 401
+        assert "revoked" in answer.json()["message"]
     assert not (locked.settings.maps_dir / "sent.rho").exists()
 
 
