@@ -71,7 +71,7 @@ class Camera:
                 )
         if not (-0.5 < self.cx < self.width - 0.5 and -0.5 < self.cy < self.height - 0.5):  # the edges' coordinates
             raise InvalidCamera(
-                f"The principal point ({self.cx:g}, {self.cy:g}) lies outside the {self.width}×{self.height} image.",
+                f"The principal point ({self.cx:g}, {self.cy:g}) lies outside the image of {self.width}×{self.height}.",
                 f"{hint} Those of a larger picture must be scaled with it.",
             )
         allowed = self.lens.coefficients
