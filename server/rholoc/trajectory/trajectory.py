@@ -48,7 +48,7 @@ class Trajectory:
             unknown.
         second_positions: (K, 3) the same frames in a second reconstruction that checked this one, in the map frame;
             NaN where it has none. None without one.
-        zooms: (K,) of each frame relative to the camera, where autofocus changed it; or None.
+        zooms: (K,) of each frame relative to the camera, where autofocus or another lens changed it; or None.
     """
 
     rows: IntArray

@@ -87,7 +87,7 @@ class Reconstruction:
         loops: number of loop closures.
         median_depth: of the points in the cameras that see them, in the map's unit.
         agreement: with a second reconstruction, if there is no IMU to check the pictures.
-        zooms: (K,) of each picture relative to the camera, where autofocus changed it; or None.
+        zooms: (K,) of each picture relative to the camera, where autofocus or another lens changed it; or None.
         note: one line on a fallback that was used, or empty.
     """
 
