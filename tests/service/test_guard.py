@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import suppress
 
 import httpx
 import pytest
+from fastapi import APIRouter
 
 from rholoc.errors import Conflict, InvalidName, NotFound
 from rholoc.library import FolderDocuments
-from rholoc.service.access.guard import check_query, check_same_site
+from rholoc.service.access.guard import Guard, check_query, check_same_site
 from rholoc.service.access.keys import KeyStore, Scope
-from rholoc.service.access.scopes import Access, RouteAccess
+from rholoc.service.access.scopes import NEEDS_MAP, Access, RouteAccess
 from rholoc.service.errors import CrossSite, InvalidRequest
+from rholoc.service.errors import Unauthorized as KeyRefused
 from rholoc.service.settings import KeyPolicy, keys_needed
+from rholoc.service.threads.storage import StorageLanes
 from rholoc_client import Client, Forbidden, Unauthorized
 from waiting import until
 
@@ -162,6 +166,29 @@ def test_a_key_that_is_revoked_in_the_middle_of_an_upload_sends_no_more_of_it(lo
         assert answer.status_code == 401
         assert "revoked" in answer.json()["message"]
     assert not (locked.settings.maps_dir / "sent.rho").exists()
+
+
+def test_the_last_part_of_a_body_needs_a_valid_key_as_well(tmp_path):
+    keys, lanes, router, received = KeyStore(tmp_path), StorageLanes(), APIRouter(), []
+    router.add_api_route("/kept", lambda: None, methods=["PUT"], dependencies=[NEEDS_MAP])
+    secret = keys.create("sender", Scope.MAP)
+
+    async def receive():
+        if received:
+            keys.revoke("sender")
+        return {"type": "http.request", "body": b"part", "more_body": not received}
+
+    async def keep(scope, receive, send):
+        while True:
+            received.append(await receive())
+
+    guard = Guard(keep, router.routes, keys, lanes, KeyPolicy.ALWAYS, "127.0.0.1")
+    headers = [(b"authorization", f"Bearer {secret}".encode())]
+    request = {"type": "http", "method": "PUT", "path": "/kept", "query_string": b"", "headers": headers}
+    with pytest.raises(KeyRefused, match="revoked"):
+        asyncio.run(guard(request, receive, None))
+    assert len(received) == 1
+    lanes.close()
 
 
 def test_an_admin_may_delete(locked, keys, picture_world):

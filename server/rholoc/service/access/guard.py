@@ -144,7 +144,7 @@ class Guard:
 
         async def receive_checked() -> Message:
             message = await receive()
-            if message.get("more_body", False) and not self._keys.is_valid(key):
+            if message.get("body") and not self._keys.is_valid(key):
                 raise Unauthorized("This API key was revoked.", _KEY_HINT)
             return message
 
