@@ -62,6 +62,17 @@ def test_localize_writes_a_bag(command, walk):
     assert topics(walk / "t.mcap").count("/visual_localization/pose") == 8
 
 
+def test_localize_shows_the_pose_of_one_picture(command, walk):
+    status, printed, errors = command("localize", walk / "room.rho", walk / "frames" / "3.png", "-o", walk / "t.csv")
+    assert status == 0, errors
+    (row,) = read_trajectory_csv(walk / "t.csv").T_map_camera
+    words = [line.split(maxsplit=1) for line in printed.splitlines()[1:]]
+    shown = {name: text.strip() for name, text in words}
+    assert shown["position"].split(" m ")[0] == ", ".join(f"{value:.2f}" for value in row[:3, 3])
+    assert shown["heading"] == ", ".join(f"{value:.2f}" for value in row[:3, 2])
+    assert float(shown["recognized"]) > 0.9
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -46,6 +46,15 @@ def poses(keys: list[object]) -> str:
     return "".join(f"{key} {i} 0 0 0 0 0 1\n" for i, key in enumerate(keys))
 
 
+def test_one_image(make_images, tmp_path: Path) -> None:
+    make_images(tmp_path / "walk", range(3, 5))
+    image = sorted((tmp_path / "walk").iterdir())[1]
+    recording = read_recording(image, camera=INTRINSICS)
+    assert (recording.name, recording.camera, recording.frames.timed) == (image.stem, CAMERA, False)
+    assert recording.frames.numbers.tolist() == [4]
+    assert shades(recording, [0]) == shades(read_recording(image.parent), [1])
+
+
 @pytest.mark.parametrize("inside", ["", "frames", "images"])
 def test_a_folder_of_images(make_images, tmp_path: Path, inside: str) -> None:
     make_images(tmp_path / "walk" / inside, range(3, 9))
@@ -240,6 +249,19 @@ def test_broken_videos_are_reported(make_video, tmp_path: Path) -> None:
             read_recording(tmp_path / f"{name}.mp4")
     with pytest.raises(InvalidRecording, match="frameless"):
         read_recording(make_video(tmp_path / "frameless.mp4", frames=0))
+
+
+def test_a_video_that_ends_early_is_read_with_a_warning(make_video, tmp_path: Path) -> None:
+    whole = make_video(tmp_path / "whole.avi", frames=60)
+    assert not read_recording(whole).warnings
+    data = whole.read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
+    cut = read_recording(tmp_path / "cut.avi")
+    count = len(cut.frames.times)
+    assert 0 < count < 60
+    assert [one.text for one in cut.warnings] == [
+        f"The video ends after {count} of its 60 frames: the file seems cut short."
+    ]
 
 
 def test_a_broken_video_is_reported_in_one_line(capfd: pytest.CaptureFixture[str], make_video, tmp_path: Path) -> None:

@@ -969,6 +969,8 @@ export const GERMAN_OF_SERVER = {
     "Dorthin zurückkommen, wo Sie schon waren, mit demselben Blick: Das Ende des Rundgangs bleibt {0} seiner Länge vom Anfang entfernt, und auf einem offenen Weg wachsen Fehler.",
   "The pictures have no times, so the IMU cannot be used: add frames.csv with frame,timestamp.":
     "Die Bilder haben keine Zeiten, daher ist die IMU nicht zu verwenden: frames.csv mit frame,timestamp hinzufügen.",
+  "The video ends after {0} of its {1} frames: the file seems cut short.":
+    "Das Video endet nach {0} von {1} Bildern: Die Datei scheint abgeschnitten zu sein.",
   "There are {0} gaps between frames, the longest {1} s; the path may break there.":
     "Zwischen Bildern sind {0} Lücken, die längste {1} s; dort kann der Weg abreißen.",
   "The motion sensors cover {0} of the frames; the rest is placed by the images alone.":

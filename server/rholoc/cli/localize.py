@@ -102,16 +102,30 @@ def localize(
         "trajectory": str(out),
         "metric": map_.info.metric,
     }
-    if causes := most_likely_causes(answers):
-        figures["not_localized"] = causes
+    causes = most_likely_causes(answers)
     if as_json:
-        print_json(figures)
+        print_json(figures | ({"not_localized": causes} if causes else {}))
     else:
-        print_figures(f"{source} in {map_file.name}", {name: str(value) for name, value in figures.items()})
+        shown = figures | (_only_answer(answers[0], map_.info.metric) if count == 1 else {})
+        print_figures(f"{source} in {map_file.name}", {name: str(value) for name, value in shown.items()})
         for cause in causes:
             print_notice(f"{cause['frames']} not localized: {cause['message']} {cause['hint']}")
     if not map_.info.metric:
         print_notice("This map's unit of length is arbitrary: nothing measured fixed its scale.")
+
+
+def _only_answer(answer: Localization, metric: bool) -> dict[str, str]:
+    """The pose and its sureness, for a page that shows one frame; empty if it was not localized."""
+    if not answer.localized or answer.pose is None:
+        return {}
+    unit = " m" if metric else ""
+    off = 0.0 if answer.covariance is None else math.sqrt(float(np.trace(answer.covariance[:3, :3])))
+    return {
+        "position": ", ".join(f"{value:.2f}" for value in answer.pose.position) + f"{unit} ± {off:.2f}{unit}",
+        "heading": ", ".join(f"{value:.2f}" for value in answer.pose.heading),
+        "recognized": f"{answer.recognized:.2f}",
+        "confidence": f"{answer.confidence:.2f}",
+    }
 
 
 def _guessed(recording: Recording) -> Camera:

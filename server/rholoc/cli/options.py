@@ -73,7 +73,8 @@ Seed = Annotated[int, typer.Option(min=0, help="Another seed is another room; th
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map file (.rho).")]
 Source = Annotated[
-    Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, a ROS bag, or a recording's folder.")
+    Path,
+    typer.Argument(metavar="SOURCE", help="A video, an image or a folder of them, a ROS bag, or a recording's folder."),
 ]
 
 

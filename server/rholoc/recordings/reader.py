@@ -16,6 +16,8 @@ from rholoc.recordings.archive import DEFAULT_MAX_BYTES, unpack
 from rholoc.recordings.file_contents import ZIP_SUFFIXES
 from rholoc.recordings.frame_slice import parse_frame_slice, select_frames
 from rholoc.recordings.frames.bag import BAG_SUFFIXES
+from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
+from rholoc.recordings.frames.image_folder import read_image_folder
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
 from rholoc.recordings.readers.bag import read_bag
@@ -29,7 +31,7 @@ _KNOWN = (
     + ", ".join(sorted(VIDEO_SUFFIXES))
     + "); a ROS bag ("
     + ", ".join(sorted(BAG_SUFFIXES))
-    + "); a folder with images; "
+    + "); an image, or a folder with images; "
     "a folder or .zip with video.mp4 or frames/, and with imu.csv, frames.csv, waypoints.csv, camera.json or not; and "
     "those of recorder apps and datasets, which maps/README.md lists."
 )
@@ -45,7 +47,8 @@ def read_recording(
     lengths: Sequence[str] = (),
     topics: Sequence[str] = (),
 ) -> Recording:
-    """Read a recording: a video, a folder of images, or a folder or ZIP file of any format of ``RecordingFormat``.
+    """Read a recording: a video, an image, a folder of images, or a folder or ZIP file of any format of
+    ``RecordingFormat``.
 
     Args:
         path: the file or folder.
@@ -94,6 +97,10 @@ def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Seq
         return read_bag(path, topics)
     if suffix in VIDEO_SUFFIXES:
         return Recording(name=path.stem, path=path, frames=read_video(path), format=RecordingFormat.VIDEO)
+    if suffix in IMAGE_SUFFIXES:
+        frames = read_image_folder([path])
+        focal_px = frames.focal_px
+        return Recording(name=path.stem, path=path, frames=frames, format=RecordingFormat.RHOLOC, focal_px=focal_px)
     if suffix in ZIP_SUFFIXES:
         return _read_zip(path, workdir, max_unpacked_bytes, topics)
     raise InvalidRecording(f"{path.name} is not a recording of a known format.", _KNOWN)

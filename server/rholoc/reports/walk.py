@@ -21,7 +21,7 @@ class WarningKind(StrEnum):
     IMU_GAP = "imu_gap"
     FRAME_GAP = "frame_gap"
     REPEATED_TIMES = "repeated_times"  # rows or frames whose time does not advance; they are ignored
-    FRAME_COUNT = "frame_count"  # the video and its table of times differ
+    FRAME_COUNT = "frame_count"  # the video and its table of times, or its index, differ
     NO_OVERLAP = "no_overlap"  # the IMU does not cover the frames
     SCALE_UNKNOWN = "scale_unknown"  # the poses' unit of length is not stated
     CAMERA_UNSUPPORTED = "camera_unsupported"  # intrinsics of a model that is not pinhole

@@ -32,6 +32,7 @@ _JPEG_MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])")  # ends coded data
 _JPEG_SCAN, _JPEG_END = 0xDA, 0xD9
 _ORIENTATION_TAG = 0x0112  # EXIF
 _EXIF_IFD, _FOCAL_35MM_TAG = 0x8769, 0xA405
+_HINT = "Send a whole JPEG, PNG or WebP file."
 _FILM_DIAGONAL_MM = float(np.hypot(36, 24))
 _FOCALS_35MM = (5.0, 1000.0)  # plausible range
 _TRANSPOSED = range(5, 9)  # the EXIF orientations that swap width and height
@@ -63,7 +64,7 @@ def decode_image(
             ``MAX_JPEG_SCANS`` scans. All but truncation is detected before decoding.
     """
     if not data:
-        raise InvalidImage("The image is empty: 0 bytes.", "Send a JPEG or PNG file.")
+        raise InvalidImage("The image is empty: 0 bytes.", _HINT)
     with _opened(_Watched(data, still_wanted), max_pixels, formats) as image:
         _check_scans(data, image, max_pixels)
         if isinstance(image, ImageFile.ImageFile):
@@ -140,6 +141,11 @@ def begins_like_an_image(start: bytes) -> bool:
     return riff or start.startswith((b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"))
 
 
+def not_an_image() -> InvalidImage:
+    """The error for data of no image format that is read."""
+    return InvalidImage("This is not an image that can be read.", _HINT)
+
+
 def visited_pixels(data: bytes) -> int:
     """Approximate number of pixels that decoding an image visits: all pixels once for every four scans.
 
@@ -188,7 +194,6 @@ def _check_scans(data: bytes, image: Image.Image, max_pixels: int) -> None:
 @contextmanager
 def _opened(source: Path | io.BytesIO, max_pixels: int, formats: tuple[str, ...] = _FORMATS) -> Iterator[Image.Image]:
     """The image with its header read; every error inside the block becomes an InvalidImage."""
-    hint = "Send a whole JPEG or PNG file."
     try:
         with Image.open(source, formats=formats) as image:
             if any(tile[0] == "ppm_plain" for tile in getattr(image, "tile", ())):
@@ -198,11 +203,11 @@ def _opened(source: Path | io.BytesIO, max_pixels: int, formats: tuple[str, ...]
                 raise _too_large(f"of {width}×{height} pixels", max_pixels)
             yield image
     except UnidentifiedImageError as error:
-        raise InvalidImage("This is not an image that can be read.", hint) from error
+        raise not_an_image() from error
     except Image.DecompressionBombError as error:
         raise _too_large("of far too many pixels", max_pixels) from error
     except _DECODING_ERRORS as error:
-        raise InvalidImage(f"The image is broken: {error}.", hint) from error
+        raise InvalidImage(f"The image is broken: {str(error).rstrip('.')}.", _HINT) from error
 
 
 def _too_large(what: str, max_pixels: int) -> InvalidImage:

@@ -16,6 +16,7 @@ from rholoc.errors import InvalidRecording
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"})
+_INDEXED_SUFFIXES = VIDEO_SUFFIXES - {".webm", ".mkv"}  # of these the number of frames is estimated from the length
 
 MIN_FRAME_SIDE = 16
 MAX_FRAME_PIXELS = 7680 * 4320
@@ -43,12 +44,13 @@ def frame_pixels_limited(most: int) -> Iterator[None]:
 class VideoFrames:
     """The frames of a video file, see :class:`rholoc.recordings.FrameSource`; numbers are 0..N-1.
 
-    A phone's rotation flag is applied.
+    A phone's rotation flag is applied. ``announced`` is the number of frames by the file's index, 0 where it has none.
     """
 
     path: Path
     times: FloatArray
     size: tuple[int, int]
+    announced: int = 0
 
     @property
     def timed(self) -> bool:
@@ -84,7 +86,7 @@ def read_video(path: Path) -> VideoFrames:
     """Open a video file; times are the container's, at its resolution.
 
     Decodes the whole file once, because the number of frames and the times declared by containers are unreliable.
-    Damage that the decoder conceals is not detected.
+    Damage that the decoder conceals is not detected; a file that ends early has fewer frames than ``announced``.
 
     Raises:
         InvalidRecording: the file cannot be opened (such as a truncated MP4), has no frames, or times that do not
@@ -93,6 +95,7 @@ def read_video(path: Path) -> VideoFrames:
     times: list[float] = []
     size: tuple[int, int] | None = None
     with _opened(path) as capture:
+        announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if path.suffix.lower() in _INDEXED_SUFFIXES else 0
         width, height = (int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         check_frame_size(path.name, width, height)
         while capture.grab():
@@ -104,7 +107,7 @@ def read_video(path: Path) -> VideoFrames:
     array = np.array(times)
     if not np.isfinite(array).all() or np.any(np.diff(array) <= 0):
         raise InvalidRecording(f"The frame times of {path.name} do not increase.", _HINT)
-    return VideoFrames(path, array, size)
+    return VideoFrames(path, array, size, announced)
 
 
 def _retrieved_size(capture: cv2.VideoCapture) -> tuple[int, int] | None:

@@ -5,24 +5,33 @@ from __future__ import annotations
 import numpy as np
 
 from rholoc.geometry import FloatArray
+from rholoc.recordings.frames.video import VideoFrames
 from rholoc.recordings.imu_normalisation import gap_rows
-from rholoc.recordings.recording import Imu, Recording
+from rholoc.recordings.recording import FrameSource, Imu, Recording
 from rholoc.reports import RecordingWarning, WarningKind
 
+_WHOLE = 0.95  # of the frames that a video's index announces
 _MARGIN_S = 0.5  # tolerated time of frames before and after the IMU's table
 
 
 def whole_warnings(recording: Recording) -> tuple[RecordingWarning, ...]:
-    """Warnings of gaps between frames, and of frames that the IMU does not cover (by more than 0.5 s); or of frames
-    without times.
+    """Warnings of a video that ends early, of gaps between frames, and of frames that the IMU does not cover (by more
+    than 0.5 s); or of frames without times.
     """
     if not recording.frames.timed:
         text = "The pictures have no times, so the IMU cannot be used: add frames.csv with frame,timestamp."
         return () if recording.imu is None else (RecordingWarning(WarningKind.NO_OVERLAP, text),)
-    found = list(_frame_gaps(recording.frames.times))
+    found = [*_cut_short(recording.frames), *_frame_gaps(recording.frames.times)]
     if recording.imu is not None:
         found += _uncovered(recording.frames.times, recording.imu)
     return tuple(found)
+
+
+def _cut_short(frames: FrameSource) -> tuple[RecordingWarning, ...]:
+    if not isinstance(frames, VideoFrames) or len(frames.times) >= _WHOLE * frames.announced:
+        return ()
+    text = f"The video ends after {len(frames.times)} of its {frames.announced} frames: the file seems cut short."
+    return (RecordingWarning(WarningKind.FRAME_COUNT, text),)
 
 
 def _frame_gaps(times: FloatArray) -> tuple[RecordingWarning, ...]:

@@ -11,9 +11,8 @@ from typing import Annotated, Any
 from fastapi import Depends, Query, Request
 from starlette.concurrency import run_in_threadpool
 
-from rholoc.errors import InvalidImage
 from rholoc.localization import MAX_FRAMES
-from rholoc.recordings.frames.image_decoding import IMAGE_START_BYTES, begins_like_an_image
+from rholoc.recordings.frames.image_decoding import IMAGE_START_BYTES, begins_like_an_image, not_an_image
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.frames.queries import Frame, effort_of, effort_of_set
 from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
@@ -222,7 +221,7 @@ def _image_listener(on_piece: PieceListener) -> PieceListener:
         if len(start) < IMAGE_START_BYTES:
             start += piece[:IMAGE_START_BYTES]
             if len(start) >= IMAGE_START_BYTES and not begins_like_an_image(start):
-                raise InvalidImage("This is not an image that can be read.", "Send a whole JPEG, PNG or WebP file.")
+                raise not_an_image()
         on_piece(piece)
 
     return listen
