@@ -41,13 +41,15 @@ def encoded(image: ImageLike) -> tuple[bytes, str]:
     """The picture's bytes and media type.
 
     Raises:
-        ValueError: an array that is not a picture.
+        ValueError: neither bytes nor a path nor an array that is a picture.
         OSError: the file cannot be read.
     """
     if isinstance(image, str | Path):
         image = Path(image).read_bytes()
     if isinstance(image, bytes):
         return image, "image/png" if image.startswith(_PNG) else "image/jpeg"
+    if not hasattr(image, "dtype"):
+        raise ValueError(f"A picture is bytes, a path or an array, not {type(image).__name__}.")
     return png(image), "image/png"
 
 

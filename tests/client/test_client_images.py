@@ -34,3 +34,8 @@ def test_files_are_sent_as_they_are(tmp_path):
 def test_other_arrays_are_no_pictures(image):
     with pytest.raises(ValueError, match="uint8"):
         encoded(image)
+
+
+def test_what_is_no_picture_at_all_is_named():
+    with pytest.raises(ValueError, match="not NoneType"):
+        encoded(None)

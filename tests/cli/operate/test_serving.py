@@ -117,7 +117,7 @@ def test_after_its_first_line_a_server_writes_json(tmp_path: Path) -> None:
     )
     assert process.stderr is not None
     try:
-        assert "Serving the maps" in process.stderr.readline()
+        assert f"Serving the maps of {tmp_path / 'maps'}, a new folder, at http" in process.stderr.readline()
         begun = json.loads(process.stderr.readline())  # the worker beside it
         process.send_signal(signal.SIGTERM)
         _, rest = process.communicate(timeout=200)

@@ -65,7 +65,9 @@ def serve(
     from rholoc.service.threads.compute import compute_threads
     from rholoc.service.threads.storage import storage_threads
 
+    source = "the shared storage"
     if settings.shared_storage is None:
+        source = f"{settings.maps_dir}{'' if settings.maps_dir.exists() else ', a new folder,'}"
         settings.maps_dir.mkdir(parents=True, exist_ok=True)  # reported here, in one line, if they cannot be used
     keys = _keys(settings)
     if not keys_needed(settings.keys, settings.host):
@@ -85,7 +87,6 @@ def serve(
         where = f"http://{settings.host}:{port}"
         if tls:
             config.ssl_certfile, where = _https(settings, port, keys)
-        source = settings.maps_dir if settings.shared_storage is None else "the shared storage"
 
         class Announced(uvicorn.Server):
             """Prints its address once it serves; from then on an interrupt ends it cleanly."""
