@@ -67,8 +67,7 @@ class Query:
         dof: degrees of freedom to estimate.
         prior: expected pose, or None.
         gravity: (3,) direction of gravity in the camera frame, pointing down, or None. Poses that deviate by more than
-            10°
-            are discarded. Ignored if the map is not known to be upright.
+            10° are discarded. Ignored if the map is not known to be upright.
         deadline_s: time budget of the answer, or None.
         intrinsics: whether the camera's focal length is known.
         image: (H, W, 3) BGR, for the diagnosis of a refusal and for colours, or None.
@@ -161,8 +160,7 @@ class Localization:
         reason: reason for a refusal, else None.
         pose: the pose, or None.
         covariance: (6, 6) of position [m, map frame], then rotation [rad, a small rotation in the map frame from the
-            left],
-            including the map's own uncertainty there; or None.
+            left], including the map's own uncertainty there; or None.
         belief: belief in the pose, or in the one that was withheld.
         matches: number of matches considered.
         inliers: number of matches that agree with the pose.
@@ -177,8 +175,8 @@ class Localization:
         expected_error_m: expected position error (root mean square) of the map itself at the pose; None if unknown or
             without a pose.
         alternatives: at most four other possible poses, likeliest first. A pose withheld as not recognized is the
-            first.
-            The weights of all poses add up to at most one; the remainder is the probability that none of them is right.
+            first. The weights of all poses add up to at most one; the remainder is the probability that none of them is
+            right.
     """
 
     localized: bool

@@ -46,8 +46,7 @@ class ConfidenceFeatures:
 
     Attributes:
         place: (3,) log₂ of the nats per match by which the matches exceed chance, at most zero; log₂ of one plus the
-            nats
-            in favour of the pose; log₂ of the share of the expected landmarks that was found.
+            nats in favour of the pose; log₂ of the share of the expected landmarks that was found.
         colours: agreement of colours, from 0 (chance) to 1; NaN if unknown.
         patches: agreement of orientation and size [nats per match], from -½ to 1.2; NaN if unknown.
         sigma: log₂ of the largest standard deviation of the position over 10 cm, from -2 to 1.

@@ -52,8 +52,7 @@ class FocalEstimate:
         sigma_px: its standard deviation.
         moved_m: displacement of the pose when the focal length is freed.
         belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
-            probability
-            that the pose is within 50 cm.
+            probability that the pose is within 50 cm.
         exact: if it was estimated, probability 0 to 1 that the pose is within 10 cm, given that it is within 50 cm.
     """
 

@@ -79,8 +79,7 @@ class Sights:
             index: index of the map.
             cameras: the cameras.
             recorded: (K,) mask of the views from recordings. For landmarks seen by recordings only these views count,
-                because
-                the others may have come after the landmark was gone.
+                because the others may have come after the landmark was gone.
         """
         by_recording = np.zeros(len(index.map), dtype=bool)
         by_recording[index.map.observations.features[recorded[index.map.observations.views]]] = True

@@ -56,8 +56,7 @@ class UpdateOptions:
 
     Attributes:
         poses: source of its frame poses, which are then aligned with the map; None: its own if it has any, else each
-            frame
-            is localized in the map, and frames outside the map are dropped.
+            frame is localized in the map, and frames outside the map are dropped.
         forgetting: update ``observed`` densities recursively with this factor; None: fit all densities again.
         pictures: whether to keep a small picture of each new view for display.
     """

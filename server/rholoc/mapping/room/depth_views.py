@@ -71,8 +71,7 @@ class DepthView:
 
         Returns:
             Their depths (P,); the measured depths (P,) there, NaN where unknown; the mask (P,) of those in front of the
-                camera
-            on a pixel that the frame shows; and the picture's colours (P, 3) there, arbitrary outside.
+                camera on a pixel that the frame shows; and the picture's colours (P, 3) there, arbitrary outside.
         """
         local = (points - self.T_map_camera[:3, 3]) @ self.T_map_camera[:3, :3]
         z = local[:, 2]
