@@ -150,7 +150,9 @@ def camera_of(camera: Camera | None, size: tuple[int, int], info: MapInfo) -> Ca
     if camera is not None:
         return camera
     if size != (info.camera.width, info.camera.height):
-        raise InvalidCamera("The camera of these frames is not known.", "Give it with --camera fx,fy,cx,cy.")
+        raise InvalidCamera(
+            "The camera of these frames is not known.", "Give it with --camera fx,fy,cx,cy, or --camera unknown."
+        )
     print_notice("No camera given: the frames are taken to be of the camera that recorded the map.")
     return info.camera
 

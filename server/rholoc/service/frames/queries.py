@@ -87,7 +87,7 @@ def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camer
             raise InvalidCamera(
                 f"No intrinsics were sent, and the map's own camera ({map_camera.width}×{map_camera.height}) "
                 f"cannot have taken an image of {size[0]}×{size[1]}.",
-                _CAMERA_HINT,
+                f"{_CAMERA_HINT} Or send intrinsics 'unknown'.",
             ) from error
     width, height = given.width or size[0], given.height or size[1]
     camera = Camera(
