@@ -39,6 +39,7 @@ import numpy as np
 
 from rholoc.density import Evidence, RayDensities
 from rholoc.density.ray import RayOffsets
+from rholoc.features import DEFAULT_FEATURES
 from rholoc.features.matching import LIMITS
 from rholoc.geometry import Camera, FloatArray, IntArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
@@ -55,7 +56,7 @@ from rholoc.localization.pose.rematching import (
     verify,
 )
 from rholoc.localization.pose.seeds import minimal_samples, vote_for_places
-from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
+from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import read_recording
 from rholoc.trajectory import PoseMethod
 from rholoc_lab.evaluation.pnp_baselines import refine_by_density

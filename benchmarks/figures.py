@@ -42,12 +42,13 @@ import load
 import rooms
 from measuring import SHARED_DATA
 from rholoc.evaluation.errors import trajectory_errors
+from rholoc.features import DEFAULT_FEATURES
 from rholoc.geometry import Camera, FloatArray, IntArray, align_poses, angles_between, pose_distances
 from rholoc.localization import Localizer, Query
 from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD
-from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.recordings import Recording, read_recording
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale
+from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc_lab.evaluation.compare import CompareOptions, SplitResult, compare
 from rholoc_lab.evaluation.splits import QuerySet
 

@@ -26,14 +26,15 @@ import numpy as np
 from measuring import jpeg_of
 from rholoc.density import DensityKind
 from rholoc.errors import RholocError
-from rholoc.features import Extractor, get_extractor
+from rholoc.features import DEFAULT_FEATURES, Extractor, get_extractor
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, pose_distances
 from rholoc.localization import Localizer, Query
-from rholoc.mapping import DEFAULT_FEATURES, AnsweredQuery, learn_from_queries
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.pipeline import reconstruct
 from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.build.tracks import Views
+from rholoc.mapping.learn.answered_query import AnsweredQuery
+from rholoc.mapping.learn.from_queries import learn_from_queries
 from rholoc.maps import Map, MapInfo, Source, map_to_bytes
 from rholoc.progress import silent
 from rholoc.simulation import PHONE_CAMERA, make_test_site, make_walk, render_view

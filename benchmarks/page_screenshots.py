@@ -31,7 +31,9 @@ from playwright.sync_api import BrowserContext, Page, sync_playwright
 
 from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import notes_of
-from rholoc.mapping import BuildOptions, build_map, draw_room, set_labels, set_names
+from rholoc.mapping import BuildOptions, build_map
+from rholoc.mapping.edit.correcting import set_labels, set_names
+from rholoc.mapping.room.drawing import draw_room
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_map
 from rholoc.recordings import Recording, read_recording
 from rholoc.service import Settings, create_app

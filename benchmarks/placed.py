@@ -49,7 +49,8 @@ from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, umeyama
 from rholoc.maps import read_trajectory_csv
 from rholoc.recordings import CameraFile, Recording, read_recording, write_camera_json, write_frames_csv
 from rholoc.recordings.frame_slice import SelectedFrames
-from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc.trajectory import PoseMethod
+from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc.trajectory.visual.loop_candidates import MAX_EXHAUSTIVE
 from rholoc_lab.simulation.sites import Site, simulate_site
 

@@ -32,8 +32,8 @@ import load
 import rooms
 from figures import ROOT, Figure, Figures, length_cm, run
 from measuring import jpeg_of
+from rholoc.features import DEFAULT_FEATURES
 from rholoc.geometry import FloatArray
-from rholoc.mapping import DEFAULT_FEATURES
 from rholoc.maps import map_to_bytes
 from rholoc.tracking import film_times
 from rholoc_client import Camera, Client

@@ -22,7 +22,8 @@ from rholoc.maps import Map, load_map, read_trajectory_csv, save_map
 from rholoc.recordings import GivenPoses, Recording, read_image, read_recording
 from rholoc.recordings.frame_slice import SelectedFrames
 from rholoc.simulation import Light
-from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc.trajectory import PoseMethod
+from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc_lab.simulation.sites import Site, simulate_site
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"

@@ -29,7 +29,8 @@ from rholoc.maps import read_trajectory_csv
 from rholoc.recordings import Recording, read_recording
 from rholoc.recordings.frame_slice import select_frames
 from rholoc.reports import ImuReport
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale
+from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc_lab.simulation.sites import Site, simulate_site
 
 _EUROC = "euroc_v101"

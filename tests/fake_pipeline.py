@@ -33,7 +33,9 @@ from rholoc.maps import (
 )
 from rholoc.progress import ProgressListener, Stage
 from rholoc.reports import MapReport, TrajectoryReport
-from rholoc.worker import MappingPipeline, MappingTask, Timing, WorkerSetup, run_worker
+from rholoc.worker import Timing, WorkerSetup
+from rholoc.worker.pipeline import MappingPipeline, MappingTask
+from rholoc.worker.worker import run_worker
 
 TIMING = Timing(poll_s=0.1, heartbeat_s=0.25, dead_after_s=1.5, cancel_grace_s=0.5)
 _NOT_OF_BUILDS = (Stage.RECEIVED, Stage.LINKS, Stage.PUBLISHED)

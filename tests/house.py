@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fake_pipeline import tiny_map
 from rholoc.library import MapLibrary, SiteLibrary
-from rholoc.mapping import solve_site
+from rholoc.mapping.sites.poses import solve_site
 from rholoc.maps import Site, SiteMap
 
 # Three rooms in a row, each with the doors to the next at positions of its own.

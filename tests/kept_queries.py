@@ -11,7 +11,7 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, Pose
 from rholoc.library import QueryStore
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping import AnsweredQuery
+from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.maps import Map
 from rholoc.storage import ObjectStorage
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rholoc.geometry import Pose as Pose
     from rholoc.localization import Localizer as Localizer
     from rholoc.localization import Query as Query
-    from rholoc.mapping import build_map as build_map
-    from rholoc.mapping import update_map as update_map
+    from rholoc.mapping.build.pipeline import build_map as build_map
+    from rholoc.mapping.learn.from_recordings import update_map as update_map
     from rholoc.maps import load_map as load_map
     from rholoc.maps import save_map as save_map
     from rholoc.recordings import read_image as read_image

@@ -27,10 +27,9 @@ from rholoc.recordings.archive import unpack
 from rholoc.recordings.tables.csv_table import read_numbers
 from rholoc.recordings.tables.logged_table import read_logged_table
 from rholoc.service import Settings
-from rholoc.worker import MappingTask
 from rholoc.worker.build_process import build_in_process, run_build
 from rholoc.worker.job_folders import JobFolders
-from rholoc.worker.pipeline import MappingPipeline
+from rholoc.worker.pipeline import MappingPipeline, MappingTask
 
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz\n"
 

@@ -24,7 +24,8 @@ from rholoc.library.recording_notes import notes_in, notes_of
 from rholoc.maps import Map
 from rholoc.progress import silent
 from rholoc.recordings import MemoryFrames, Recording, Waypoint, write_frames_csv, write_waypoints_csv
-from rholoc.worker import MappingPipeline, MappingTask, pipeline
+from rholoc.worker import pipeline
+from rholoc.worker.pipeline import MappingPipeline, MappingTask
 
 PLACES = [(0.0, 0.0, 1.5), (2.0, 0.0, 1.5), (2.0, 3.5, 1.5)]
 GIVEN = tuple(RecordedWaypoint(f"W{i}", place, 1.0 * i, 0.05) for i, place in enumerate(PLACES))

@@ -13,11 +13,14 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidMap
 from rholoc.features import Metric
 from rholoc.geometry import Similarity
-from rholoc.mapping import forget_recording, levelled, merge_maps, remove_region, remove_views
 from rholoc.mapping.build.landmarks import triangulate
 from rholoc.mapping.build.reconstruction_cloud import cloud_of
 from rholoc.mapping.build.tracks import Views, link_observations
+from rholoc.mapping.edit.correcting import remove_region, remove_views
+from rholoc.mapping.edit.forgetting import forget_recording
+from rholoc.mapping.edit.frame_from_people import levelled
 from rholoc.mapping.edit.moving import move_map
+from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import Cloud, Map, Room, load_map, map_to_bytes, save_map
 
 TILT = Similarity(2.0, Rotation.from_euler("xz", [100, 25], degrees=True).as_matrix(), np.array([4.0, -1.0, 0.2]))

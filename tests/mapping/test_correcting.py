@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import UP, Similarity, angles_between, pose_distances
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping import (
-    forget_recording,
+from rholoc.mapping.build.density_fitting import fit_densities
+from rholoc.mapping.build.stored_observations import with_landmarks
+from rholoc.mapping.edit.correcting import (
     lay_over_plan,
-    merge_maps,
     remove_region,
     remove_views,
     set_distance,
@@ -24,10 +24,10 @@ from rholoc.mapping import (
     set_up,
     set_wall,
 )
-from rholoc.mapping.build.density_fitting import fit_densities
-from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.edit.cutting import in_region
+from rholoc.mapping.edit.forgetting import forget_recording
 from rholoc.mapping.edit.moving import move_map
+from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import DensityKind, MapNames, NamedArea, NamedPoint, map_to_bytes, without_memory
 from rholoc.maps.formats.rho_file import info_from_json, info_to_json
 

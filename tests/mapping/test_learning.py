@@ -17,13 +17,15 @@ from rholoc.errors import Conflict, InvalidInput, InvalidMap, MappingFailed
 from rholoc.features import FeatureSet
 from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose, Similarity
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping import forget_recording, merge_maps, update_map
+from rholoc.mapping import update_map
 from rholoc.mapping.build.density_fitting import fit_densities
+from rholoc.mapping.edit.forgetting import forget_recording
 from rholoc.mapping.edit.moving import move_map
 from rholoc.mapping.learn import from_recordings as learning
+from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import DensityKind, Map, check_memory, load_map, save_map, without_memory
 from rholoc.recordings import GivenPoses, Recording
-from rholoc.trajectory import estimate_trajectory
+from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
 from same_maps import assert_same_tables
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import BoolArray, ByteArray, FloatArray, Pose
-from rholoc.mapping import draw_room
 from rholoc.mapping.build.stored_observations import recording_id
 from rholoc.mapping.room.depth_views import DepthView, depth_views
+from rholoc.mapping.room.drawing import draw_room
 from rholoc.mapping.room.fusion import fused, sampled_points
 from rholoc.mapping.room.planes import close_gaps, floor_height, walls_of
 from rholoc.mapping.room.surface import normals_of, surface_of

@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Similarity
-from rholoc.mapping import forget_recording, merge_maps
 from rholoc.mapping.build.self_report import map_statistics
 from rholoc.mapping.build.view_covariance import (
     expected_error,
@@ -18,7 +17,9 @@ from rholoc.mapping.build.view_covariance import (
     storable_covariances,
     uncertainty_in,
 )
+from rholoc.mapping.edit.forgetting import forget_recording
 from rholoc.mapping.edit.sources import join, without_source
+from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import Map
 
 

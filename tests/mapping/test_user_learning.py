@@ -15,9 +15,11 @@ from scipy.spatial import cKDTree
 from rholoc.errors import Conflict, InvalidInput, MappingFailed
 from rholoc.geometry import BoolArray, Camera, Pose
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping import AnsweredQuery, forget_recording, learn_from_queries
 from rholoc.mapping.build.stored_observations import keep_features
+from rholoc.mapping.edit.forgetting import forget_recording
 from rholoc.mapping.learn import from_queries as user_learning
+from rholoc.mapping.learn.answered_query import AnsweredQuery
+from rholoc.mapping.learn.from_queries import learn_from_queries
 from rholoc.maps import Map, map_to_bytes, without_memory
 
 HOUR_S = 3600.0

@@ -11,7 +11,8 @@ import pytest
 
 from rholoc.geometry import align_poses
 from rholoc.recordings import read_recording
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale
+from rholoc.trajectory.estimate import estimate_trajectory
 
 pytestmark = [pytest.mark.real, pytest.mark.slow]
 

@@ -10,7 +10,9 @@ import pytest
 
 from rholoc.errors import MappingFailed
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.mapping import BuildOptions, build_map, forget_recording, merge_maps, update_map
+from rholoc.mapping import BuildOptions, build_map, update_map
+from rholoc.mapping.edit.forgetting import forget_recording
+from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import Map
 from rholoc.recordings import read_recording
 from rholoc.trajectory import PoseMethod

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import ByteArray, FloatArray, IntArray, pose_matrix
 from rholoc.recordings import FrameSource, Waypoint, read_recording
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale
+from rholoc.trajectory.estimate import estimate_trajectory
 
 _WAYPOINT_FRAMES = (424, 700, 772, 976)  # the far ends of the walk, along it and across: they fix its rotation
 _CAMERA = "525.505,525.505,320,240"

@@ -197,7 +197,7 @@ def test_the_next_version_is_published_and_the_one_before_is_kept(asked_often):
     """What the worker does with the job."""
     from rholoc.jobs.job import JobOptions
     from rholoc.progress import silent
-    from rholoc.worker import MappingPipeline, MappingTask
+    from rholoc.worker.pipeline import MappingPipeline, MappingTask
 
     settings = asked_often.settings
     (settings.data_dir / "work").mkdir(exist_ok=True)

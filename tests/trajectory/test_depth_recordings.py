@@ -12,7 +12,8 @@ import pytest
 from rholoc.geometry import align_poses
 from rholoc.recordings import read_recording
 from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale
+from rholoc.trajectory.estimate import estimate_trajectory
 
 
 @pytest.mark.slow

@@ -12,7 +12,8 @@ import pytest
 from rholoc.errors import InvalidRecording, InvalidWaypoints, MappingFailed
 from rholoc.geometry import ByteArray, Camera, FloatArray
 from rholoc.recordings import GivenPoses, KnownLength, MemoryFrames, Recording, Waypoint
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale
+from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc.trajectory.reconstruction import Sights
 
 

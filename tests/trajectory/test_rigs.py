@@ -15,8 +15,8 @@ from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, align_poses, po
 from rholoc.recordings import Recording, read_recording
 from rholoc.recordings.frame_slice import select_frames
 from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory
-from rholoc.trajectory.estimate import _chosen_moments
+from rholoc.trajectory import PoseMethod, Scale
+from rholoc.trajectory.estimate import _chosen_moments, estimate_trajectory
 
 MOMENTS, SENSORS = 3, ("left", "right")
 SMALL = Camera(64, 48, 60.0, 61.0, 31.5, 23.5)

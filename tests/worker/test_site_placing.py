@@ -16,7 +16,7 @@ from house import DOORS, IN_SITE, PAIRS, placed, put_house, put_rooms
 from rholoc.errors import Cancelled, Conflict, MappingFailed, UnknownSite
 from rholoc.jobs import JobKind, JobState
 from rholoc.library import MapLibrary, SiteLibrary
-from rholoc.mapping import solve_site
+from rholoc.mapping.sites.poses import solve_site
 from rholoc.maps import FramePose, Site, SiteMap
 from rholoc.progress import Stage, silent
 from rholoc.worker.site_placing import store_links, write_links

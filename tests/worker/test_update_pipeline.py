@@ -16,7 +16,8 @@ from rholoc.maps import Cloud, Map, Room
 from rholoc.processes import Limits
 from rholoc.progress import silent
 from rholoc.recordings import MemoryFrames, Recording
-from rholoc.worker import MappingPipeline, MappingTask, pipeline
+from rholoc.worker import pipeline
+from rholoc.worker.pipeline import MappingPipeline, MappingTask
 
 
 @pytest.fixture

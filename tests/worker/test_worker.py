@@ -22,8 +22,8 @@ from rholoc.library import MapLibrary
 from rholoc.processes import Limits
 from rholoc.progress import Stage, silent
 from rholoc.storage.database import open_database
-from rholoc.worker import MappingTask
 from rholoc.worker.build_process import KilledForMemory, build_in_process, run_build
+from rholoc.worker.pipeline import MappingTask
 from waiting import until
 
 if TYPE_CHECKING:
@@ -239,7 +239,8 @@ def test_a_full_disk_is_reported(busy_site: Site, tmp_path: Path) -> None:
 _SIGNALLED_ON_THE_WAY = """
 import signal, sys, threading
 from pathlib import Path
-from rholoc.worker import WorkerSetup, run_worker
+from rholoc.worker import WorkerSetup
+from rholoc.worker.worker import run_worker
 
 class Stop(threading.Event):
     def wait(self, timeout=None):

@@ -61,7 +61,7 @@ def put(
     from pydantic import ValidationError
 
     from rholoc.library import MapLibrary, SiteLibrary
-    from rholoc.mapping import solve_site
+    from rholoc.mapping.sites.poses import solve_site
     from rholoc.service.maps.site_documents import SiteIn, site_of
 
     try:
@@ -86,7 +86,7 @@ def link(
 ) -> None:
     """Find the pose between two maps, by points that both have or by overlap, and place the site's maps anew."""
     from rholoc.library import MapLibrary, SiteLibrary
-    from rholoc.mapping import find_link, with_link
+    from rholoc.mapping.sites.poses import find_link, with_link
 
     sites, library = SiteLibrary(maps), MapLibrary(maps)
     site = sites.get(name)
@@ -130,7 +130,8 @@ def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> N
 
 def _place(name: str, maps: Path, as_json: bool) -> None:
     from rholoc.library import MapLibrary, SiteLibrary
-    from rholoc.mapping import search_links, solve_site, with_link
+    from rholoc.mapping.sites.linking import search_links
+    from rholoc.mapping.sites.poses import solve_site, with_link
 
     sites, library = SiteLibrary(maps), MapLibrary(maps)
     stored = sites.get(name)

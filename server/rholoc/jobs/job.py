@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from rholoc.mapping import DEFAULT_FEATURES
+from rholoc.features import DEFAULT_FEATURES
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.trajectory import PoseMethod

@@ -26,7 +26,7 @@ from rholoc.disk import reporting_full_disk
 from rholoc.errors import MissingObject, RholocError, StorageFull, StorageUnavailable
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray
-from rholoc.mapping import AnsweredQuery
+from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.storage.objects import ObjectStorage, StoredObject
 
 QUERIES_FOLDER = "queries"

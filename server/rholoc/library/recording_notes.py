@@ -17,7 +17,7 @@ import numpy as np
 from rholoc.disk import reporting_full_disk
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.mapping import small_picture
+from rholoc.mapping.build.frame_features import small_picture
 from rholoc.recordings import Recording, Waypoint, read_waypoints_csv, write_waypoints_csv
 from rholoc.reports import report_from_json, report_to_json
 

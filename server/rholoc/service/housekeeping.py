@@ -13,7 +13,7 @@ import structlog
 
 from rholoc.errors import InvalidMap, RholocError, StorageUnavailable, UnknownMap
 from rholoc.jobs import JobKind, JobOptions, JobPriority
-from rholoc.mapping import MIN_QUERIES
+from rholoc.mapping.learn.from_queries import MIN_QUERIES
 from rholoc.service.state import State
 from rholoc.service.threads.storage import StorageThreads
 

@@ -29,7 +29,8 @@ from rholoc.library import (
     read_notes,
     waypoints_file,
 )
-from rholoc.mapping import MIN_QUERIES, set_floor_plan, too_few_queries
+from rholoc.mapping.edit.correcting import set_floor_plan
+from rholoc.mapping.learn.from_queries import MIN_QUERIES, too_few_queries
 from rholoc.maps import FloorPlan, Map, MapInfo, SiteOnEarth, check_memory
 from rholoc.service.access.audit import AuditLog
 from rholoc.service.access.keys import ApiKey, KeyStore

@@ -1,6 +1,8 @@
-"""Recording → frame poses: joint adjustment of pictures, IMU and waypoints."""
+"""Recording → frame poses: joint adjustment of pictures, IMU and waypoints.
 
-from rholoc.trajectory.estimate import estimate_trajectory, odometry_from_flow, rolling_shutter_of
+``rholoc.trajectory.estimate`` estimates them; its solvers are loaded with it, not with this package.
+"""
+
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 
-__all__ = ["PoseMethod", "Scale", "Trajectory", "estimate_trajectory", "odometry_from_flow", "rolling_shutter_of"]
+__all__ = ["PoseMethod", "Scale", "Trajectory"]

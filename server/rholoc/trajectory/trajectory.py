@@ -8,8 +8,8 @@ from enum import StrEnum
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.reports import TrajectoryReport
-from rholoc.trajectory.optimization.zooms import unzoomed_features
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter
+from rholoc.trajectory.visual.unzooming import unzoomed_features
 
 
 class PoseMethod(StrEnum):

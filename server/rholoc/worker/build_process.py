@@ -20,7 +20,6 @@ from rholoc.processes import (
     run_in_child,
 )
 from rholoc.progress import ProgressListener
-from rholoc.recordings import MAX_FRAME_PIXELS
 from rholoc.trajectory.child import ReconstructionKilled
 from rholoc.worker.pipeline import MappingTask, Pipeline
 
@@ -39,17 +38,6 @@ class KilledForMemory:
 
     failure: Failure
     held_bytes: float
-
-
-@dataclass(frozen=True)
-class BuildLimits(Limits):
-    """Limits of one build.
-
-    Attributes:
-        frame_pixels: maximum pixels of a video frame.
-    """
-
-    frame_pixels: int = MAX_FRAME_PIXELS
 
 
 def build_in_process(

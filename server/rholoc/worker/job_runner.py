@@ -21,10 +21,11 @@ from rholoc.jobs.table import JobWork
 from rholoc.jobs.workers_table import WorkerTable
 from rholoc.maps import Map
 from rholoc.progress import Stage
-from rholoc.worker.build_process import BuildLimits, KilledForMemory, build_in_process, describe, unexpected
+from rholoc.worker.build_process import KilledForMemory, build_in_process, describe, unexpected
 from rholoc.worker.job_folders import JobFolders
 from rholoc.worker.pipeline import MappingTask, Pipeline, doubts
 from rholoc.worker.running_jobs import RunningJobs
+from rholoc.worker.setup import BuildLimits
 from rholoc.worker.site_placing import store_links
 from rholoc.worker.timing import Timing
 

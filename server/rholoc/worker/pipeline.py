@@ -15,7 +15,10 @@ from rholoc.jobs.job_memory import MoreMemoryNeeded, memory_for
 from rholoc.library import CameraLibrary, MapLibrary
 from rholoc.library.queries import QueryStore
 from rholoc.library.recording_notes import WAYPOINTS_FILE, notes_of, write_notes
-from rholoc.mapping import BuildOptions, UpdateOptions, build_map, draw_room, learn_from_queries, update_map
+from rholoc.mapping.build.pipeline import BuildOptions, build_map
+from rholoc.mapping.learn.from_queries import learn_from_queries
+from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
+from rholoc.mapping.room.drawing import draw_room
 from rholoc.maps import Map, load_map, save_map, trust_of
 from rholoc.processes import BACKGROUND_NICENESS, Limits, run_in_child
 from rholoc.progress import ProgressListener, Stage, silent

@@ -7,7 +7,19 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from rholoc.jobs.job_memory import Capacity
-from rholoc.worker.build_process import BuildLimits
+from rholoc.processes import Limits
+from rholoc.recordings import MAX_FRAME_PIXELS
+
+
+@dataclass(frozen=True)
+class BuildLimits(Limits):
+    """Limits of one build.
+
+    Attributes:
+        frame_pixels: maximum pixels of a video frame.
+    """
+
+    frame_pixels: int = MAX_FRAME_PIXELS
 
 
 @dataclass(frozen=True)

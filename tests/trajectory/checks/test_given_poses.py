@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, pose_matrix
 from rholoc.recordings import GivenPoses, Recording, read_recording
-from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc.trajectory import PoseMethod
 from rholoc.trajectory.checks.given_poses import PoseAxes, check_given_poses, epipolar_errors
+from rholoc.trajectory.estimate import estimate_trajectory
 
 _FLIP = np.diag([1.0, -1, -1, 1])
 

@@ -80,7 +80,7 @@ def compare(
     elif lighting_pairs is not None:
         _lighting_pairs(lighting_pairs, chosen, out, as_json)
     else:
-        from rholoc.mapping import DEFAULT_FEATURES
+        from rholoc.features import DEFAULT_FEATURES
         from rholoc_lab.evaluation.compare import CompareOptions
 
         settings = CompareOptions(features or DEFAULT_FEATURES, options.dof(dof), tensor, retrieval)

@@ -110,7 +110,7 @@ def _write_dense(found: Flow, read: Recording, out: Path, pictures: int, fields:
 
 def _odometry(read: Recording, found: Flow, progress: ProgressListener) -> tuple[Trajectory | None, str]:
     """The trajectory that follows from the tracks, or why there is none."""
-    from rholoc.trajectory import odometry_from_flow
+    from rholoc.trajectory.estimate import odometry_from_flow
 
     try:
         return odometry_from_flow(read, found, progress), ""

@@ -14,12 +14,12 @@ import numpy as np
 
 from rholoc.density import DensityKind
 from rholoc.evaluation.errors import PoseErrors, quantile, trajectory_errors
-from rholoc.features import FeatureSet, get_extractor
+from rholoc.features import DEFAULT_FEATURES, FeatureSet, get_extractor
 from rholoc.geometry import ByteArray, FloatArray, direction_angles
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.seeds import vote_for_places
-from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map
+from rholoc.mapping import BuildOptions, build_map
 from rholoc.mapping.build.density_fitting import fit_densities
 from rholoc.maps import Map, map_to_bytes
 from rholoc.progress import ProgressListener, Stage, silent

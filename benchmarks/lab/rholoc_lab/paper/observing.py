@@ -11,7 +11,8 @@ from rholoc.mapping.build.view_choice import choose_views
 from rholoc.maps import ObservationTable
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording
-from rholoc.trajectory import PoseMethod, estimate_trajectory
+from rholoc.trajectory import PoseMethod
+from rholoc.trajectory.estimate import estimate_trajectory
 
 
 def observe_recording(

@@ -61,7 +61,9 @@ def build(
             "--frames, --camera, --waypoints, --length and --topic speak of one recording; give just one."
         )
     target = check_target(out or Path(f"{recordings[0].resolve().stem}.rho"), "the map")
-    from rholoc.mapping import DEFAULT_FEATURES, BuildOptions, build_map, draw_room
+    from rholoc.features import DEFAULT_FEATURES
+    from rholoc.mapping.build.pipeline import BuildOptions, build_map
+    from rholoc.mapping.room.drawing import draw_room
     from rholoc.maps import DensityKind, save_map
     from rholoc.recordings import read_recording
     from rholoc.trajectory import PoseMethod
@@ -118,7 +120,7 @@ def update(
     as_json: options.Json = False,
 ) -> None:
     """Learn a further recording of the same place into a map."""
-    from rholoc.mapping import UpdateOptions, update_map
+    from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
     from rholoc.maps import load_map
     from rholoc.recordings import read_recording
     from rholoc.trajectory import PoseMethod
@@ -146,7 +148,7 @@ def learn(
     The map before is kept, as a server keeps it, and can be restored.
     """
     from rholoc.library import MapLibrary, QueryStore
-    from rholoc.mapping import learn_from_queries
+    from rholoc.mapping.learn.from_queries import learn_from_queries
     from rholoc.maps import load_map
     from rholoc.storage import ObjectStorage
 
@@ -190,7 +192,7 @@ def merge(
     as_json: options.Json = False,
 ) -> None:
     """Merge two maps of rooms that overlap."""
-    from rholoc.mapping import merge_maps
+    from rholoc.mapping.learn.merging import merge_maps
     from rholoc.maps import load_map
 
     a, b = load_map(map_file), load_map(other)
@@ -210,7 +212,7 @@ def forget(
     as_json: options.Json = False,
 ) -> None:
     """Make a map forget what it learned from a recording."""
-    from rholoc.mapping import forget_recording
+    from rholoc.mapping.edit.forgetting import forget_recording
     from rholoc.maps import load_map
 
     save_and_print(forget_recording(load_map(map_file), recording), out or map_file, as_json)

@@ -37,7 +37,7 @@ def origin(
     as_json: options.Json = False,
 ) -> None:
     """Move the map's origin."""
-    from rholoc.mapping import set_origin
+    from rholoc.mapping.edit.correcting import set_origin
 
     _correct(map_file, out, as_json, lambda map_: set_origin(map_, _vector(at, 3)))
 
@@ -45,7 +45,7 @@ def origin(
 @app.command()
 def north(map_file: options.MapFile, direction: Direction, out: Out = None, as_json: options.Json = False) -> None:
     """Turn the map about z so that a direction becomes y."""
-    from rholoc.mapping import set_north
+    from rholoc.mapping.edit.correcting import set_north
 
     _correct(map_file, out, as_json, lambda map_: set_north(map_, _vector(direction, 3)))
 
@@ -53,7 +53,7 @@ def north(map_file: options.MapFile, direction: Direction, out: Out = None, as_j
 @app.command()
 def wall(map_file: options.MapFile, direction: Direction, out: Out = None, as_json: options.Json = False) -> None:
     """Turn the map about z so that a direction, along a wall, becomes x."""
-    from rholoc.mapping import set_wall
+    from rholoc.mapping.edit.correcting import set_wall
 
     _correct(map_file, out, as_json, lambda map_: set_wall(map_, _vector(direction, 3)))
 
@@ -68,7 +68,7 @@ def up(
     as_json: options.Json = False,
 ) -> None:
     """Set the map upright."""
-    from rholoc.mapping import set_up
+    from rholoc.mapping.edit.correcting import set_up
 
     _correct(map_file, out, as_json, lambda map_: set_up(map_, None if direction is None else _vector(direction, 3)))
 
@@ -83,7 +83,7 @@ def scale(
     as_json: options.Json = False,
 ) -> None:
     """Correct the map's scale by a measured distance; the map is metric from then on."""
-    from rholoc.mapping import set_distance
+    from rholoc.mapping.edit.correcting import set_distance
 
     _correct(map_file, out, as_json, lambda map_: set_distance(map_, _vector(start, 3), _vector(end, 3), length))
 
@@ -101,7 +101,7 @@ def plan(
     """Align the map with a floor plan, whose frame becomes the map's."""
     import numpy as np
 
-    from rholoc.mapping import lay_over_plan
+    from rholoc.mapping.edit.correcting import lay_over_plan
 
     sides = [one.partition("=") for one in pair]
     points = np.array([_vector(left, 3) for left, _, _ in sides])
@@ -122,7 +122,7 @@ def region(
     as_json: options.Json = False,
 ) -> None:
     """Remove the landmarks inside a region, or all others."""
-    from rholoc.mapping import remove_region
+    from rholoc.mapping.edit.correcting import remove_region
 
     if keep not in ("inside", "outside"):
         raise InvalidInput(f"--keep is '{keep}'.", "Give inside or outside.")
@@ -143,7 +143,7 @@ def walk(
     as_json: options.Json = False,
 ) -> None:
     """Remove a piece of the walk, and what only it saw."""
-    from rholoc.mapping import remove_views
+    from rholoc.mapping.edit.correcting import remove_views
 
     _correct(map_file, out, as_json, lambda map_: remove_views(map_, first, last))
 
@@ -172,7 +172,7 @@ def names(
     """Name points and areas; answers say which the camera is in or near. Other names stay."""
     from dataclasses import replace
 
-    from rholoc.mapping import set_names
+    from rholoc.mapping.edit.correcting import set_names
     from rholoc.maps import MapNames, NamedArea, NamedPoint
     from rholoc.maps.floor_plan import ARCHIVE, media_type_of
     from rholoc.maps.formats.geojson import names_from_geojson
@@ -233,7 +233,7 @@ def floor_plan(
     as_json: options.Json = False,
 ) -> None:
     """Keep a floor plan with the map; the map does not move."""
-    from rholoc.mapping import set_floor_plan
+    from rholoc.mapping.edit.correcting import set_floor_plan
     from rholoc.maps.formats.plan_files import PlanPlacement, packed_yaml, read_plan
 
     is_yaml = plan_file.suffix.lower() in (".yaml", ".yml")
@@ -271,7 +271,7 @@ def earth(
 
     from rholoc.geometry.earth import EarthPlace
     from rholoc.geometry.grids import places_in
-    from rholoc.mapping import set_earth
+    from rholoc.mapping.edit.correcting import set_earth
 
     sides = [one.partition("=") for one in point]
     points = np.array([_vector(left, 3) for left, _, _ in sides])
@@ -292,7 +292,7 @@ def labels(
     as_json: options.Json = False,
 ) -> None:
     """Set the map's site, floor and tags, by which lists are grouped and searched."""
-    from rholoc.mapping import set_labels
+    from rholoc.mapping.edit.correcting import set_labels
     from rholoc.maps import MapLabels
 
     def labelled(map_: Map) -> Map:

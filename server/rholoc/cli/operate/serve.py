@@ -172,7 +172,7 @@ def _https(settings: Settings, port: int, keys: KeyStore | None) -> tuple[Path, 
 def worker(maps: Maps = None, data: Data = None) -> None:
     """Work on mapping jobs, apart from the server. Any number of workers share the queue."""
     from rholoc.logs import configure_process_logs
-    from rholoc.worker import run_worker
+    from rholoc.worker.worker import run_worker
 
     configure_process_logs()
     settings = service_settings(maps_dir=maps, data_dir=data)

@@ -12,6 +12,9 @@ from rholoc.errors import InvalidInput, NotInstalled
 from rholoc.features.feature_set import Channel, FeatureSet, Metric
 from rholoc.geometry import ByteArray, Camera
 
+DEFAULT_FEATURES = "sift48"
+"""Of maps."""
+
 
 class Extractor(Protocol):
     """Image → features. Stateless and safe to call from several threads."""

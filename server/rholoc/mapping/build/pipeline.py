@@ -11,7 +11,7 @@ import numpy as np
 
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput, MappingFailed
-from rholoc.features import Extractor, FeatureSet, get_extractor, widened
+from rholoc.features import DEFAULT_FEATURES, Extractor, FeatureSet, get_extractor, widened
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.geometry.earth import enu_of
 from rholoc.mapping.build.assembly import assemble
@@ -34,9 +34,9 @@ from rholoc.mapping.build.view_covariance import storable_covariances
 from rholoc.maps import DensityKind, Map, MapInfo, MapWaypoint, SiteOnEarth, Source
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Look, Recording, Waypoint
-from rholoc.trajectory import PoseMethod, Scale, Trajectory, estimate_trajectory
+from rholoc.trajectory import PoseMethod, Scale, Trajectory
+from rholoc.trajectory.estimate import estimate_trajectory
 
-DEFAULT_FEATURES = "sift48"
 _FEATURES_PER_VIEW = 400
 _EXTENSION_ROUNDS = 2
 _MIN_VIEWS = 3

@@ -25,8 +25,8 @@ from rholoc.mapping.edit.versions import as_learned
 from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.mapping.learn.camera_agreement import agreeing
 from rholoc.mapping.learn.expected_sightings import Looked, Sights
-from rholoc.mapping.learn.from_recordings import recognize, seen_landmarks
 from rholoc.mapping.learn.merging import remembered_frames
+from rholoc.mapping.learn.recognition import recognize, seen_landmarks
 from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED
 from rholoc.mapping.learn.vanished_landmarks import vanished
 from rholoc.maps import Map, MapInfo, Source, check_memory

@@ -9,44 +9,39 @@ import numpy as np
 
 from rholoc.errors import Conflict, InvalidCamera, MappingFailed
 from rholoc.features import get_extractor, widened
-from rholoc.features.matching import LIMITS
 from rholoc.geometry import CAMERA_WRITTEN, Camera, FloatArray, IntArray
 from rholoc.localization import Localizer
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.frame_features import FrameFeatures, Shown
 from rholoc.mapping.build.job_advice import coach
-from rholoc.mapping.build.landmarks import Landmarks, are_stable, extend_and_merge, triangulate
-from rholoc.mapping.build.reconstruction_cloud import cloud_of
 from rholoc.mapping.build.recursive_densities import check_forgetting
 from rholoc.mapping.build.stored_observations import recording_id
-from rholoc.mapping.build.tracks import Views, link_observations
+from rholoc.mapping.build.tracks import Views
 from rholoc.mapping.build.view_choice import choose_views
 from rholoc.mapping.build.view_covariance import uncertainty_in
 from rholoc.mapping.edit.sources import join
 from rholoc.mapping.edit.versions import as_learned
+from rholoc.mapping.learn.recognition import recognize, seen_landmarks
 from rholoc.mapping.learn.registration import (
     LEARNING_RECOGNIZED,
     MIN_FOUND,
-    Alignment,
-    Found,
     align_to_found,
+    alignment_report,
     find_frames,
     without_jumps,
 )
-from rholoc.maps import Cloud, Map, MapInfo, Source, check_memory
+from rholoc.maps import Map, MapInfo, Source, check_memory
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Recording, look_through
 from rholoc.reports import LearningReport
-from rholoc.trajectory import PoseMethod, Scale, estimate_trajectory, rolling_shutter_of
+from rholoc.trajectory import PoseMethod, Scale
+from rholoc.trajectory.estimate import estimate_trajectory, rolling_shutter_of
 
-_FEATURES_PER_VIEW = 400
 _VIEW_STEP = 0.1  # wider than while building: most of what is seen is known already
 _FRAMES_PER_S = 5.0
 _MAX_FRAMES = 240
 _MAX_LOCALIZED = 24  # of a recording with a trajectory of its own
-_RADIUS_PX = 5.0
-_EXTENSION_ROUNDS = 1
 _LOCALIZED_M, _LOCALIZED_RAD = 0.01, np.deg2rad(0.3)  # standard deviations of a frame that is localized in a map
 
 
@@ -210,18 +205,6 @@ def _aligned_walk(
     )
 
 
-def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
-    """Report on an alignment with the number of frames tried and found; its version is 0, to be filled in."""
-    return LearningReport(
-        version=0,
-        frames_tried=found.tried,
-        frames_found=len(found.rows),
-        residual_median_m=alignment.residual_m,
-        residual_median_deg=float(np.degrees(alignment.residual_rad)),
-        scale=alignment.similarity.scale,
-    )
-
-
 def _frame_features(localizer: Localizer, recording: Recording, pictures: bool) -> FrameFeatures:
     extractor = widened(get_extractor(localizer.map.info.features), recording.camera)
     return FrameFeatures(recording.frames, extractor, pictures)
@@ -245,56 +228,3 @@ def _camera_of(recording: Recording, info: MapInfo) -> Camera:
         "The recording's intrinsics are unknown, and its frames are not of the size of the map's.",
         f"Give the camera as {CAMERA_WRITTEN}.",
     )
-
-
-def recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks, Cloud]:
-    """Feature (N,) of the map for each detection, or -1; landmarks made of the other detections; further points made of
-    these.
-
-    A detection within 5 px of a landmark's projection is recognized if its descriptor is within the strict limit. The
-    new landmarks' labels are (N,) too.
-    """
-    index, metric = localizer.index, localizer.extractor.metric
-    labels = np.full(len(views.features), -1, dtype=np.int64)
-    for k in range(len(views)):
-        features = views.of_view(k)
-        matches, _ = index.match_near(features, views.cameras[k], views.T_map_camera[k], _RADIUS_PX)
-        alike = index.distances_to(features, matches.detections, matches.landmarks) <= LIMITS[metric].strict
-        labels[views.offsets[k] + matches.detections[alike]] = matches.landmarks[alike]
-        progress(Stage.OBSERVATIONS, 0.3 * (k + 1) / len(views), f"{k + 1} of {len(views)} views compared with the map")
-    known_per_view = int(np.median(np.bincount(views.view_of[labels >= 0], minlength=len(views))))
-    unknown = np.flatnonzero(labels < 0)
-    others = Views.from_features(
-        views.cameras,
-        views.T_map_camera,
-        views.times,
-        [views.features.take(unknown[views.view_of[unknown] == k]) for k in range(len(views))],
-    )
-    fresh = triangulate(others, link_observations(others, metric, progress))
-    for _ in range(_EXTENSION_ROUNDS):
-        fresh = extend_and_merge(others, fresh, metric)
-    stable = are_stable(others, fresh, max(0, _FEATURES_PER_VIEW - known_per_view))
-    cloud = cloud_of(others, fresh, stable, np.zeros(len(views), dtype=np.int64))
-    fresh = fresh.keep(stable)
-    in_all = np.full(len(labels), -1, dtype=np.int64)
-    in_all[unknown] = fresh.labels
-    return labels, Landmarks(fresh.information, fresh.eta, in_all, fresh.positions, fresh.covariances), cloud
-
-
-def seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArray, Landmarks]:
-    """Feature (L,) of the map that each landmark in the recording is, or -1; and all these landmarks, the map's first.
-
-    ``labels`` (N,) are features of the map. Information sums of the map's landmarks are 0.
-    """
-    again, number = np.unique(labels[labels >= 0], return_inverse=True)
-    together = np.where(new.labels >= 0, new.labels + len(again), -1)
-    together[labels >= 0] = number
-    unknown = np.zeros((len(again), 3, 3))  # the sums are found anew when the maps are joined
-    landmarks = Landmarks(
-        np.concatenate([unknown, new.information]),
-        np.concatenate([unknown[:, 0], new.eta]),
-        together,
-        np.concatenate([known.landmarks.positions[again].astype(np.float64), new.positions]),
-        np.concatenate([known.landmarks.covariances[again].astype(np.float64), new.covariances]),
-    )
-    return np.concatenate([again, np.full(len(new), -1, dtype=np.int64)]), landmarks

@@ -18,8 +18,7 @@ from rholoc.mapping.build.view_covariance import uncertainty_in
 from rholoc.mapping.edit.moving import move_map
 from rholoc.mapping.edit.sources import join, without_source
 from rholoc.mapping.edit.versions import as_learned
-from rholoc.mapping.learn.from_recordings import alignment_report
-from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_found, find_frames
+from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_found, alignment_report, find_frames
 from rholoc.maps import DensityKind, Map, check_memory, source_cameras
 from rholoc.progress import ProgressListener, Stage, silent
 

@@ -21,6 +21,7 @@ from rholoc.geometry import (
 )
 from rholoc.localization import Dof, Localizer, Prior, Query
 from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.reports import LearningReport
 
 LEARNING_RECOGNIZED = 0.8
 """Required of a frame that a map learns from: the least probability of the right place."""
@@ -200,4 +201,16 @@ def _elsewhere(found: int, tried: int, what: str) -> MappingFailed:
     return MappingFailed(
         f"{what} does not show the place of the map: {found} of {tried} frames were found in it.",
         "Give one of the same place that overlaps with it; the map is unchanged.",
+    )
+
+
+def alignment_report(alignment: Alignment, found: Found) -> LearningReport:
+    """Report on an alignment with the number of frames tried and found; its version is 0, to be filled in."""
+    return LearningReport(
+        version=0,
+        frames_tried=found.tried,
+        frames_found=len(found.rows),
+        residual_median_m=alignment.residual_m,
+        residual_median_deg=float(np.degrees(alignment.residual_rad)),
+        scale=alignment.similarity.scale,
     )

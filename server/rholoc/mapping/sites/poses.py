@@ -6,9 +6,7 @@ from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
 
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.geometry import FloatArray, Pose, kabsch, pose_distances, pose_matrix
@@ -165,6 +163,9 @@ def _adjusted(
     """
     if not placed:
         return {}, {}
+    import gtsam  # of all that a service does, only placing maps needs it
+    from gtsam.symbol_shorthand import X
+
     number = {name: row for row, name in enumerate(placed)}
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for name, one in placed.items():

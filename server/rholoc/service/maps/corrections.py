@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from rholoc import mapping
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import FloatArray
 from rholoc.geometry.earth import EarthPlace
 from rholoc.geometry.grids import places_in
+from rholoc.mapping.edit import correcting
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint
 from rholoc.service.http.models import Number, RequestModel, Vector2, Vector3
 
@@ -181,32 +181,32 @@ def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
         )
     match wanted:
         case OriginIn():
-            return mapping.set_origin(map_, _vector(wanted.at))
+            return correcting.set_origin(map_, _vector(wanted.at))
         case NorthIn():
-            return mapping.set_north(map_, _vector(wanted.direction))
+            return correcting.set_north(map_, _vector(wanted.direction))
         case WallIn():
-            return mapping.set_wall(map_, _vector(wanted.direction))
+            return correcting.set_wall(map_, _vector(wanted.direction))
         case UpIn():
-            return mapping.set_up(map_, None if wanted.direction is None else _vector(wanted.direction))
+            return correcting.set_up(map_, None if wanted.direction is None else _vector(wanted.direction))
         case ScaleIn():
-            return mapping.set_distance(map_, _vector(wanted.start), _vector(wanted.end), wanted.length_m)
+            return correcting.set_distance(map_, _vector(wanted.start), _vector(wanted.end), wanted.length_m)
         case PlanIn():
             points = _vector([pair.map for pair in wanted.points]).reshape(-1, 3)
             plan = _vector([pair.plan for pair in wanted.points]).reshape(-1, 2)
-            return mapping.lay_over_plan(map_, points, plan, wanted.scaled)
+            return correcting.lay_over_plan(map_, points, plan, wanted.scaled)
         case RegionIn():
             outline = _vector(wanted.outline).reshape(-1, 2)
             inside = wanted.keep == "inside"
-            return mapping.remove_region(map_, outline, wanted.bottom_m, wanted.top_m, keep_inside=inside)
+            return correcting.remove_region(map_, outline, wanted.bottom_m, wanted.top_m, keep_inside=inside)
         case WalkIn():
-            return mapping.remove_views(map_, wanted.first_view, wanted.last_view)
+            return correcting.remove_views(map_, wanted.first_view, wanted.last_view)
         case NamesIn():
-            return mapping.set_names(map_, _names(wanted))
+            return correcting.set_names(map_, _names(wanted))
         case EarthIn():
             points = _vector([one.map for one in wanted.points]).reshape(-1, 3)
-            return mapping.set_earth(map_, points, _places(wanted), wanted.heading_deg)
+            return correcting.set_earth(map_, points, _places(wanted), wanted.heading_deg)
         case LabelsIn():
-            return mapping.set_labels(map_, MapLabels(wanted.site, wanted.floor, tuple(wanted.tags)))
+            return correcting.set_labels(map_, MapLabels(wanted.site, wanted.floor, tuple(wanted.tags)))
 
 
 def _places(wanted: EarthIn) -> list[EarthPlace]:

@@ -17,7 +17,7 @@ from rholoc.errors import (
     StorageUnavailable,
     UnknownMap,
 )
-from rholoc.mapping import MIN_QUERIES
+from rholoc.mapping.learn.from_queries import MIN_QUERIES
 from rholoc.reports import LearningReport
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.http.models import AnswerModel

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, cross, on_plane
 from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.visual.tracks import Observations
+from rholoc.trajectory.visual.unzooming import unzoomed
 
 _MIN_SIGHTINGS = 20
 _PRIOR_SIGMA = 0.02  # of a zoom: lenses breathe by so much
@@ -23,18 +23,6 @@ def zoomed(observations: Observations, zooms: FloatArray, camera: Camera) -> Obs
     """The observations with pixels as if no picture were zoomed; ``zooms`` (K,) of all keyframes, 1 for none."""
     factor = 1 / zooms[observations.keyframes]
     return replace(observations, pixels=unzoomed(observations.pixels, factor[:, None], camera))
-
-
-def unzoomed(pixels: FloatArray, factor: FloatArray | float, camera: Camera) -> FloatArray:
-    """Pixels (N, 2) with their distance from the principal point multiplied by a ``factor``, one or (N, 1)."""
-    centre = np.array([camera.cx, camera.cy])
-    return np.asarray(centre + (pixels - centre) * factor)
-
-
-def unzoomed_features(features: FeatureSet, zoom: float, camera: Camera) -> FeatureSet:
-    """Features as if their picture had the camera's focal length instead of ``zoom`` times as long a one."""
-    pixels = unzoomed(features.pixels.astype(np.float64), 1 / zoom, camera).astype(np.float32)
-    return replace(features, pixels=pixels, sizes=np.asarray(features.sizes / zoom, np.float32))
 
 
 def measure_zooms(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, bool]:

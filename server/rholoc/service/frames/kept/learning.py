@@ -18,7 +18,7 @@ from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import Camera
 from rholoc.library import Documents, QueryStore
 from rholoc.localization import Localization
-from rholoc.mapping import AnsweredQuery
+from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.service.access.keys import HANDED_PREFIX
 from rholoc.service.settings import Settings
 from rholoc.service.threads.compute import lower_priority

@@ -20,7 +20,9 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.jobs import JobKind, JobOptions, JobPriority
-from rholoc.mapping import forget_recording, merge_maps, set_names
+from rholoc.mapping.edit.correcting import set_names
+from rholoc.mapping.edit.forgetting import forget_recording
+from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import MAX_PLAN_BYTES, Map, check_map_name, check_memory
 from rholoc.maps.floor_plan import ARCHIVE, GEOJSON, MEDIA_TYPES
 from rholoc.maps.formats.geojson import MAX_GEOJSON_BYTES, names_from_geojson
