@@ -354,7 +354,7 @@ def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[Fea
         if np.isin((a, b), rows).all():
             first, second = np.searchsorted(rows, (a, b)).tolist()
             steps += (Step(first, second, one.T_first_second, _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD, True),)
-    follows = is_film(flow) and not recording.mounted
+    follows = is_film(flow) and not recording.mounted and not recording.lenses
     focal_px, lenses = recording.focal_px, None
     if recording.lenses:
         lenses = np.array([recording.lenses[number] for number in recording.frames.numbers[rows].tolist()])

@@ -103,19 +103,20 @@ def _with_camera_by_matches(walk: Pictured) -> Pictured:
 
 def _with_lenses_by_matches(walk: Pictured, progress: ProgressListener) -> Pictured:
     """A set whose pictures by further lenses look as if the first one had taken them, zoomed by what pairs of one and
-    the other agree on, and matched once more; unchanged if they leave that open for a lens.
+    the other agree on, and matched once more. Lenses for which the pairs leave that open stay as they are.
     """
     sights = walk.sights
     if sights.lenses is None:
         return walk
-    zooms = np.ones(len(sights.rows))
+    lenses, zooms = sights.lenses.copy(), np.ones(len(sights.rows))
     for lens in np.setdiff1d(sights.lenses, [0]).tolist():
         zoom = zoom_by_matches(walk.camera, _matched(walk, 0, lens))
-        if zoom is None:
-            return walk
-        zooms[sights.lenses == lens] = zoom
+        if zoom is not None:
+            zooms[sights.lenses == lens], lenses[sights.lenses == lens] = zoom, 0
+    if (lenses == sights.lenses).all():
+        return walk
     features = [unzoomed_features(one, zoom, walk.camera) for one, zoom in zip(sights.features, zooms, strict=True)]
-    sights = replace(sights, features=features, lenses=None, zooms=zooms)
+    sights = replace(sights, features=features, lenses=lenses if lenses.any() else None, zooms=zooms)
     return replace(walk, sights=sights, evidence=gather_evidence(sights, walk.camera, None, progress))
 
 

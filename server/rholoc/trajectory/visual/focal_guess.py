@@ -177,15 +177,16 @@ def _best_matched(matched: Sequence[tuple[FloatArray, FloatArray]]) -> list[tupl
 
 
 def _epipolar_misfit(first: Camera, second: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Mean over pairs of the truncated squared epipolar error [px² of the first camera] of the best relative pose, the
-    cameras those of either picture.
+    """Mean over pairs of the truncated squared epipolar error [px²] of the best relative pose, the cameras those of
+    either picture.
     """
-    options = {"max_epipolar_error": 1 / first.focal, "min_iterations": 50, "max_iterations": 200, "seed": 1}
+    focal = float(np.sqrt(2 / (first.focal**-2 + second.focal**-2)))  # pixels of both pictures count alike
+    options = {"max_epipolar_error": 1 / focal, "min_iterations": 50, "max_iterations": 200, "seed": 1}
     score = 0.0
     for a, b in matched:
         rays = on_plane(first.rays(a)), on_plane(second.rays(b))
         _, info = poselib.estimate_relative_pose(*rays, UNIT_CAMERA, UNIT_CAMERA, options, {})
-        score += info["model_score"] * first.focal**2 / len(a)
+        score += info["model_score"] * focal**2 / len(a)
     return score / len(matched)
 
 
