@@ -141,10 +141,23 @@ def camera_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tu
     if misfits[fittest] < _MUCH_BETTER * straight:
         return fittest
     centre, longer = (np.array(size, dtype=np.float64) - 1) / 2, max(size)
-    found = [_shared_focal(a - centre, b - centre)[0] for a, b in thinned]
+    focal = focal_by_matches([(a - centre, b - centre) for a, b in thinned])
+    is_plausible = focal is not None and _PLAUSIBLE[0] * longer < focal < _PLAUSIBLE[1] * longer
+    return centred_camera(size, focal) if focal is not None and is_plausible else None
+
+
+def focal_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]]) -> float | None:
+    """Median of the focal lengths [px] of pairs of undistorted pictures by one lens (six-point solver); None if those
+    of the middle half of the pairs differ by more than a factor of two, or without pairs.
+
+    Args:
+        matched: places (M, 2) of a pair's matches in either picture, relative to the principal point [px].
+    """
+    found = [_shared_focal(a, b)[0] for a, b in _best_matched(matched)]
+    if not found:
+        return None
     low, middle, high = np.quantile(found, (0.25, 0.5, 0.75))
-    agree = high <= _MAX_SPREAD * low and _PLAUSIBLE[0] * longer < middle < _PLAUSIBLE[1] * longer
-    return centred_camera(size, float(middle)) if agree else None
+    return float(middle) if high <= _MAX_SPREAD * low else None
 
 
 def zoom_by_matches(camera: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float | None:
