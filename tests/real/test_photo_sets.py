@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import align_poses
-from rholoc.recordings import read_recording
+from rholoc.recordings import read_recording, write_frames_csv
 from rholoc.trajectory import PoseMethod, Scale
 from rholoc.trajectory.estimate import estimate_trajectory
 
@@ -42,17 +42,19 @@ def test_every_picture_of_a_shuffled_set_is_placed(real_data: Path, tmp_path: Pa
     assert np.median(off_m) < 0.02
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.6, True), (0.25, False)])
+@pytest.mark.parametrize(("step", "share", "told"), [(20, 0.6, True), (20, 0.25, False), (3, 0.7, True)])
 def test_a_second_lens_is_measured_or_the_map_not_trusted(
-    real_data: Path, tmp_path: Path, share: float, told: bool
+    real_data: Path, tmp_path: Path, step: int, share: float, told: bool
 ) -> None:
-    """Every other picture is cropped, as a longer lens would have taken it."""
-    known = read_recording(real_data / "redkitchen", "525.505,525.505,320,240", "400:800:20")
+    """Every other picture is cropped, as a longer lens would have taken it; of a set, or of a film with times."""
+    known = read_recording(real_data / "redkitchen", "525.505,525.505,320,240", f"400:{400 + 20 * step}:{step}")
     assert known.poses is not None
     for number, image in enumerate(known.frames.images(range(20))):
         height, width = (round((share if number % 2 else 1) * side) for side in image.shape[:2])
         top, left = (image.shape[0] - height) // 2, (image.shape[1] - width) // 2
         cv2.imwrite(str(tmp_path / f"{number:04d}.png"), image[top : top + height, left : left + width])
+    if step == 3:
+        write_frames_csv(tmp_path / "frames.csv", np.arange(20), np.arange(20) / 10)
     found = estimate_trajectory(read_recording(tmp_path), PoseMethod.AUTO)
     assert found.report.trusted is told
     if not told:

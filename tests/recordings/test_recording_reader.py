@@ -189,6 +189,18 @@ def test_a_picture_of_another_size_may_be_of_another_camera(
     assert read_recording(folder).lenses == (dict.fromkeys(range(6), 0) | {6: 1} if several else {})
 
 
+@pytest.mark.parametrize("beside", [True, False])
+def test_one_camera_is_not_taken_for_that_of_several_sizes(make_images, tmp_path: Path, beside: bool) -> None:
+    """It counted for the size that they were resampled to, which nobody sees."""
+    folder = make_images(tmp_path / "sizes")
+    cv2.imwrite(str(folder / "frame-000006.png"), np.full((64, 48, 3), 200, np.uint8))
+    if beside:
+        write_camera_json(folder / "camera.json", CameraFile(Camera(64, 48, 50.0, 50.0, 31.5, 23.5)))
+    with pytest.raises(InvalidCamera, match=r"several sizes or lenses \(64×48, 48×64\)") as raised:
+        read_recording(folder, None if beside else "50,50,31.5,23.5")
+    assert raised.value.hint.startswith("Leave it out")
+
+
 def test_files_without_numbers_are_counted_in_the_order_of_their_names(make_images, tmp_path: Path) -> None:
     folder = make_images(tmp_path / "nameless")
     cv2.imwrite(str(folder / "cover.png"), np.full((48, 64, 3), 200, np.uint8))

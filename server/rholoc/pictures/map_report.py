@@ -19,7 +19,7 @@ from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
 from rholoc.maps.formats.ply_and_vtp import landmark_sigmas
 from rholoc.maps.map import Map
 from rholoc.maps.trust import expected_error_m, trust_of
-from rholoc.pictures.style import GREEN, INK, MARKED, MUTED, draw_scale_bar, figure_of, png_of
+from rholoc.pictures.style import GREEN, INK, MARKED, MUTED, draw_scale_bar, draw_views, figure_of, png_of
 from rholoc.reports import MapReport
 
 _SIZE_PX = (1800, 1080)
@@ -110,8 +110,7 @@ def _wedges(coverage: Coverage) -> list[FloatArray]:
 def _plot_path(axes: Axes, places: FloatArray, headings: FloatArray) -> None:
     if len(places) == 0:
         return
-    halo = [withStroke(linewidth=2.6, foreground="white")]
-    axes.plot(*places.T, color=INK, linewidth=1.0, zorder=3, path_effects=halo)
+    draw_views(axes, places, 1.0, 3, halo=2.6)
     every = max(1, len(places) // 60)
     axes.quiver(
         *places[::every].T,
@@ -123,7 +122,6 @@ def _plot_path(axes: Axes, places: FloatArray, headings: FloatArray) -> None:
         headwidth=4.5,
         zorder=4,
     )
-    axes.plot(*places[0], marker="o", markersize=6, color=INK, markerfacecolor="white", zorder=5)
 
 
 def _plot_waypoints(axes: Axes, map_: Map, coverage: Coverage) -> None:

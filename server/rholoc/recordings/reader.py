@@ -18,6 +18,7 @@ from rholoc.recordings.frame_slice import parse_frame_slice, select_frames
 from rholoc.recordings.frames.bag import BAG_SUFFIXES
 from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
 from rholoc.recordings.frames.image_folder import read_image_folder
+from rholoc.recordings.frames.unified_pictures import require_one_camera
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
 from rholoc.recordings.readers.bag import read_bag
@@ -53,7 +54,7 @@ def read_recording(
     Args:
         path: the file or folder.
         camera: replaces the recording's own: text for :meth:`Camera.parse` in pixels of the frames, or a camera for any
-            size of the same aspect ratio.
+            size of the same aspect ratio. None for pictures of several sizes or lenses.
         frames: a choice of frames by number, ``start:stop[:step]``.
         waypoints: a CSV file of measured waypoints that replace the recording's own; all within the chosen frames.
         workdir: an existing folder; a ZIP file is unpacked into a new folder in it, which the caller removes. The
@@ -65,7 +66,7 @@ def read_recording(
 
     Raises:
         InvalidRecording: the recording, a length or the choice of frames cannot be used.
-        InvalidCamera: the intrinsics are impossible or do not fit the frames.
+        InvalidCamera: the intrinsics are impossible or do not fit the frames, or pictures of several sizes or lenses.
         InvalidWaypoints: the waypoints are malformed, or outside the recording.
         InvalidTrajectory: the poses beside the frames are malformed.
         TooLarge: a ZIP file would unpack to too much.
@@ -73,6 +74,8 @@ def read_recording(
     """
     recording = _read(Path(path), workdir, max_unpacked_bytes, topics)
     recording = replace(recording, warnings=(*recording.warnings, *whole_warnings(recording)))
+    if camera is not None:
+        require_one_camera(recording.frames)
     if frames is not None:
         recording = select_frames(recording, parse_frame_slice(frames))
     if camera is not None:

@@ -354,7 +354,7 @@ def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[Fea
         if np.isin((a, b), rows).all():
             first, second = np.searchsorted(rows, (a, b)).tolist()
             steps += (Step(first, second, one.T_first_second, _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD, True),)
-    follows = is_film(flow) and not recording.mounted
+    follows = is_film(flow) and not recording.mounted and not recording.lenses
     focal_px, lenses = recording.focal_px, None
     if recording.lenses:
         lenses = np.array([recording.lenses[number] for number in recording.frames.numbers[rows].tolist()])
@@ -475,7 +475,7 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
             f"The waypoints leave the map's rotation open by {error_deg:.0f}°: measure one well off the others' line."
         )
     if found.focal_sigma_px is not None:
-        calibration = calibration_report(found.camera, found.focal_sigma_px)
+        calibration = calibration_report(found.camera, found.focal_sigma_px, int(found.placed.sum()))
         doubts += [] if calibration.observable else [calibration.why]
     return doubts
 
@@ -521,7 +521,9 @@ def _report(
         landmarks=found.landmarks,
         reprojection_error_px=found.residual_px,
         loop_pairs=found.loops,
-        camera=None if found.focal_sigma_px is None else calibration_report(found.camera, found.focal_sigma_px),
+        camera=None
+        if found.focal_sigma_px is None
+        else calibration_report(found.camera, found.focal_sigma_px, len(kept)),
         waypoints_tilt_deg=found.frame.tilt_deg,
         waypoint_times_s={waypoint.name: waypoint.time for waypoint in found.frame.waypoints} or None,
         waypoint_residuals_m=_residuals(found, lambda out: float(np.linalg.norm(out.off_m))),

@@ -8,18 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene import CAMERA
+from scene import CAMERA, arc, cloud, on_plane
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.progress import silent
 from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.initialization.mapper_starts import Mapper
-from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.adjustment import GIVEN, Problem, State
 from rholoc.trajectory.reconstruction import from_pictures
 from rholoc.trajectory.reconstruction.from_pictures import Pictured
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.visual.matching import VerifiedPair
+from rholoc.trajectory.visual.tracks import Observations
 
 COUNT = 20
 NOT_COMPARED = Agreement(np.nan, np.nan, np.nan, 0, COUNT)
@@ -146,3 +147,28 @@ def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:
     sights: Any = type("Sights", (), {"rows": np.arange(5), "features": [_Pixels(pixels)] * 5})()
     evidence: Any = type("Evidence", (), {"sequential": linked, "weak": [doors, beside]})()
     assert from_pictures._fitting(part, Pictured(sights, CAMERA, evidence)) == [beside]
+
+
+@pytest.mark.parametrize(("factor", "contradicted"), [(1.0, False), (3.3, True), (0.3, True)])
+def test_pairs_contradict_a_focal_length_that_is_far_off(
+    factor: float, contradicted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The adjustment, which begins at 1740 px in place of 525, found no better one near it: the map was trusted."""
+
+    def stays(problem: Any, state: State, *_: object, **__: object) -> Any:
+        return type("Adjusted", (), {"state": state, "camera_sigmas": lambda _: np.array([1.0])})()
+
+    monkeypatch.setattr(from_pictures, "adjust", stays)
+    points, undistorted = cloud(90), replace(CAMERA, distortion=())
+    places = [undistorted.focal * on_plane(points, T) + (CAMERA.cx, CAMERA.cy) for T in arc(6)]
+    features = [_Pixels(place) for place in places]
+    pairs = [VerifiedPair(a, b, np.column_stack([np.arange(90)] * 2), np.eye(3)) for a in range(6) for b in range(a)]
+    given = replace(undistorted, fx=factor * CAMERA.fx, fy=factor * CAMERA.fy)
+    sights: Any = type("Sights", (), {"rows": np.arange(6), "features": features, "lenses": None})()
+    evidence: Any = type("Evidence", (), {"sequential": pairs})()
+    problem = Problem(np.arange(6.0), Observations(*np.zeros((2, 0), np.int64), np.zeros((0, 2))), camera_sigmas=GIVEN)
+    adjusted: Any = type("Adjusted", (), {"state": State(arc(6), points, given)})()
+    part = from_pictures._Part(np.arange(6), problem, adjusted)
+    doubts = from_pictures._doubts_about_focal(part, Pictured(sights, given, evidence), given)
+    assert bool(doubts) is contradicted
+    assert not contradicted or "contradict the focal length" in doubts[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,13 +12,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rholoc.errors import InvalidImage, InvalidRecording
+from rholoc.errors import InvalidCamera, InvalidImage, InvalidRecording
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, on_plane
 from rholoc.geometry.lenses import places_of
 from rholoc.recordings.frames.image_decoding import read_image
 
 _MAX_EXTENT = 1.8  # tangent of a wide pinhole's maximum angle off the axis: 61°
 _SHRINKING = 1.5  # minimum reduction for a picture to be averaged before it is resampled
+_NAMED = 4  # sizes in a message
 _MAPS = 4  # resampling maps of distorted cameras in memory
 
 
@@ -72,6 +74,19 @@ class UnifiedPictures:
             if image.shape[1::-1] != (camera.width, camera.height):
                 raise InvalidRecording(f"{path.name} is not of {camera.width}×{camera.height} pixels any more.")
             yield resampled(image, camera, self.common)
+
+
+def require_one_camera(frames: object) -> None:
+    """Raise InvalidCamera if the frames were resampled from pictures of several sizes or lenses, which intrinsics given
+    for all of them do not describe.
+    """
+    if isinstance(frames, UnifiedPictures):
+        sizes = Counter(f"{camera.width}×{camera.height}" for camera in frames.cameras)
+        named = ", ".join(size for size, _ in sizes.most_common(_NAMED))
+        raise InvalidCamera(
+            f"One camera is given for pictures of several sizes or lenses ({named}).",
+            "Leave it out to have them measured, or map the pictures of one camera alone.",
+        )
 
 
 def common_camera(cameras: Sequence[Camera]) -> Camera:

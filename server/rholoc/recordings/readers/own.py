@@ -18,7 +18,7 @@ from pathlib import Path
 from rholoc.errors import InvalidRecording
 from rholoc.recordings.camera_file import CameraFile, read_camera_json
 from rholoc.recordings.frames.image_folder import ImageFolderFrames, find_images, read_image_folder
-from rholoc.recordings.frames.unified_pictures import UnifiedPictures
+from rholoc.recordings.frames.unified_pictures import UnifiedPictures, require_one_camera
 from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import find_video, timed_video
@@ -39,7 +39,8 @@ def read(folder: Path) -> Recording:
 
     Raises:
         InvalidRecording: no frames, or a file that cannot be read or contradicts another.
-        InvalidCamera: ``camera.json`` is broken, or is of another image shape than the frames.
+        InvalidCamera: ``camera.json`` is broken, or is of another image shape than the frames, or
+            these are pictures of several sizes or lenses.
         InvalidWaypoints: ``waypoints.csv`` is broken.
         InvalidTrajectory: the table of poses, or of odometry, is broken.
     """
@@ -49,6 +50,8 @@ def read(folder: Path) -> Recording:
     waypoints_csv, odometry_csv = folder / "waypoints.csv", folder / "odometry.csv"
     poses = _first_file(folder, "poses.txt", "poses.csv")
     camera = description.camera
+    if camera is not None:
+        require_one_camera(frames)
     return Recording(
         name=folder.resolve().name,
         path=folder,

@@ -9,7 +9,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import FloatArray
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import Imu, Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
@@ -93,7 +92,7 @@ def _with_camera_by_matches(walk: Pictured) -> Pictured:
     sights = walk.sights
     if sights.camera is not None or sights.focal_px is not None:
         return walk
-    camera = camera_by_matches(_matched(walk, 0, 0), sights.flow.size)
+    camera = camera_by_matches(walk.matched(0, 0), sights.flow.size)
     if camera is None:
         return walk
     evidence, rays = walk.evidence, [camera.rays(found.pixels.astype(np.float64)) for found in sights.features]
@@ -103,35 +102,21 @@ def _with_camera_by_matches(walk: Pictured) -> Pictured:
 
 def _with_lenses_by_matches(walk: Pictured, progress: ProgressListener) -> Pictured:
     """A set whose pictures by further lenses look as if the first one had taken them, zoomed by what pairs of one and
-    the other agree on, and matched once more; unchanged if they leave that open for a lens.
+    the other agree on, and matched once more. Lenses for which the pairs leave that open stay as they are.
     """
     sights = walk.sights
     if sights.lenses is None:
         return walk
-    zooms = np.ones(len(sights.rows))
+    lenses, zooms = sights.lenses.copy(), np.ones(len(sights.rows))
     for lens in np.setdiff1d(sights.lenses, [0]).tolist():
-        zoom = zoom_by_matches(walk.camera, _matched(walk, 0, lens))
-        if zoom is None:
-            return walk
-        zooms[sights.lenses == lens] = zoom
+        zoom = zoom_by_matches(walk.camera, walk.matched(0, lens))
+        if zoom is not None:
+            zooms[sights.lenses == lens], lenses[sights.lenses == lens] = zoom, 0
+    if (lenses == sights.lenses).all():
+        return walk
     features = [unzoomed_features(one, zoom, walk.camera) for one, zoom in zip(sights.features, zooms, strict=True)]
-    sights = replace(sights, features=features, lenses=None, zooms=zooms)
+    sights = replace(sights, features=features, lenses=lenses if lenses.any() else None, zooms=zooms)
     return replace(walk, sights=sights, evidence=gather_evidence(sights, walk.camera, None, progress))
-
-
-def _matched(walk: Pictured, lens: int, other: int) -> list[tuple[FloatArray, FloatArray]]:
-    """Pixels (M, 2) of matches in pictures by a lens and in pictures by another or the same one, of each clear pair."""
-    lenses = np.zeros(len(walk.sights.rows)) if walk.sights.lenses is None else walk.sights.lenses
-    places = [found.pixels.astype(np.float64) for found in walk.sights.features]
-    found: list[tuple[FloatArray, FloatArray]] = []
-    for pair in walk.evidence.sequential:
-        seen = places[pair.first][pair.matches[:, 0]], places[pair.second][pair.matches[:, 1]]
-        by = lenses[pair.first], lenses[pair.second]
-        if by == (lens, other):
-            found.append(seen)
-        elif by == (other, lens):
-            found.append(seen[::-1])
-    return found
 
 
 def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:

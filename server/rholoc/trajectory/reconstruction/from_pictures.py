@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, pose_matrix
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, on_plane, pose_matrix
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.checks.given_poses import epipolar_errors
@@ -46,6 +46,7 @@ from rholoc.trajectory.reconstruction.sights import (
     Sights,
 )
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
+from rholoc.trajectory.visual.focal_guess import focal_by_matches
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS, Observations, pieces_of
 
@@ -54,6 +55,7 @@ _ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
+_FOCAL_FACTOR = 1.6  # by which the focal length of pairs contradicts a given one: correct ones differ by up to 1.25
 _ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures that show them
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
@@ -89,6 +91,22 @@ class Pictured:
         fewest = MIN_SIGHTINGS if self.sights.is_film else _FEWEST_OF_SET
         found = evidence.observations(self.sights, features, fewest)
         return with_depths(found, self.sights.depth, self.camera)
+
+    def matched(self, lens: int, other: int) -> list[tuple[FloatArray, FloatArray]]:
+        """Pixels (M, 2) of matches in pictures by a lens and in pictures by another or the same one, of each clear
+        pair.
+        """
+        lenses = np.zeros(len(self.sights.rows)) if self.sights.lenses is None else self.sights.lenses
+        places = [found.pixels.astype(np.float64) for found in self.sights.features]
+        found: list[tuple[FloatArray, FloatArray]] = []
+        for pair in self.evidence.sequential:
+            seen = places[pair.first][pair.matches[:, 0]], places[pair.second][pair.matches[:, 1]]
+            by = lenses[pair.first], lenses[pair.second]
+            if by == (lens, other):
+                found.append(seen)
+            elif by == (other, lens):
+                found.append(seen[::-1])
+        return found
 
 
 def solve_from_pictures(walk: Pictured, progress: AdjustmentProgress) -> Reconstruction:
@@ -353,7 +371,7 @@ def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reco
     solved = in_map_frame(part.problem, part.adjusted, walk.waypoints, up, scales, (), progress)
     found = finished(solved, len(walk.evidence.loops), sights.camera is not None, None, walk.reason)
     if sights.camera is not None:
-        doubts = (*found.frame.doubts, *_doubts_about_focal(part, sights.camera))
+        doubts = (*found.frame.doubts, *_doubts_about_focal(part, walk, sights.camera))
         found = replace(found, frame=replace(found.frame, doubts=doubts))
     if part.zooms is not None:
         spread = 100 * float(np.std(part.zooms))
@@ -367,12 +385,15 @@ def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reco
     return _of_all(found, part.members, len(sights.rows))
 
 
-def _doubts_about_focal(part: _Part, given: Camera) -> tuple[str, ...]:
-    """One line if the pictures, with the focal length free, have another one than ``given``, by 7 % and 4 sigmas; else
-    empty.
+def _doubts_about_focal(part: _Part, walk: Pictured, given: Camera) -> tuple[str, ...]:
+    """One line if the pictures contradict the focal length of the camera ``given``, else empty: their pairs by a factor
+    of 1.6, or the part by 7 % and 4 sigmas, with the focal length free.
     """
     if part.problem.camera_sigmas is None:
         return ()
+    by_pairs = _focal_by_pairs(walk, given)
+    if by_pairs is not None and not 1 / _FOCAL_FACTOR < by_pairs / given.focal < _FOCAL_FACTOR:
+        return (_contradicted(f"about {by_pairs:.0f} px", given),)
     problem = replace(part.problem, camera_sigmas=GUESSED)
     try:
         free = adjust(problem, part.adjusted.state, LAST_ITERATIONS, coarsely=True)
@@ -381,9 +402,22 @@ def _doubts_about_focal(part: _Part, given: Camera) -> tuple[str, ...]:
     focal, sigma = free.state.camera.focal, float(free.camera_sigmas()[0])
     if not abs(focal - given.focal) > max(_SIGMAS * sigma, _MAX_FOCAL_CONTRADICTION * given.focal):
         return ()
+    return (_contradicted(f"{focal:.0f} ± {sigma:.0f} px", given),)
+
+
+def _focal_by_pairs(walk: Pictured, given: Camera) -> float | None:
+    """Focal length [px] that pairs of the walk's pictures agree on; None if they do not agree."""
+
+    def places(pixels: FloatArray) -> FloatArray:
+        return on_plane(given.rays(pixels)) * given.focal
+
+    return focal_by_matches([(places(a), places(b)) for a, b in walk.matched(0, 0)])
+
+
+def _contradicted(measured: str, given: Camera) -> str:
     return (
-        f"The pictures contradict the focal length that was given: {focal:.0f} ± {sigma:.0f} px, not "
-        f"{given.focal:.0f} px. Calibrate the camera, or leave it out to have it estimated.",
+        f"The pictures contradict the focal length that was given: {measured}, not {given.focal:.0f} px. "
+        "Calibrate the camera, or leave it out to have it estimated."
     )
 
 

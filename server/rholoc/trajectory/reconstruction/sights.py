@@ -15,6 +15,7 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.trajectory.optimization.adjustment import Step
+from rholoc.trajectory.optimization.zooms import zoomed
 from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, match_pictures
 from rholoc.trajectory.visual.parallax import only_turned
@@ -140,6 +141,8 @@ def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progr
         Cancelled: ``progress`` asked to stop.
     """
     corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
+    if sights.zooms is not None:  # rotations were measured without the zooms: matches have better ones
+        corners, rotations = zoomed(corners, sights.zooms, camera), []
     rays = [camera.rays(features.pixels) for features in sights.features]
     weak: list[VerifiedPair] = []
     if sights.is_film or felt is not None:

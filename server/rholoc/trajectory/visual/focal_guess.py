@@ -141,10 +141,23 @@ def camera_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tu
     if misfits[fittest] < _MUCH_BETTER * straight:
         return fittest
     centre, longer = (np.array(size, dtype=np.float64) - 1) / 2, max(size)
-    found = [_shared_focal(a - centre, b - centre)[0] for a, b in thinned]
+    focal = focal_by_matches([(a - centre, b - centre) for a, b in thinned])
+    is_plausible = focal is not None and _PLAUSIBLE[0] * longer < focal < _PLAUSIBLE[1] * longer
+    return centred_camera(size, focal) if focal is not None and is_plausible else None
+
+
+def focal_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]]) -> float | None:
+    """Median of the focal lengths [px] of pairs of undistorted pictures by one lens (six-point solver); None if those
+    of the middle half of the pairs differ by more than a factor of two, or without pairs.
+
+    Args:
+        matched: places (M, 2) of a pair's matches in either picture, relative to the principal point [px].
+    """
+    found = [_shared_focal(a, b)[0] for a, b in _best_matched(matched)]
+    if not found:
+        return None
     low, middle, high = np.quantile(found, (0.25, 0.5, 0.75))
-    agree = high <= _MAX_SPREAD * low and _PLAUSIBLE[0] * longer < middle < _PLAUSIBLE[1] * longer
-    return centred_camera(size, float(middle)) if agree else None
+    return float(middle) if high <= _MAX_SPREAD * low else None
 
 
 def zoom_by_matches(camera: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float | None:
@@ -177,15 +190,16 @@ def _best_matched(matched: Sequence[tuple[FloatArray, FloatArray]]) -> list[tupl
 
 
 def _epipolar_misfit(first: Camera, second: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Mean over pairs of the truncated squared epipolar error [px² of the first camera] of the best relative pose, the
-    cameras those of either picture.
+    """Mean over pairs of the truncated squared epipolar error [px²] of the best relative pose, the cameras those of
+    either picture.
     """
-    options = {"max_epipolar_error": 1 / first.focal, "min_iterations": 50, "max_iterations": 200, "seed": 1}
+    focal = float(np.sqrt(2 / (first.focal**-2 + second.focal**-2)))  # pixels of both pictures count alike
+    options = {"max_epipolar_error": 1 / focal, "min_iterations": 50, "max_iterations": 200, "seed": 1}
     score = 0.0
     for a, b in matched:
         rays = on_plane(first.rays(a)), on_plane(second.rays(b))
         _, info = poselib.estimate_relative_pose(*rays, UNIT_CAMERA, UNIT_CAMERA, options, {})
-        score += info["model_score"] * first.focal**2 / len(a)
+        score += info["model_score"] * focal**2 / len(a)
     return score / len(matched)
 
 
