@@ -8,10 +8,10 @@ than its noise. Documents quote a figure as ``98 %<!-- kitchen.hard.within_2cm_p
 measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out.
 
 The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), few (maps of a
-few photos), afar (frames 30 cm and farther from
-the map's views), wide (frames of the kitchen's ends in maps of the rest), strangers (pictures of other rooms), pictures
-(a set without times), corridor (pictures and depth without the poses that came with them), desk (a set without poses),
-request (what a frame costs), throughput (frames a second of more clients and servers).
+few photos), afar (frames 30 cm and farther from the map's views), wide (frames of the kitchen's ends in maps of the
+rest), focal (cameras whose focal length is wrong), strangers (pictures of other rooms), pictures (a set without times),
+corridor (pictures and depth without the poses that came with them), desk (a set without poses), request (what a frame
+costs), throughput (frames a second of more clients and servers).
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ from rholoc.evaluation.errors import trajectory_errors
 from rholoc.features import DEFAULT_FEATURES
 from rholoc.geometry import Camera, FloatArray, IntArray, align_poses, angles_between, pose_distances
 from rholoc.localization import Localizer, Query
-from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD
+from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, RIGHT_M
 from rholoc.recordings import Recording, read_recording
 from rholoc.trajectory import PoseMethod, Scale
 from rholoc.trajectory.estimate import estimate_trajectory
@@ -67,6 +68,15 @@ SEED = 0
 REGION_95 = 7.81  # of χ² with three degrees of freedom
 LOAD_S = 6.0
 METHODS = {"ray": "", "poselib, everywhere": "ransac_"}
+FOCAL_FACTORS, FOCAL_EVERY = (0.5, 0.67, 0.8, 0.9, 1.1, 1.25, 1.5, 2.0), 2
+FOCAL_ROOMS = (
+    "kitchen, easy",
+    "kitchen, hard",
+    "bedroom, first",
+    "bedroom, second",
+    "living room, first",
+    "living room, second",
+)
 FEW_WITHIN_M, FEW_WITHIN_RAD, FEW_ASKED = 1.0, np.deg2rad(45.0), 40
 
 
@@ -227,6 +237,42 @@ def _asked_afar(named: rooms.NamedRoom, cache: Path) -> Iterator[tuple[float, fl
         yield float(off_m), float(off_rad), float(error @ np.linalg.solve(answer.covariance[:3, :3], error))
 
 
+def focal(cache: Path) -> Figures:
+    """Frames asked by cameras whose focal lengths, or ``fx`` alone, are off by some factor: how many get a pose more
+    than 10 cm off that is said to be within 10 cm with a probability of at least one half.
+    """
+    tried = {"given": (1.0, 1.0)}
+    for factor in FOCAL_FACTORS:
+        percent = round(100 * factor)
+        tried |= {f"both_at_{percent}": (factor, factor), f"fx_at_{percent}": (factor, 1.0)}
+    found: dict[str, list[tuple[bool, bool]]] = {name: [] for name in tried}
+    for named in (*(one for one in rooms.ROOMS if one.name.startswith(FOCAL_ROOMS)), *rooms.ALTERNATE):
+        room = named.make(cache)
+        localizer = Localizer(rooms.map_of(named, room.mapped, DEFAULT_FEATURES, cache))
+        camera = room.asked.camera
+        assert camera is not None
+        for T, image in islice(room.pictures(), 0, None, FOCAL_EVERY):
+            query = Query.of_picture(image, localizer.extractor, camera)
+            if query.more_features is not None:
+                query = replace(query, more_features=functools.cache(query.more_features))
+            for name, (x, y) in tried.items():
+                wrong = replace(camera, fx=x * camera.fx, fy=y * camera.fy)
+                answer = localizer.localize(replace(query, camera=wrong))
+                is_right = answer.pose is not None and pose_distances(answer.pose.T_map_camera, T)[0] < RIGHT_M
+                is_sure = answer.pose is not None and answer.confidence >= 0.5
+                found[name].append((bool(is_right), bool(is_sure and not is_right)))
+    figures = {
+        f"focal.{name}.wrong_and_sure_percent": Figure(
+            round(100 * float(np.mean([wrong for _, wrong in of])), 1), FRAME_PERCENT, False
+        )
+        for name, of in found.items()
+    }
+    return figures | {
+        "focal.frames": Figure(len(found["given"]), 0, True),
+        "focal.given.right_percent": share([right for right, _ in found["given"]]),
+    }
+
+
 def _pose(localizer: Localizer, image: np.ndarray, room: rooms.Room) -> FloatArray:
     camera = room.asked.camera
     assert camera is not None
@@ -358,6 +404,7 @@ PARTS: dict[str, Callable[[Path], Figures]] = {
     "few": few,
     "afar": afar,
     "wide": wide,
+    "focal": focal,
     "strangers": strangers,
     "pictures": pictures,
     "corridor": corridor,

@@ -97,6 +97,14 @@ def half(name: str, which: int, kept: Path) -> Room:
     return Room(mapped, thinned(asked, HALVES_ASKED))
 
 
+def every_second(path: Path, _: Path) -> Room:
+    """Every second frame of a recording with poses asked in the map of the others."""
+    walk = read_recording(path)
+    assert walk.poses is not None
+    rows = np.flatnonzero(walk.poses.known)
+    return Room(chosen(walk, rows[::2]), thinned(chosen(walk, rows[1::2]), HALVES_ASKED))
+
+
 def between(name: str, kept: Path) -> Room:
     """A walk's other frames asked in the map of every second keyframe.
 
@@ -229,6 +237,16 @@ ROOMS = (
     NamedRoom("another light", "another light", "room 0", room_by_another_light),
     *(NamedRoom(f"room {seed}", f"room {seed}", f"room {seed}", partial(room, seed)) for seed in ROOM_SEEDS),
 )
+
+ALTERNATE = tuple(
+    NamedRoom(f"{label}, every second", f"{label} every second", name, partial(every_second, SHARED_DATA / path))
+    for name, path, label in (
+        ("splat_desk", "splat_desk", "desk"),
+        ("corridor", "corridor_lidar/scan", "corridor"),
+        ("euroc_v101", "euroc_v101", "hall"),
+    )
+)
+"""Recordings of which every second picture is asked in the map of the others."""
 
 PLAYED = (
     NamedRoom("kitchen", "kitchen 400", "redkitchen", partial(kitchen, "400:1000", "100:400", 1)),

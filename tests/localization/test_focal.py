@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,12 @@ from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import ascend_with_focal, freed_focal
 from rholoc.localization.pose.focal import (
     FocalEstimate,
+    belief_beside,
     check_focal,
     focal_seed,
     verify_with_focal,
 )
-from rholoc.localization.pose.rematching import evidence_of, verify
+from rholoc.localization.pose.rematching import Verified, evidence_of, verify
 from rholoc.localization.types import Dof
 from rholoc.mapping.edit.correcting import set_distance
 from rholoc.maps import Map, load_map
@@ -46,6 +48,32 @@ def test_a_wrong_focal_length_is_refused_and_named(localizer: Localizer, point_r
         assert answer.diagnosis.cause is Cause.WRONG_CAMERA
         named_px = float(answer.diagnosis.message.split("about ")[1].split(" px")[0])
         assert named_px == pytest.approx(point_room.camera.focal, rel=0.03)
+
+
+@pytest.mark.parametrize("scales", [(0.5, 0.5), (2.0, 2.0), (0.5, 1.0), (0.8, 1.0), (1.0, 0.5), (2.0, 1.0)])
+def test_a_focal_length_that_is_far_off_or_only_one_of_the_two_is_refused(
+    localizer: Localizer, point_room: Any, scales: tuple[float, float]
+) -> None:
+    camera, truth = point_room.camera, point_room.walk(13, sideways_m=0.1)[3]
+    wrong = replace(camera, fx=camera.fx * scales[0], fy=camera.fy * scales[1])
+    answer = localizer.localize(Query(point_room.see(truth, 303), wrong))
+    assert not answer.localized
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.cause is Cause.WRONG_CAMERA
+
+
+@pytest.mark.parametrize("width", [480, 960])
+def test_a_picture_that_was_stretched_is_localized_by_its_own_camera(
+    localizer: Localizer, point_room: Any, width: int
+) -> None:
+    camera = point_room.camera
+    stretched = camera.resized(width, camera.height)
+    for seed, truth in enumerate(corners(point_room)):
+        seen = point_room.see(truth, 400 + seed)
+        pixels = ((seen.pixels + 0.5) * (width / camera.width, 1) - 0.5).astype(np.float32)
+        answer = localizer.localize(Query(replace(seen, pixels=pixels), stretched))
+        assert answer.pose is not None
+        assert np.linalg.norm(answer.pose.position - truth.position) < 0.02
 
 
 @pytest.mark.parametrize(("scale", "least_m", "most_m"), [(1.0, 0.0, 0.02), (0.9, 0.03, 1.0), (1.1, 0.03, 1.0)])
@@ -137,7 +165,7 @@ def test_what_the_matches_say_of_a_given_focal_length(
     query = Query(seen, camera)
     verified = verify(localizer.index, query, camera.rays(seen.pixels), truth.T_map_camera)
     assert verified is not None
-    found = check_focal(localizer.index, query, verified, localizer.index.match_everywhere(seen))
+    found = check_focal(localizer.index, query, verified, localizer.index.match_everywhere(seen), [])
     assert found.focal_px == pytest.approx(point_room.camera.focal, rel=0.02)
     assert found.belief == pytest.approx(belief, abs=0.12)
     if scale == 1.0:
@@ -163,9 +191,9 @@ def test_too_few_matches_say_nothing_of_the_focal_length(localizer: Localizer, p
     verified = verify(localizer.index, query, camera.rays(query.features.pixels), truth.T_map_camera)
     assert verified is not None
     place = localizer.index.match_everywhere(query.features).likeliest_first()
-    nothing = check_focal(localizer.index, query, verified, place.take(np.arange(7)))
+    nothing = check_focal(localizer.index, query, verified, place.take(np.arange(7)), [])
     assert nothing == FocalEstimate(camera.focal, camera.focal, 0.0, 1.0)
-    some = check_focal(localizer.index, query, verified, place.take(np.arange(8)))
+    some = check_focal(localizer.index, query, verified, place.take(np.arange(8)), [])
     assert some.focal_px != camera.focal
 
 
@@ -214,3 +242,26 @@ def test_an_estimated_focal_lengths_belief_is_that_the_place_is_within_ten_centi
     few = matches.take(np.arange(9))
     absurd = replace(query, camera=point_room.camera.zoomed(0.3))
     assert verify_with_focal(localizer.index, absurd, truth.T_map_camera, few) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "moved_m", "belief"),
+    [
+        (90.0, 0.5, 1.0),
+        (102.4, 0.5, 1.0),
+        (104.0, 0.5, 1.0),
+        (160.0, 0.5, 0.0),
+        (160.0, 0.05, 1.0),
+        (160.0, 0.075, 0.5),
+    ],
+)
+def test_another_focal_length_counts_by_how_much_more_it_explains_and_what_it_changes(
+    point_room: Any, verified_at: Callable[..., Verified], value: float, moved_m: float, belief: float
+) -> None:
+    """Of poses without matches curvature says nothing, as in front of a wall."""
+    pose = corners(point_room)[0]
+    T = pose.T_map_camera.copy()
+    T[0, 3] += moved_m
+    others = [(1.0, verified_at(pose, value=80.0)), (2.0, verified_at(Pose(T), value=value))]
+    assert belief_beside(verified_at(pose, value=100.0), others) == pytest.approx(belief, abs=0.1)
+    assert belief_beside(verified_at(pose, value=100.0), []) == 1.0

@@ -182,7 +182,7 @@ class Localizer:
             return search
         rays = query.camera.rays(query.features.pixels)
         if quick is not None and quick.likeliest is not None:
-            search.add(self._candidate_at(quick.likeliest.verified.optimum.T_map_camera, query, rays, watch))
+            search.add(self._candidate_at(quick.likeliest.verified.optimum.T_map_camera, query, rays, search))
         self._look_around(search, rays)
         self._match_again(search, rays)
         self._look_along_arcs(search, rays)
@@ -225,7 +225,7 @@ class Localizer:
                 return
             T = best.verified.optimum.T_map_camera
             wide, _ = self.index.match_near(query.features, query.camera, T, SEARCH_RADII_PX[0])
-            search.add(self._checked(verify(self.index, query, rays, T, wide=wide), query, wide))
+            search.add(self._checked(verify(self.index, query, rays, T, wide=wide), query, search))
             watch.lap("verify")
             if search.likeliest is best:
                 return
@@ -242,7 +242,7 @@ class Localizer:
         for T_map_camera in poses_on_arcs(self.index, best.verified):
             if search.watch.late:
                 return
-            search.add(self._candidate_at(T_map_camera, query, rays, search.watch))
+            search.add(self._candidate_at(T_map_camera, query, rays, search))
 
     def _look_for_rivals(self, search: Search, rays: FloatArray) -> None:
         """Add rivals of the best candidate to ``search``. Does nothing if no place was searched by votes (a prior
@@ -258,7 +258,7 @@ class Localizer:
             rays = best.camera.rays(query.features.pixels)
         for seed in rival_seeds(self.index, search.nearest, query, best.verified):
             watch.lap("seed")
-            search.add(self._candidate_at(seed, query, rays, watch))
+            search.add(self._candidate_at(seed, query, rays, search))
         watch.lap("seed")
 
     def _look(self, place: Place, search: Search, rays: FloatArray) -> Iterator[Found | None]:
@@ -275,6 +275,7 @@ class Localizer:
             yield glance
         else:
             near = self.index.match_within(query.features, place.landmarks, some=query.features.sample)
+            search.near = near
             watch.lap("match")
             yield self._glance(near, search, rays)
             if query.prior is not None:
@@ -287,7 +288,7 @@ class Localizer:
         found.
         """
         seed = self._ransac_seed(matches, search)
-        return None if seed is None else self._candidate_at(seed, search.query, rays, search.watch, matches)
+        return None if seed is None else self._candidate_at(seed, search.query, rays, search, matches)
 
     def _track(self, prior: Prior, search: Search, rays: FloatArray) -> Found | None:
         """Candidate from one LO-RANSAC over matches within 14 px around a prior, which suffices if few features are
@@ -352,7 +353,7 @@ class Localizer:
         evidence = evidence_of(self.index, matches, rays, query.camera)
         optimum = self._climb(matches, evidence, [seed], query, watch) if _plausible(seed, query) else None
         if optimum is not None:
-            yield self._candidate_at(optimum.T_map_camera, query, rays, watch, matches)
+            yield self._candidate_at(optimum.T_map_camera, query, rays, search, matches)
         samples = minimal_samples(
             evidence, matches.chances, matches.detections, self.options.samples, 4 * self.options.seeds
         )
@@ -360,7 +361,7 @@ class Localizer:
         watch.lap("seed")
         other = self._climb(matches, evidence, seeds, query, watch)
         if other is not None and (optimum is None or other.value > optimum.value):
-            yield self._candidate_at(other.T_map_camera, query, rays, watch, matches)
+            yield self._candidate_at(other.T_map_camera, query, rays, search, matches)
 
     def _ransac_seed(self, matches: Matches, search: Search) -> FloatArray | None:
         """Credible pose (4, 4) by LO-RANSAC over matches, counted in ``search.seeds``. None if there is none."""
@@ -379,17 +380,17 @@ class Localizer:
         return max(optima, key=lambda optimum: optimum.value, default=None)
 
     def _candidate_at(
-        self, T_map_camera: FloatArray, query: Query, rays: FloatArray, watch: Stopwatch, matches: Matches | None = None
+        self, T_map_camera: FloatArray, query: Query, rays: FloatArray, search: Search, matches: Matches | None = None
     ) -> Found | None:
         """Candidate around a pose (4, 4); None if it breaks the query's constraints or too few matches are found.
 
         Args:
-            matches: those that check the camera's focal length; by default those found around the pose.
+            matches: those that check the camera's focal length; by default those that ``search`` made without a pose.
         """
         if not _plausible(T_map_camera, query):
             return None
-        found = self._checked(verify(self.index, query, rays, T_map_camera), query, matches)
-        watch.lap("verify")
+        found = self._checked(verify(self.index, query, rays, T_map_camera), query, search, matches)
+        search.watch.lap("verify")
         return found
 
     def _look_with_any_focal(self, matches: Matches, query: Query, samples: int, watch: Stopwatch) -> Iterator[Found]:
@@ -408,18 +409,25 @@ class Localizer:
             if _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
                 yield self._candidate(verified, refined, lambda: focal, belief_of(verified))
 
-    def _checked(self, verified: Verified | None, query: Query, matches: Matches | None) -> Found | None:
-        """Candidate from a verified pose. None if there is none, or if it contradicts the query's gravity. ``matches``
-        check the focal length (None: those around the pose), unless the pose is less probable than
-        ``options.hopeless``.
+    def _checked(
+        self, verified: Verified | None, query: Query, search: Search, matches: Matches | None = None
+    ) -> Found | None:
+        """Candidate from a verified pose. None if there is none, or if it contradicts the query's gravity.
+
+        ``matches`` check the focal length, unless the pose is less probable than ``options.hopeless``; by default those
+        that ``search`` made without a pose.
         """
         if verified is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
             return None
         belief = belief_of(verified)
         if belief.recognized < self.options.hopeless:
             return self._candidate(verified, query, partial(FocalEstimate.unchecked, query.camera), belief)
-        matches = verified.wide if matches is None else matches
-        return self._candidate(verified, query, partial(check_focal, self.index, query, verified, matches), belief)
+
+        def check() -> FocalEstimate:
+            some = matches or search.unposed or verified.wide
+            return check_focal(self.index, query, verified, some, search.refocused)
+
+        return self._candidate(verified, query, check, belief)
 
     def _candidate(self, verified: Verified, query: Query, check: Callable[[], FocalEstimate], belief: Belief) -> Found:
         near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)

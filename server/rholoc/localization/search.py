@@ -13,7 +13,7 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED
 from rholoc.localization.index.map_error import worst_sigma
 from rholoc.localization.index.matches import Matches, NearestLandmarks
-from rholoc.localization.pose.focal import FocalEstimate
+from rholoc.localization.pose.focal import FocalEstimate, Refocused, belief_beside
 from rholoc.localization.pose.modes import are_distinct, is_seen_from_afar, spread_of_modes
 from rholoc.localization.pose.rematching import Verified
 from rholoc.localization.pose.rivals import are_rivals, shares
@@ -144,7 +144,9 @@ class Search:
         everywhere: matches with the whole map.
         nearest: nearest landmarks of each feature in the whole map.
         is_sampled: whether ``nearest`` covers only a sample of the features.
+        near: matches of a sample of the features with the prior's place.
         found: all candidates.
+        refocused: poses by other focal lengths, found where candidates' own was checked.
         fruitless: number of looks at voted places that found none.
         seeds: number of credible poses by LO-RANSAC, before verification.
     """
@@ -158,8 +160,10 @@ class Search:
     place: Place | None = None
     everywhere: Matches | None = None
     nearest: NearestLandmarks | None = None
+    near: Matches | None = None
     is_sampled: bool = False
     found: list[Found] = field(default_factory=list)
+    refocused: list[Refocused] = field(default_factory=list)
     fruitless: int = 0
     seeds: int = 0
 
@@ -169,6 +173,11 @@ class Search:
         candidates.
         """
         return self.best or self.elsewhere
+
+    @property
+    def unposed(self) -> Matches | None:
+        """Matches made without a pose, with the whole map or else with the prior's place; None before there are any."""
+        return self.near if self.everywhere is None else self.everywhere
 
     def add(self, found: Found | None) -> None:
         """Add a candidate and keep the likelier ones. None counts as fruitless if places were voted for."""
@@ -244,9 +253,12 @@ class Search:
                 rivals.append(other)
         places = [rival.recognized for rival in rivals]
         share = _shares(rivals, places)
+        focal = replace(found.focal, belief=min(found.focal.belief, belief_beside(found.verified, self.refocused)))
         others = zip((share * places)[1:].tolist(), rivals[1:], strict=True)
         ordered = sorted(others, key=lambda rival: -rival[0])
-        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=_spread(modes))
+        return replace(
+            found, check_focal=lambda: focal, share=float(share[0]), rivals=tuple(ordered), of_modes=_spread(modes)
+        )
 
 
 def _likelier(a: Found | None, b: Found) -> Found:

@@ -8,17 +8,27 @@ that explains the picture better counts as evidence against the given one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from math import erf, sqrt
 
 import numpy as np
 
+from rholoc.density import RayDensities
 from rholoc.geometry import Camera, FloatArray, Lens
 from rholoc.localization.index.map_error import PLACE_M, RIGHT_M, worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
-from rholoc.localization.pose.ascent import ascend_with_focal, focal_sigma, freed_focal, information_at
+from rholoc.localization.pose.ascent import (
+    SYSTEMATIC,
+    ascend_with_focal,
+    focal_sigma,
+    freed_focal,
+    information_at,
+    optimum_at,
+)
 from rholoc.localization.pose.ransac import credible_pose
 from rholoc.localization.pose.rematching import ENOUGH_MATCHES, Verified, evidence_of, verify
 from rholoc.localization.types import Query
@@ -30,7 +40,7 @@ _FIRST_TOLERANCES_PX = (40.0, 15.0, 5.0)
 _ROUNDS = 3
 _SETTLED = 0.02  # of the focal length's logarithm: rounds that change less end
 _ALIKE = 0.003  # of the focal length's logarithm: nothing is gained by another round
-_SHARED_ERRORS = 0.05  # of the nats that a pose explains: what another may gain by errors that landmarks share
+_SHARED_ERRORS = 0.025  # of the nats that a pose explains: what another may gain by errors that landmarks share
 _SIGMAS = 3.0  # measured on real recordings: the estimate's error against its curvature's
 _OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the focal length
 _HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
@@ -41,6 +51,10 @@ _FITTING_M, _FITTING_NATS = 0.015, 0.5  # what a free focal length changes at mo
 _GUESSES = tuple(0.5 * 1.17**step for step in range(10))  # focal lengths to try, as shares of the longer side
 _GUESS_TOLERANCE_SHARE = 0.02  # of the longer side: a guess may be off by half a step
 _MIN_MATCHES, _MIN_SAMPLES = 8, 50
+_ZOOMS = (0.5, 0.63, 0.8, 1.25, 1.6, 2.0)  # factors on a focal length that matches leave open
+_VAGUE = 0.1  # of the focal length: with 3 σ as large it is left open
+_SAMPLES = 300  # for each guess, where the given focal length is checked
+_SQUARE = 0.02  # of the logarithm of fx / fy: pixels of nearly all cameras are square
 
 
 @dataclass(frozen=True)
@@ -70,28 +84,61 @@ class FocalEstimate:
         return cls(camera.focal, camera.focal, 0.0, 1.0)
 
 
-def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
-    """Check the camera's focal length against the matches of a verified pose.
+Refocused = tuple[float, Verified]
+"""A factor on a query's focal length, and a verified pose by it."""
 
-    Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if by :func:`_fits` freeing the focal
-    length would hardly change the pose.
+
+def check_focal(
+    index: MapIndex, query: Query, verified: Verified, matches: Matches, refocused: list[Refocused]
+) -> FocalEstimate:
+    """Check the camera's focal length, and whether its pixels are square, against the matches of a verified pose.
+
+    Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if pixels are square and by :func:`_fits`
+    freeing the focal length would hardly change the pose. Otherwise the focal length is followed from the pose
+    (:func:`_followed`). Where that loses the picture or leaves the focal length open by 10 %, others are tried
+    (:func:`_zoomed`); where it agrees with pixels that are not square, square ones are (:func:`_sought`).
 
     Args:
         index: index of the map.
         query: the frame.
         verified: its verified pose.
-        matches: matches with one place, made without a pose; or the matches around the pose.
+        matches: matches made without a pose: those around a pose leave out what contradicts its focal length.
+        refocused: poses of the query by other focal lengths, which also count; those found are appended.
+    """
+    is_square = abs(math.log(query.camera.fx / query.camera.fy)) < _SQUARE
+    if query.camera.lens is not Lens.PINHOLE or (is_square and _fits(index, query, verified, matches)):
+        return FocalEstimate.unchecked(query.camera)
+    estimate = _followed(index, query, verified, matches, refocused)
+    if estimate is not None and (estimate.belief < 1 or (is_square and estimate.sigma_px < _VAGUE * estimate.focal_px)):
+        return estimate
+    refocused += _zoomed(index, query, verified) if is_square else _sought(index, query, matches)
+    return _estimate_beside(query.camera, verified, refocused)
+
+
+def _estimate_beside(camera: Camera, verified: Verified, others: list[Refocused]) -> FocalEstimate:
+    """Estimate by the pose that explains most, of a verified one and others by other focal lengths."""
+    scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
+    focal_px, moved_m = scale * camera.focal, _apart_m(best, verified)
+    return FocalEstimate(focal_px, _spread(_known_to(best)) * focal_px, moved_m, belief_beside(verified, others))
+
+
+def _followed(
+    index: MapIndex, query: Query, verified: Verified, matches: Matches, refocused: list[Refocused]
+) -> FocalEstimate | None:
+    """Estimate by ascending from a verified pose over pose and focal length; None if the end explains fewer of the
+    ``matches`` than the start.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
-    if query.camera.lens is not Lens.PINHOLE or _fits(index, query, verified, matches):
-        return FocalEstimate.unchecked(camera)
-    total, sigma = 1.0, np.inf
+    total, sigma, explained = 1.0, np.inf, 0.0
     tolerances_px: tuple[float, ...] = _FIRST_TOLERANCES_PX
     for _ in range(_ROUNDS):
         if len(matches) < _MIN_MATCHES:
             break
         evidence = evidence_of(index, matches, camera.rays(query.features.pixels), camera)
+        explained = explained or optimum_at(RayDensities(), evidence, T, tolerances_px[-1]).value
         optimum, scale, sigma = ascend_with_focal(evidence, T, tolerances_px, query.dof)
+        if optimum.value < explained:
+            return None
         tolerances_px = _TOLERANCES_PX
         total, T = total * scale, optimum.T_map_camera
         if abs(np.log(scale)) < _SETTLED or not _sensible(query.camera, total):
@@ -102,13 +149,37 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
     focal_px = query.camera.focal * total
     belief = _belief(moved_m, total, _SIGMAS * sigma)
     if belief < 1:
-        belief = _compared(verified, _refocused(index, query, total, T))
+        refocused += _refocused(index, query, total, T)
+        belief = belief_beside(verified, refocused)
     return FocalEstimate(focal_px, _spread(sigma) * focal_px, moved_m, belief)
 
 
-def _refocused(
-    index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray
-) -> Iterator[tuple[float, Verified]]:
+def _zoomed(index: MapIndex, query: Query, verified: Verified) -> Iterator[Refocused]:
+    """Iterate over poses by focal lengths from half to twice the query's, each as many times as far from what the
+    verified pose shows.
+    """
+    T, agreeing = verified.optimum.T_map_camera, verified.optimum.density > 0
+    depths_m = (index.landmarks[verified.matches.landmarks[agreeing]] - T[:3, 3]) @ T[:3, 2]
+    if len(depths_m) == 0:
+        return
+    for scale in _ZOOMS:
+        farther = T.copy()
+        farther[:3, 3] -= (scale - 1) * float(np.median(depths_m)) * T[:3, 2]
+        yield from islice(_refocused(index, query, scale, farther), 2)
+
+
+def _sought(index: MapIndex, query: Query, matches: Matches) -> Iterator[Refocused]:
+    """Pose with square pixels and any focal length, from ``matches`` alone; nothing if none is found."""
+    camera = query.camera
+    square = replace(query, camera=replace(camera, fx=camera.focal, fy=camera.focal))
+    seed = focal_seed(index, matches, square, _SAMPLES)
+    found = None if seed is None else verify_with_focal(index, replace(query, camera=seed[1]), seed[0], matches)
+    if found is not None:
+        factors = (found[1].focal_px / given for given in (camera.fx, camera.fy))
+        yield max(factors, key=lambda factor: abs(math.log(factor))), found[0]
+
+
+def _refocused(index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray) -> Iterator[Refocused]:
     """Iterate over (factor on the focal length, verified pose) at most three times, from ``scale`` towards the best
     fit. Ends early once a round would change the factor by less than 0.3 %, nothing is verified, or the field of view
     is implausible.
@@ -130,22 +201,22 @@ def _refocused(
         scale, T_map_camera = scale * change, optimum.T_map_camera
 
 
-def _compared(verified: Verified, others: Iterable[tuple[float, Verified]]) -> float:
-    """Probability 0 to 1 that a verified pose's focal length is harmless, given others: pairs of a factor on it and a
-    pose. A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any
-    focal length fits from some distance. The focal length is therefore considered known no better than by either pose's
-    matches, unless the other one explains much more (by 5 % of the nats). Part of any gain comes from errors that the
-    map's landmarks share. 1 if no other pose explains more.
+def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
+    """Probability 0 to 1 that a verified pose's focal length is harmless, given poses by others.
+
+    A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
+    length fits from some distance. Therefore only another pose that explains more counts, and 2.5 % of the nats are
+    taken for errors that the map's landmarks share. 1 if no other pose explains more than that.
     """
     scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
-    gain = best.optimum.value - verified.optimum.value
+    gain = best.optimum.value - (1 + _SHARED_ERRORS) * verified.optimum.value
     if gain <= 0:
         return 1.0
-    sigma = _known_to(best)
-    if gain < _SHARED_ERRORS * verified.optimum.value:
-        sigma = max(sigma, _known_to(verified))
-    moved_m = float(np.linalg.norm(best.optimum.T_map_camera[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
-    return _belief(moved_m, scale, sigma)
+    return _belief(_apart_m(best, verified), scale, _known_to(best), math.sqrt(2 * gain) / SYSTEMATIC)
+
+
+def _apart_m(a: Verified, b: Verified) -> float:
+    return float(np.linalg.norm(a.optimum.T_map_camera[:3, 3] - b.optimum.T_map_camera[:3, 3]))
 
 
 def _known_to(verified: Verified) -> float:
@@ -153,16 +224,17 @@ def _known_to(verified: Verified) -> float:
     return focal_sigma(information_at(verified.evidence, verified.optimum, focal_free=True))
 
 
-def _belief(moved_m: float, scale: float, sigma: float) -> float:
-    """Probability 0 to 1 that a focal length is harmless: 1 if the pose moves by 5 cm or less, or ``scale`` is within
-    0.8 σ of 1.
+def _belief(moved_m: float, scale: float, sigma: float, off_sigmas: float = 0.0) -> float:
+    """Probability 0 to 1 that a focal length is harmless: 1 if the pose moves by 5 cm or less, or the focal length is
+    off by at most 0.8 σ, both by ``scale`` and by ``off_sigmas``.
 
     Args:
         moved_m: displacement of the pose when the focal length is freed.
         scale: best-fitting focal length as a multiple of the one in use.
         sigma: standard deviation of the logarithm of ``scale``.
+        off_sigmas: standard deviations by which the focal length in use is off, by how much less it explains.
     """
-    off = abs(float(np.log(scale))) / float(np.hypot(sigma, _OWN_SIGMA))
+    off = max(abs(float(np.log(scale))) / float(np.hypot(sigma, _OWN_SIGMA)), off_sigmas)
     harm = min(max(moved_m / _HARMLESS_M - 1, 0.0), 1.0)
     return 1 - harm * float(np.interp(off, _OFF_SIGMAS, _DOUBT))
 
@@ -175,12 +247,12 @@ def _spread(sigma: float) -> float:
 def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> bool:
     """Whether matches around the pose and matches with its place both agree with the given focal length: freeing it
     would move the pose by less than 15 mm and gain less than 0.5 nats. False with fewer than ``ENOUGH_MATCHES`` of
-    either. True for most frames. Matches around the pose alone would not suffice: a wrong focal length excludes the
-    matches that contradict it.
+    either, or inliers. True for most frames. Matches around the pose alone would not suffice: a wrong focal length
+    excludes the matches that contradict it.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     for some in (verified.wide, matches):
-        if len(some) < ENOUGH_MATCHES:
+        if min(len(some), verified.inliers) < ENOUGH_MATCHES:
             return False
         evidence = evidence_of(index, some, camera.rays(query.features.pixels), camera)
         moved_m, gain = freed_focal(evidence, T, _WIDE_RADIUS_PX, query.dof)
