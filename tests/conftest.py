@@ -83,8 +83,10 @@ def _quick_ssl_context(verify: ssl.SSLContext | str | bool = True, **options: An
 
 httpx._transports.default.create_ssl_context = _quick_ssl_context
 
-# While five thousand tests are collected nothing is garbage, and afterwards the collector need not look at them again.
+# While five thousand tests are collected nothing is garbage, and afterwards the collector need not look at them again;
+# nor, every 700 objects, at the applications of services that run.
 gc.disable()
+gc.set_threshold(50_000, 20, 50)
 
 # As many examples as find what is easily wrong; each run draws others.
 hypothesis_settings.register_profile("rholoc", max_examples=40, deadline=None)

@@ -16,7 +16,7 @@ from bag_messages import bag_messages
 from foxglove_client import PATIENCE_S, Foxglove
 from rholoc.errors import InvalidInput
 from rholoc.geometry import Camera
-from rholoc.tracking import MessagesOfTrack, PoseBag
+from rholoc.tracking import MessagesOfTrack, PoseBag, pose_messages
 from rholoc.tracking.live_view import LiveView
 from rholoc.tracking.pose_messages import PICTURE_TOPICS, TOPICS
 
@@ -78,16 +78,18 @@ def test_the_ellipsoid_holds_95_percent(tmp_path):
     assert np.mean(np.sum(np.square(drawn @ axes / radii), axis=1) <= 1) == pytest.approx(0.95, abs=0.01)
 
 
-def test_a_path_grows_by_a_pose_a_second_and_is_bounded(tmp_path):
+def test_a_path_grows_by_a_pose_a_second_and_is_bounded(tmp_path, monkeypatch):
+    assert pose_messages._PATH_POSES == 600
+    monkeypatch.setattr(pose_messages, "_PATH_POSES", 120)
     with PoseBag(tmp_path / "path.mcap", np.eye(4)) as bag:
-        for number in range(7000):
+        for number in range(1500):
             T = np.eye(4)
             T[0, 3] = number
             bag.pose(number / 10, T, None)
     paths = [one for topic, _, one in bag_messages(tmp_path / "path.mcap") if topic.endswith("path")]
-    assert len(paths[-1].poses) == 600
+    assert len(paths[-1].poses) == 120
     assert [round(one.pose.position.x) for one in paths[3].poses] == [0, 10, 20, 30]
-    assert sum(len(one.poses) for one in paths) < 60 * 700
+    assert sum(len(one.poses) for one in paths) < 60 * 150
 
 
 def test_the_layout_names_topics_that_are_written():

@@ -56,6 +56,7 @@ def test_with_imu_and_waypoints_one_of_which_is_wrong(walk: SyntheticWalk) -> No
     assert np.linalg.eigvalsh(found.covariances).min() > 0
 
 
+@pytest.mark.slow
 def test_by_pictures_alone_the_shape_is_right(walk: SyntheticWalk) -> None:
     found = estimated(walk, walk.recording(imu=None, waypoints=()), PoseMethod.VISUAL)
     assert found.scale is Scale.ARBITRARY

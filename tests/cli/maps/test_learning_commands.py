@@ -62,6 +62,7 @@ def test_refusals_are_one_line_and_leave_the_map(rholoc: Run, maps: Path) -> Non
     assert not (maps / "new.rho").exists()
 
 
+@pytest.mark.slow
 def test_a_map_learns_from_its_users_and_the_one_before_is_kept(rholoc: Run, maps: Path, point_room: Any) -> None:
     west, data = maps / "west.rho", maps / "data"
     kept = keep_queries(data, load_map(west), point_room, 1.8e9)
