@@ -163,8 +163,8 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
 
 
 def _elsewhere(placed: BoolArray, pairs: Sequence[VerifiedPair]) -> str:
-    """One line if four or more of the pictures that are not ``placed`` (K,) are linked by pairs, as in sets of two rooms;
-    else empty.
+    """One line if four or more of the pictures that are not ``placed`` (K,) are linked by pairs, as in sets of two
+    rooms; else empty.
     """
     links = [(pair.first, pair.second) for pair in pairs if not (placed[pair.first] or placed[pair.second])]
     graph = coo_matrix(
