@@ -80,6 +80,19 @@ def test_a_keyframe_is_placed_by_a_dozen_sightings_that_fit() -> None:
     assert finished(_solved([12] * 6), 0, False, None, "").focal_sigma_px == 1.0
 
 
+@pytest.mark.parametrize(("alone", "depth", "placed"), [(23, False, True), (24, False, False), (24, True, True)])
+def test_points_that_only_one_other_sees_leave_the_distance_open(alone: int, depth: bool, placed: bool) -> None:
+    """Of ten pictures of a kitchen, one that shared such points with its neighbour was placed 18 cm off."""
+    solved = _solved([30] * _COUNT)
+    found = solved.problem.observations
+    kept = found.at((found.keyframes < 2) | (found.tracks >= alone))
+    observations = replace(kept, depths=np.ones(len(kept)) if depth else None)
+    adjusted = replace(solved.adjusted, used=np.ones(len(kept), np.bool_))
+    problem = replace(solved.problem, observations=observations)
+    held = finished(replace(solved, problem=problem, adjusted=adjusted), 0, True, None, "").placed
+    assert held.tolist()[:2] == [placed] * 2
+
+
 def test_sightings_that_were_not_used_place_nothing() -> None:
     solved = _solved([30] * 6)
     unused = replace(solved.adjusted, used=solved.problem.observations.keyframes != 2)

@@ -52,6 +52,7 @@ class Result:
     covariances: FloatArray
     placed: BoolArray
     agreement: Agreement | None = None
+    note: str = ""
 
     @property
     def median_depth(self) -> float:
@@ -77,7 +78,7 @@ def taken(
     placed = np.full(COUNT, held)
     covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
-    evidence: Any = type("Evidence", (), {"observations": lambda *_: None})()
+    evidence: Any = type("Evidence", (), {"observations": lambda *_: None, "sequential": []})()
     sights: Any = type("Sights", (), {"depth": None, "rows": np.arange(COUNT), "is_film": False})()
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "_agreement", compared)
@@ -172,3 +173,16 @@ def test_pairs_contradict_a_focal_length_that_is_far_off(
     doubts = from_pictures._doubts_about_focal(part, Pictured(sights, given, evidence), given)
     assert bool(doubts) is contradicted
     assert not contradicted or "contradict the focal length" in doubts[0]
+
+
+@pytest.mark.parametrize(("linked", "said"), [(3, ""), (4, "4 further pictures fit each other, but not these")])
+def test_pictures_that_fit_each_other_alone_may_be_of_another_place(linked: int, said: str) -> None:
+    """Two rooms in one folder: the second one's pictures were missing without a word on why."""
+    placed = np.arange(20) < 12
+    first = [
+        VerifiedPair(k, k + 1, np.zeros((40, 2), np.int64), np.eye(3)) for k in range(12)
+    ]  # the last to one without
+    others = [VerifiedPair(k, k + 1, np.zeros((40, 2), np.int64), np.eye(3)) for k in range(13, 12 + linked)]
+    found = from_pictures._elsewhere(placed, [*first, *others])
+    assert found.startswith(said)
+    assert bool(found) is bool(said)

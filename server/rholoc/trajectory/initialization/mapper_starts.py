@@ -21,6 +21,7 @@ _SEED = 1
 _THREADS = 2
 _CAMERA = 1
 _TRACKS_PER_PICTURE = 300  # more take the global mapper's time, and place no more pictures
+_SECONDS = 20  # and one more a picture: the incremental mapper once tried first pairs of 28 pictures for five minutes
 _GROWTH = 1.3  # of an incremental model, after which all of it is adjusted again
 _TOLERANCE = 1e-5  # relative, of the cost
 _CENTRE_SHIFT = 0.5  # COLMAP's pixel (0.5, 0.5) is the centre of the top-left one
@@ -70,7 +71,7 @@ def largest_piece(
         database = folder / "pictures.db"
         model, places = _model(camera, pixels) if is_known else _guessed_model(camera, pixels)
         _write(database, model, places, pairs)
-        found = _run(mapper, database, folder, is_known)
+        found = _run(mapper, database, folder, is_known, len(pixels))
     if not found:
         return None
     return _piece(mapper, max(found, key=lambda one: one.num_reg_images()), camera, is_known)
@@ -134,14 +135,14 @@ def _write(path: Path, model: pycolmap.Camera, places: Sequence[FloatArray], pai
         database.close()
 
 
-def _run(mapper: Mapper, database: Path, folder: Path, is_known: bool) -> list[pycolmap.Reconstruction]:
+def _run(mapper: Mapper, database: Path, folder: Path, is_known: bool, pictures: int) -> list[pycolmap.Reconstruction]:
     output = folder / "models"
     output.mkdir()
     arguments = str(database), str(folder), str(output)
     try:
         if mapper is Mapper.GLOBAL:
             return list(pycolmap.global_mapping(*arguments, _global_options(is_known)).values())
-        return list(pycolmap.incremental_mapping(*arguments, _incremental_options(is_known)).values())
+        return list(pycolmap.incremental_mapping(*arguments, _incremental_options(is_known, pictures)).values())
     except (RuntimeError, ValueError):  # raised by a mapper without an initial pair
         return []
 
@@ -155,8 +156,9 @@ def _global_options(is_known: bool) -> pycolmap.GlobalPipelineOptions:
     return options
 
 
-def _incremental_options(is_known: bool) -> pycolmap.IncrementalPipelineOptions:
+def _incremental_options(is_known: bool, pictures: int) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
+    options.max_runtime_seconds = _SECONDS + pictures
     options.ba_refine_focal_length = options.ba_refine_extra_params = not is_known
     options.extract_colors = False
     options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWTH

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, on_plane, pose_matrix
@@ -59,6 +61,7 @@ _FOCAL_FACTOR = 1.6  # by which the focal length of pairs contradicts a given on
 _ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures that show them
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
+_ANOTHER_PLACE = 4  # pictures that fit each other alone, from which they may show another place
 _LOOSE = 0.1  # of the extent, by which poses are uncertain that nothing confirms, for them to be worth nothing
 
 
@@ -150,12 +153,27 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     found = _finished(walk, part, progress)
     if (agreement is None or not agreement.same) and _is_loose(found):
         raise MappingFailed("Too little ties these pictures together.", DENSER)
+    found = replace(found, note=f"{found.note} {_elsewhere(found.placed, walk.evidence.sequential)}".strip())
     if agreement is None or other is None:
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, count))
     if agreement.common < _MOST * len(part.members):
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
     in_map_frame = _comparison(found.T_map_camera, found.placed, found.median_depth, other)
     return replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
+
+
+def _elsewhere(placed: BoolArray, pairs: Sequence[VerifiedPair]) -> str:
+    """One line if four or more of the pictures that are not ``placed`` (K,) are linked by pairs, as in sets of two
+    rooms; else empty.
+    """
+    links = [(pair.first, pair.second) for pair in pairs if not (placed[pair.first] or placed[pair.second])]
+    graph = coo_matrix(
+        (np.ones(len(links)), np.array(links, dtype=np.int64).reshape(-1, 2).T), shape=(len(placed),) * 2
+    )
+    together = int(np.bincount(connected_components(graph, directed=False)[1]).max())
+    if together < _ANOTHER_PLACE:
+        return ""
+    return f"{together} further pictures fit each other, but not these: perhaps of another place. Map them alone."
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,9 @@ from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State, residuals_px
 from rholoc.trajectory.reconstruction.figures import median_depth_of, spread_covariances
 from rholoc.trajectory.reconstruction.rounds import MIN_PX, OUTLIER
+from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS
 
-_SEEN = 12  # sightings that fix a keyframe by themselves
+_SEEN, _FIXED = 12, 8  # sightings that fix a keyframe by themselves, and those of them whose distance others fix
 _CARRIED_SIGMA_M = 0.05  # maximum, for a keyframe fixed by the IMU alone
 _SHARED = 0.0012  # of the median depth: sigma of errors that sightings share, which no number of them averages out
 _COVARIANCES = 60  # keyframes with a computed covariance; interpolated between them
@@ -168,9 +169,16 @@ def right_sightings(problem: Problem, adjusted: Adjusted) -> BoolArray:
 
 
 def held_keyframes(problem: Problem, adjusted: Adjusted) -> BoolArray:
-    """Mask (K,) of the keyframes with at least twelve inlier sightings."""
+    """Mask (K,) of the keyframes with at least twelve inlier sightings, eight of them of points that two other
+    keyframes see or with a measured depth: what only one other sees leaves its distance from that one open.
+    """
+    found, count = problem.observations, len(problem.times)
     right = right_sightings(problem, adjusted)
-    return np.asarray(np.bincount(problem.observations.keyframes[right], minlength=len(problem.times)) >= _SEEN)
+    fixed = np.bincount(found.tracks[right], minlength=found.points)[found.tracks] >= MIN_SIGHTINGS
+    if found.depths is not None:
+        fixed |= np.isfinite(found.depths)
+    seen, near = (np.bincount(found.keyframes[some], minlength=count) for some in (right, right & fixed))
+    return np.asarray((seen >= _SEEN) & (near >= _FIXED))
 
 
 def moved(state: State, similarity: Similarity) -> State:
