@@ -19,7 +19,7 @@ from rholoc.localization.belief.map_uncertainty import worst_sigma
 from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import ascend_with_focal, freed_focal
 from rholoc.localization.pose.focal import (
-    FocalEstimate,
+    Refocused,
     belief_beside,
     check_focal,
     focal_seed,
@@ -185,16 +185,19 @@ def test_a_wall_does_not_speak_against_a_focal_length(length_m: float) -> None:
     assert localizer.localize(Query.of_picture(picture, localizer.extractor, map_.info.camera)).confidence > 0.8
 
 
-def test_too_few_matches_say_nothing_of_the_focal_length(localizer: Localizer, point_room: Any) -> None:
+def test_where_too_few_matches_were_made_other_focal_lengths_are_tried_around_the_pose(
+    localizer: Localizer, point_room: Any
+) -> None:
     truth, camera = corners(point_room)[0], point_room.camera.zoomed(0.85)
     query = Query(point_room.see(truth, 700), camera)
     verified = verify(localizer.index, query, camera.rays(query.features.pixels), truth.T_map_camera)
     assert verified is not None
+    refocused: list[Refocused] = []
     place = localizer.index.match_everywhere(query.features).likeliest_first()
-    nothing = check_focal(localizer.index, query, verified, place.take(np.arange(7)), [])
-    assert nothing == FocalEstimate(camera.focal, camera.focal, 0.0, 1.0)
-    some = check_focal(localizer.index, query, verified, place.take(np.arange(8)), [])
-    assert some.focal_px != camera.focal
+    found = check_focal(localizer.index, query, verified, place.take(np.arange(7)), refocused)
+    assert found.focal_px == pytest.approx(point_room.camera.focal, rel=0.03)
+    assert found.belief < 0.3
+    assert max(one.optimum.value for _, one in refocused) > verified.optimum.value
 
 
 @pytest.mark.parametrize("share", [0.5, 0.75, 1.1, 2.0])

@@ -14,6 +14,7 @@ from rholoc.errors import InvalidDescriptors, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.geometry import Pose, pose_distances, pose_matrix
 from rholoc.localization import (
+    Cause,
     Dof,
     Intrinsics,
     Localizer,
@@ -68,6 +69,34 @@ def test_drifting_odometry_gives_where_the_frames_know_better(localizer: Localiz
 
     assert worst_m(drifting) < 0.02
     assert worst_m(stiff) > 2 * worst_m(drifting)
+
+
+@pytest.mark.parametrize("features", [25, 200])
+@pytest.mark.parametrize(("moved_m", "turned_deg"), [((0.8, 0, 0), 0.0), ((0.0, 0.15, -0.2), 0.0), ((0, 0, 0), 25.0)])
+def test_frames_that_contradict_their_relative_pose_are_refused_and_the_frame_named(
+    localizer: Localizer, point_room: Any, features: int, moved_m: tuple[float, ...], turned_deg: float
+) -> None:
+    asked = _asked(point_room, point_room.walk(40, sideways_m=0.1)[5:25:8], features)
+    T = asked.T_rig_cameras.copy()
+    T[2] = T[2] @ pose_matrix(Rotation.from_euler("y", turned_deg, degrees=True).as_matrix(), np.array(moved_m))
+    answer = localize_together(localizer, replace(asked, T_rig_cameras=T)).first
+    assert not answer.localized
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.cause is Cause.WRONG_MOTION
+    assert answer.diagnosis.message.startswith("Frame 2 ")
+
+
+def test_a_relative_pose_that_is_off_by_less_than_its_uncertainty_contradicts_nothing(
+    localizer: Localizer, point_room: Any
+) -> None:
+    truths = point_room.walk(40, sideways_m=0.1)[5:25:8]
+    asked = _asked(point_room, truths, 200, sigma_m=0.3, sigma_rad=0.2)
+    T = asked.T_rig_cameras.copy()
+    T[2, :3, 3] += (0.1, -0.1, 0.05)
+    found = localize_together(localizer, replace(asked, T_rig_cameras=T))
+    assert found.first.localized
+    for pose, truth in zip(found.poses, truths, strict=True):
+        assert pose_distances(pose.T_map_camera, truth.T_map_camera)[0] < 0.03
 
 
 def test_a_rig_whose_cameras_look_apart(localizer: Localizer, point_room: Any) -> None:

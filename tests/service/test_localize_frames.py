@@ -142,3 +142,24 @@ def test_places_are_the_views_that_a_picture_is_like(service, picture_world):
     assert find(maps="attic").json()["code"] == "unknown_map"
     assert find(maps="room", limit=0).status_code == 422
     assert find({"frames": [_HERE, _HERE]}, maps="room").json()["code"] == "invalid_request"
+
+
+@pytest.mark.parametrize("broken", [b"", b"no picture", "half"])
+def test_a_broken_picture_is_named_by_its_frame(service, picture_world, broken):
+    png = picture_world.png()
+    files = {"image0": png, "image1": png[: len(png) // 2] if broken == "half" else broken}
+    answer = _ask(service, {"camera": _CAMERA, "frames": [_HERE, _HERE]}, **files)
+    assert answer.status_code == 422
+    error = answer.json()
+    assert error["code"] == "invalid_image"
+    assert error["message"].startswith("Frame 1: ")
+
+
+def test_a_relative_pose_that_pictures_contradict_has_no_answer(service, picture_world):
+    picture = base64.b64encode(picture_world.png()).decode()
+    aside = {"position": [0, 1, 0], "quaternion_xyzw": [0, 0, 0, 1]}
+    frames = [{**one, "image": picture} for one in (_HERE, _HERE, aside)]
+    body = _ask(service, {"camera": _CAMERA, "frames": frames}).json()
+    assert (body["localized"], body["reason"]) == (False, "not_recognized")
+    assert body["diagnosis"]["cause"] == "wrong_motion"
+    assert [frame["pose"] for frame in body["frames"]] == [None] * 3

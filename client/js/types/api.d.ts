@@ -64,7 +64,7 @@ export interface CameraIn {
 }
 
 /** Likeliest cause of a refusal. */
-export type Cause = "too_dark" | "blurred" | "too_little_texture" | "other_light" | "wrong_camera" | "rolled" | "wrong_gravity" | "too_little_time" | "inexact_map" | "too_inexact" | "unknown_place";
+export type Cause = "too_dark" | "blurred" | "too_little_texture" | "other_light" | "wrong_camera" | "rolled" | "wrong_gravity" | "wrong_motion" | "too_little_time" | "inexact_map" | "too_inexact" | "unknown_place";
 
 /** One correction, which made a new version of a map. */
 export interface Correction {

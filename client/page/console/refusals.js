@@ -15,6 +15,7 @@ const CAUSES = {
   wrong_camera: t`focal length`,
   rolled: t`rolled`,
   wrong_gravity: t`gravity`,
+  wrong_motion: t`relative poses`,
   too_little_time: t`too little time`,
   inexact_map: t`inexact map`,
   too_inexact: t`too inexact`,

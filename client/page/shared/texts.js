@@ -234,6 +234,7 @@ export const GERMAN = {
   "focal length": "Brennweite",
   rolled: "gekippt",
   gravity: "Schwerkraft",
+  "relative poses": "relative Posen",
   "too little time": "zu wenig Zeit",
   "inexact map": "ungenaue Karte",
   "too inexact": "zu ungenau",

@@ -33,6 +33,7 @@ class Cause(StrEnum):
     WRONG_CAMERA = "wrong_camera"  # another focal length explains the picture, the given one does not
     ROLLED = "rolled"  # the camera was rolled, and only upright poses were asked for
     WRONG_GRAVITY = "wrong_gravity"  # the only pose found contradicts the gravity that was sent
+    WRONG_MOTION = "wrong_motion"  # several frames contradict the relative poses that were sent with them
     TOO_LITTLE_TIME = "too_little_time"  # the deadline passed
     INEXACT_MAP = "inexact_map"  # the place was found, but the map is not exact enough there
     TOO_INEXACT = "too_inexact"  # the place was recognized, but the pose is less exact than was asked for
@@ -166,6 +167,17 @@ def wrong_camera(given_px: float, fitting_px: float) -> Diagnosis:
         Cause.WRONG_CAMERA,
         f"The camera's focal length looks wrong: about {fitting_px:.0f} px fits better than {given_px:.0f} px.",
         "Send the intrinsics of the picture as it is sent, after scaling and cropping; or ask with intrinsics unknown.",
+    )
+
+
+def wrong_motion(frame: int, apart_m: float, turned_rad: float) -> Diagnosis:
+    """Diagnosis of a frame, counted from 0, that alone is somewhere else [m, rad] than with its relative pose."""
+    return Diagnosis(
+        Cause.WRONG_MOTION,
+        f"Frame {frame} does not show what its relative pose lets expect: by itself it was taken {apart_m:.2f} m and "
+        f"{np.degrees(turned_rad):.0f}° from there.",
+        "Send each frame's own position and rotation, camera to common frame (x right, y down, z forward), in metres; "
+        "larger sigmas if they are inexact.",
     )
 
 

@@ -6,6 +6,7 @@ solver), and the ascent maximizes the sum of all frames' log densities with thei
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,11 +15,13 @@ import numpy as np
 
 from rholoc.density import Evidence
 from rholoc.errors import InvalidInput
-from rholoc.geometry import FloatArray, Pose, is_rotation
+from rholoc.geometry import FloatArray, Pose, is_rotation, pose_distances
 from rholoc.geometry.resection import resected
 from rholoc.lazy import lazy
-from rholoc.localization.belief.confidence import MIN_RECOGNIZED, joint_belief
+from rholoc.localization.belief.confidence import MIN_RECOGNIZED, belief_of, joint_belief
 from rholoc.localization.belief.map_uncertainty import gated, with_map_error
+from rholoc.localization.diagnosis import wrong_motion
+from rholoc.localization.index.map_error import RIGHT_M, RIGHT_RAD
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.large_map import AnyLocalizer
@@ -26,7 +29,15 @@ from rholoc.localization.localizer import Localizer, check_kind
 from rholoc.localization.pose.ascent import optimum_at
 from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances, refined_together
 from rholoc.localization.pose.pose_evidence import Support, support_of
-from rholoc.localization.pose.rematching import FINAL_TOLERANCE_PX, SEARCH_RADII_PX, Verified, evidence_of, settling
+from rholoc.localization.pose.ransac import credible_pose
+from rholoc.localization.pose.rematching import (
+    FINAL_TOLERANCE_PX,
+    SEARCH_RADII_PX,
+    Verified,
+    evidence_of,
+    settling,
+    verify,
+)
 from rholoc.localization.pose.rivals import RIVAL_PLACES, are_rivals, fewest_agreeing, shares, unexplained_by_place
 from rholoc.localization.pose.seeds import vote_for_places
 from rholoc.localization.types import Belief, Dof, Intrinsics, Localization, Query, Reason
@@ -37,6 +48,9 @@ _VIEWS_EACH = 10
 _SAMPLES = (1000, 30)
 _TOLERANCE_PX = 12.0
 _MIN_MATCHES = 6
+_ALONE_SAMPLES = (300, 30)
+_TIMES_AS_MUCH = 2.0  # as by its joint pose a frame explains by its own where its relative pose is wrong
+_FAR_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +166,23 @@ class _Candidate:
         return any(are_rivals(a, b) for a, b in zip(self.verified, other.verified, strict=True))
 
 
+@dataclass(frozen=True)
+class _Stray:
+    """A frame that alone has another pose than together with the others.
+
+    Attributes:
+        number: of the frame, from 0.
+        apart_m: distance of the two poses.
+        turned_rad: angle between them.
+        recognized: probability 0 to 1 that its own pose is of the right place.
+    """
+
+    number: int
+    apart_m: float
+    turned_rad: float
+    recognized: float
+
+
 class _Joint:
     """One joint localization."""
 
@@ -185,9 +216,40 @@ class _Joint:
                 break
         if matched < _MIN_MATCHES:
             reason = Reason.NO_MATCHES
-        if best is not None:
-            best = self._contested(best, found)
-        return self._answer(best, reason, matched)
+        if best is None:
+            return self._answer(best, reason, matched)
+        best = self._contested(best, found)
+        if best.belief.recognized < self.localizer.min_recognized:
+            return self._answer(best, reason, matched)
+        strays = [*self._strays(best)]
+        likeliest = max(strays, key=lambda stray: stray.recognized, default=None)
+        if likeliest is not None:
+            left = 1 - likeliest.recognized
+            best = replace(best, belief=replace(best.belief, recognized=best.belief.recognized * left))
+        return self._answer(best, reason, matched, likeliest)
+
+    def _strays(self, best: _Candidate) -> Iterator[_Stray]:
+        """Iterate over frames that alone have another pose, by which they explain twice as much as by the joint one.
+
+        That pose is more than 10 cm or 5° from the joint one, and more than three standard deviations that the relative
+        poses accumulate. Ends at the deadline.
+        """
+        steps = math.sqrt(len(self.frames) - 1)
+        far_m = max(RIGHT_M, _FAR_SIGMAS * steps * self.asked.sigma_m)
+        far_rad = max(RIGHT_RAD, _FAR_SIGMAS * steps * self.asked.sigma_rad)
+        for number, (frame, rays, joint) in enumerate(zip(self.frames, self.rays, best.verified, strict=True)):
+            if self._late():
+                return
+            seed = credible_pose(self.index, frame, self._nearest[number].matches(), _TOLERANCE_PX, _ALONE_SAMPLES)
+            apart_m, turned_rad = (0.0, 0.0) if seed is None else pose_distances(seed[0], joint.optimum.T_map_camera)
+            if seed is None or (apart_m < far_m and turned_rad < far_rad):
+                continue
+            alone = verify(self.index, frame, rays, seed[0])
+            if alone is None or alone.optimum.value < _TIMES_AS_MUCH * joint.optimum.value:
+                continue
+            if alone.is_apart(joint, far_m, far_rad):
+                apart_m, turned_rad = pose_distances(alone.optimum.T_map_camera, joint.optimum.T_map_camera)
+                yield _Stray(number, float(apart_m), float(turned_rad), belief_of(alone).recognized)
 
     def _contested(self, best: _Candidate, found: list[_Candidate]) -> _Candidate:
         """A candidate whose probability is shared with its best rival, if there is one. Rivals are those among
@@ -305,7 +367,9 @@ class _Joint:
         covariances = joint_covariances([one.evidence for one in verified], [one.optimum for one in verified], links)
         return _Candidate(verified, covariances, joint_belief(verified, covariances[0]))
 
-    def _answer(self, best: _Candidate | None, reason: Reason, matched: int) -> JointLocalization:
+    def _answer(
+        self, best: _Candidate | None, reason: Reason, matched: int, stray: _Stray | None = None
+    ) -> JointLocalization:
         timings_ms = {"match": 1e3 * (time.perf_counter() - self.started)}
         if best is None:
             refusal = Localization.refused(reason, matched, timings_ms)
@@ -328,6 +392,8 @@ class _Joint:
             timings_ms=timings_ms,
         )
         first = gated(with_map_error(self.index, first), self.localizer.min_recognized, self.asked.frames[0])
+        if stray is not None and first.reason is Reason.NOT_RECOGNIZED:
+            first = replace(first, diagnosis=wrong_motion(stray.number, stray.apart_m, stray.turned_rad))
         return JointLocalization(first, poses if first.localized else (), inliers)
 
 

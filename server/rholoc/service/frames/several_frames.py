@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import binascii
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,7 +101,10 @@ def localize_frames(
             valid; with several maps, only if none could be used.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
-    features = [FrameFeatures(frame, settings, clock, deadline_s) for frame in frames.frames]
+    features = []
+    for number, frame in enumerate(frames.frames):
+        with _naming(number):
+            features.append(FrameFeatures(frame, settings, clock, deadline_s))
     name, localizer, joint = best_map(
         choose_candidates(maps, features[0].by, clock),
         localizers,
@@ -115,15 +120,25 @@ def localize_frames(
     return answer.model_copy(update={"frames": each})
 
 
+@contextmanager
+def _naming(number: int) -> Iterator[None]:
+    """Put the number of a frame, from 0, before the message of an InvalidInput raised inside."""
+    try:
+        yield
+    except InvalidInput as error:
+        raise type(error)(f"Frame {number}: {error.message}", error.hint) from error
+
+
 def _localize(
     frames: Frames, localizer: AnyLocalizer, features: list[FrameFeatures], deadline_s: float, clock: Stopwatch
 ) -> JointLocalization:
     queries = []
-    for frame, own in zip(frames.frames, features, strict=True):
-        camera = camera_for(frame, own.size, localizer.map.info.camera)
+    for number, (frame, own) in enumerate(zip(frames.frames, features, strict=True)):
         if clock.elapsed_s >= deadline_s:
             return JointLocalization(too_late(), (), ())
-        found = own.by(localizer.extractor)
+        with _naming(number):
+            camera = camera_for(frame, own.size, localizer.map.info.camera)
+            found = own.by(localizer.extractor)
         max_sigma_m, max_sigma_rad = max_sigmas(frame.options)
         gravity = gravity_of(frame.options.gravity)
         queries.append(
