@@ -61,6 +61,7 @@ _FOCAL_FACTOR = 1.6  # by which the focal length of pairs contradicts a given on
 _ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures that show them
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
+_MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
 _ANOTHER_PLACE = 4  # pictures that fit each other alone, from which they may show another place
 _LOOSE = 0.1  # of the extent, by which poses are uncertain that nothing confirms, for them to be worth nothing
 
@@ -396,6 +397,9 @@ def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reco
         found = replace(
             found, zooms=part.zooms, note=f"Autofocus zooms its pictures by {spread:.1f} %; this is corrected."
         )
+        if spread > _MAX_ZOOM_SPREAD:
+            why = "Its pictures' zooms differ by more than autofocus changes them. Calibrate the camera."
+            found = replace(found, frame=replace(found.frame, doubts=(*found.frame.doubts, why)))
     if members.zooms is not None:
         others = ", ".join(f"{zoom:.2f}" for zoom in np.unique(members.zooms) if zoom != 1)
         note = f"Lenses of {others} times the focal length took some of its pictures. {found.note}".strip()
