@@ -10,8 +10,8 @@ measured number there, and a test compares each with its file. Speeds are ratios
 The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), few (maps of a
 few photos), afar (frames 30 cm and farther from the map's views), wide (frames of the kitchen's ends in maps of the
 rest), focal (cameras whose focal length is wrong; ten minutes, only where it is named), strangers (pictures of other
-rooms), pictures (a set without times), corridor (pictures and depth without the poses that came with them), desk (a set without poses), request (what a frame
-costs), throughput (frames a second of more clients and servers).
+rooms), pictures (a set without times), corridor (pictures and depth without the poses that came with them), desk (a set
+without poses), request (what a frame costs), throughput (frames a second of more clients and servers).
 """
 
 from __future__ import annotations
