@@ -25,6 +25,7 @@ from postgres_server import PostgresServer
 from rholoc.errors import StorageUnavailable
 from rholoc.service.housekeeping import clean_up_regularly
 from rholoc.service.threads.storage import StorageThreads
+from waiting import until
 
 PNG = {"Content-Type": "image/png"}
 _BOUND_S = 12.0  # of any answer while the database is silent
@@ -268,8 +269,8 @@ def test_a_silent_storage_costs_no_compute_threads(serve, tmp_path, picture_worl
             assert all(one.result()[1] < 5 for one in cold)
     finally:
         released.set()
-    assert beside_s < 3 * alone_s + 0.1
-    assert localize("cold0")[0] == 200
+    assert beside_s < 3 * alone_s + 1  # not the three seconds that the others wait
+    until(lambda: localize("cold0")[0] == 200)
 
 
 def test_calls_that_take_too_long_are_given_up_and_further_ones_refused_at_once():
