@@ -81,6 +81,18 @@ def test_an_inverted_file_finds_what_was_seen_again(metric: Metric, size: int) -
     np.testing.assert_allclose(distances[hit, 0], exact, rtol=1e-4)
 
 
+def test_what_the_lists_of_an_inverted_file_lack_is_no_neighbour() -> None:
+    different = _random(4, 48, 1)
+    stored = np.concatenate([np.repeat(different[:1], 3997, axis=0), different[1:]])
+    index = DescriptorIndex(stored, np.zeros(len(stored), np.uint8), Metric.EUCLIDEAN, inverted=True)
+    distances, rows = index.nearest(_features(different[1:2]), 4)
+    assert (distances[0, 0], rows[0, 0]) == (0, 3997)
+    missing = np.isinf(distances[0])
+    assert missing.any()
+    np.testing.assert_array_equal(rows[0, missing], -1)
+    assert len(set(rows[0, ~missing].tolist())) == np.count_nonzero(~missing)
+
+
 def test_an_inverted_file_of_few_descriptors_is_exact() -> None:
     stored = _random(30, 32, 5)
     plain = DescriptorIndex(stored, np.zeros(30, np.uint8), Metric.HAMMING)

@@ -62,7 +62,10 @@ def localize(
     mount: options.Mount = options.MOUNT,
     as_json: options.Json = False,
 ) -> None:
-    """Localize frames in a map and write the trajectory (Table 6). Frames without a pose get no row."""
+    """Localize frames in a map and write the trajectory (Table 6). Frames without a pose get no row.
+
+    Frames without intrinsics are taken to be of the map's camera if they have its size, else refused.
+    """
     from rholoc.localization import MIN_RECOGNIZED, Intrinsics, localizer_of
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings import read_recording

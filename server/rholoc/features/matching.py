@@ -74,7 +74,7 @@ class DescriptorIndex:
         """The ``k`` nearest descriptors of its channel of every feature (N): distances (N, k), ascending, and rows (N,
         k).
 
-        If there are fewer than ``k``, the distance is inf and the row -1.
+        Where fewer than ``k`` are found, the distance is inf and the row -1.
         """
         distances = np.full((len(features), k), _NEVER, dtype=np.float32)
         rows = np.full((len(features), k), -1, dtype=np.int64)
@@ -84,8 +84,9 @@ class DescriptorIndex:
                 continue
             count = min(k, index.ntotal)
             found, where = index.search(_prepared(features.descriptors[mine], self.metric), count)
-            distances[mine, :count] = _as_distance(found, self.metric)
-            rows[mine, :count] = self._rows[channel][where]
+            missing = where < 0  # the lists that were searched hold fewer
+            distances[mine, :count] = np.where(missing, _NEVER, _as_distance(found, self.metric))
+            rows[mine, :count] = np.where(missing, -1, self._rows[channel][where])
         return distances, rows
 
 

@@ -34,7 +34,8 @@ class Lens(StrEnum):
 
 
 def rays_of(lens: Lens, places: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """Places in the image (N, 2) → unit rays (N, 3) in the camera frame.
+    """Places in the image (N, 2), (u - cx) / fx and (v - cy) / fy, of a panorama in radians → unit rays (N, 3) in the
+    camera frame.
 
     Beyond the angle up to which a fisheye lens is described, its last ray.
     """

@@ -45,7 +45,7 @@ class WorkerTable:
         self._put(worker, int(memory_bytes) if math.isfinite(memory_bytes) else None, None)
 
     def report(self, starter: str, error: str) -> None:
-        """Record why workers started by the process ``starter`` die."""
+        """Record why workers started by the process ``starter`` die. Raises SQLAlchemyError."""
         self._put(starter, None, error)
 
     def remove(self, worker: str) -> None:

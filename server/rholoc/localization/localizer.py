@@ -434,8 +434,10 @@ class Localizer:
         return Found(verified, query.camera, cache(check), belief, near_prior)
 
     def _outcome(self, search: Search) -> Found | None:
-        """Candidate to answer with, refined by matches from farther around if its position is not settled. None if
-        there is none.
+        """Candidate to answer with; None if there is none.
+
+        Refined by matches from farther around if its position is not settled, the focal length is known, and all
+        features have been extracted.
         """
         found, query = search.outcome(self.options.conclusive), search.query
         if found is None or query.intrinsics is Intrinsics.UNKNOWN or query.more_features is not None:

@@ -110,8 +110,8 @@ def info_from_json(text: str) -> MapInfo:
     """The description that :func:`info_to_json` wrote; unknown members are ignored.
 
     Raises:
-        InvalidMap: not JSON, longer than 16 MiB, a member is missing or of another type, a number is not finite, an id
-            or a time is not valid, or a camera is impossible.
+        InvalidMap: not JSON, longer than 16 MiB, a member is missing or of another type, a number is not finite, the
+            id, time or features are not 1 to 64 printable characters, or a camera or the pose on Earth is impossible.
     """
     try:
         if len(text) > _MAX_LENGTH:

@@ -235,7 +235,7 @@ class JobRunner:
 
         Raises:
             Cancelled: this worker no longer has the job.
-            StorageUnavailable: the storage has not answered for that time.
+            StorageUnavailable: the storage has not answered for that time, or until this worker stops.
         """
         last_s = time.monotonic() + _STORAGE_PATIENCE_S
         while True:

@@ -208,7 +208,7 @@ def _updated(task: MappingTask, recording: Recording, progress: ProgressListener
 
 
 def doubts(map_: Map) -> tuple[str, ...]:
-    """Reasons not to trust a map's frame poses; empty if they are trusted."""
+    """Reasons not to trust a map's frame poses; empty if they are trusted, or the map does not say."""
     trust = trust_of(map_.info)
     return tuple(f"The frame poses are not trusted: {why}" for why in trust.reasons if trust.trusted is False)
 

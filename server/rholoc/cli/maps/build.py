@@ -55,7 +55,7 @@ def build(
     room: Annotated[bool, typer.Option(help="Draw the room's surfaces, for people to see; takes time.")] = True,
     as_json: options.Json = False,
 ) -> None:
-    """Build a map from one or more recordings of a place."""
+    """Build a map from one or more recordings of a place; options that describe one recording need just one."""
     if len(recordings) > 1 and (waypoints or frames or camera or length or topic):
         raise typer.BadParameter(
             "--frames, --camera, --waypoints, --length and --topic speak of one recording; give just one."

@@ -30,7 +30,7 @@ class MissingImages:
         """Raise InvalidRecording.
 
         Raises:
-            InvalidRecording: always.
+            InvalidRecording: always, at the first step of the iterator.
         """
         raise InvalidRecording("The recording has times of frames, but no images.", "Add its video.")
         yield  # the protocol's images are an iterator

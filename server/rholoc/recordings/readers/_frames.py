@@ -71,6 +71,7 @@ def timed_images(paths: Sequence[Path], times: FloatArray, cameras: Sequence[Cam
 
     Raises:
         InvalidRecording: an image is missing or broken, or too many times do not increase.
+        InvalidCamera: a camera has another aspect ratio than its image.
     """
     rows, warnings = advancing_rows(times, "frames")
     chosen = None if cameras is None else [cameras[row] for row in rows]
@@ -89,6 +90,7 @@ def untimed_images(paths: Sequence[Path], cameras: Sequence[Camera] | None = Non
 
     Raises:
         InvalidRecording: an image is missing or broken.
+        InvalidCamera: a camera has another aspect ratio than its image.
     """
     numbers, order = numbered(paths)
     chosen = None if cameras is None else [cameras[place] for place in order]

@@ -115,7 +115,9 @@ def read_logged_table(path: Path) -> LoggedTable:
 
 
 def header_of(path: Path) -> tuple[str, ...]:
-    """The names in a table's header, lower case and without units; empty if its first 4 KiB have no header."""
+    """The names in a table's header, lower case and without units; empty if its first 4 KiB have no header, or the file
+    cannot be read.
+    """
     before: list[str] = []
     for line in _head(path):
         if _begins_with_number(line):

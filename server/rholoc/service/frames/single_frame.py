@@ -35,8 +35,8 @@ def localize_frame(
     clock: Stopwatch,
     listener: Listener | None = None,
 ) -> LocalizationOut:
-    """The best answer of some maps: one with a pose if possible, then the likeliest of the right place; none at the
-    deadline.
+    """The best answer of some maps: one with a pose if possible, then the likeliest of the right place; without a pose
+    at the deadline.
 
     Of several maps, those with unsuitable features or camera are skipped; if the request did not name them, so are maps
     unusable for any other reason. ``listener`` is called with a pose found with known intrinsics.
@@ -44,6 +44,8 @@ def localize_frame(
     Raises:
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
             valid; with several maps, only if none could be used.
+        DeadlineExceeded: the deadline passed while the picture was decoded.
+        MapNotHereError: a map is not on this machine.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     telemetry.note("queue", clock.elapsed_s)

@@ -47,7 +47,7 @@ def up_without_roll(R_world_camera: FloatArray) -> Up:
 
 
 def rotation_to_upright(up: FloatArray) -> FloatArray:
-    """The smallest rotation (3, 3) that takes ``up`` (3,) to the z axis."""
+    """A rotation (3, 3) that takes ``up`` (3,), of any length, to the z axis; its turn about z is arbitrary."""
     z = up / np.linalg.norm(up)
     x = np.cross([0.0, 1.0, 0.0], z) if abs(z[1]) < 0.9 else np.cross([0.0, 0.0, 1.0], z)
     x /= np.linalg.norm(x)

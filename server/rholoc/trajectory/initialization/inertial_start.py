@@ -111,8 +111,8 @@ def inertial_start(
 
 
 def _weights_of_motion(felt: FloatArray) -> FloatArray:
-    """Cauchy weights (N,) of equations of motion, from residuals ``felt`` (N,) in sigmas, or in medians if the median
-    is larger.
+    """Cauchy weights (N,) of equations of motion, from their residuals' lengths ``felt`` (N,) in sigmas, or in medians
+    if the median is larger.
     """
     return np.asarray(1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2))
 

@@ -147,6 +147,9 @@ def _neighbours(
 ) -> tuple[IntArray, BoolArray, PairRotation | None]:
     """Corners (C,) shared by keyframes ``a`` and ``b``, a mask (C,) of the relative pose's inliers, and its rotation.
     The rotation is None with fewer than 30 inliers, or if the gyroscope contradicts it.
+
+    ``felt`` are all keyframes' orientations by the gyroscope: where it differs by over 1° between successive
+    keyframes, the inliers are those of its rotation. ``tolerance`` is on the plane z = 1, for wide lenses in radians.
     """
     shared, in_a, in_b = flow.shared(int(rows[a]), int(rows[b]))
     if len(shared) < _MIN_SHARED:

@@ -188,11 +188,11 @@ def _accepted(request: Request) -> str:
 
 
 def _frame(wanted: OscpRequest) -> Frame:
-    """The frame to localize: the last picture, encoded as PNG if it is raw, with its intrinsics.
+    """The frame to localize: the last picture, encoded as PNG if it is raw, with its intrinsics, or none for the map's.
 
     Raises:
         InvalidImage: the picture is not base64, or raw pixels of an unknown format or another size.
-        InvalidCamera: its intrinsics are impossible.
+        InvalidCamera: its intrinsics are impossible, incomplete, without a size, or of an unsupported model.
     """
     reading = wanted.sensorReadings.cameraReadings[-1]
     try:

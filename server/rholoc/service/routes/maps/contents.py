@@ -198,7 +198,7 @@ async def get_feature(
     service: Service,
 ) -> FeatureOut:
     """One landmark of the map. Features are numbered as in `…/scene`, where all of them are asked for. Lengths in the
-    map's unit.
+    map's unit. 422 if there is no such feature, or the map does not remember who saw it.
     """
     return await run_in_threadpool(_feature, await service.maps.get(map_name), feature)
 
