@@ -35,6 +35,7 @@ BREAKS = {
     "covariances too few": lambda m: {"landmarks.covariances": m.landmarks.covariances[1:]},
     "nan landmark": lambda m: {"landmarks.positions": changed(m.landmarks.positions, (0, 0), np.nan)},
     "infinite time": lambda m: {"views.times": changed(m.views.times, 0, np.inf)},
+    "infinite range": lambda m: {"observations.ranges_m": np.full(len(m.observations), np.inf, np.float32)},
     "negative variance": lambda m: {"landmarks.covariances": changed(m.landmarks.covariances, (0, 1, 1), -1)},
     "descriptor without owner": lambda m: {"descriptors.features": m.descriptors.features[1:]},
     "owner too large": lambda m: {"descriptors.features": changed(m.descriptors.features, -1, len(m))},

@@ -142,10 +142,11 @@ def export_map(
 
 
 def parse_features(text: str) -> list[int]:
-    """Features of ``3,17,40:60``: numbers, and ranges as Python's slices are written, cut after ``MAX_SURFACES`` + 1.
+    """Features of ``3,17,40:60``: numbers, and ranges without their ends, each cut after ``MAX_SURFACES`` + 1. A range
+    that ends before it begins is empty.
 
     Raises:
-        InvalidInput: the text is something else.
+        InvalidInput: the text is something else, such as a range without a begin or an end.
     """
     chosen: list[int] = []
     for part in text.split(","):

@@ -115,7 +115,9 @@ class MapCatalogue(ABC):
 
     @abstractmethod
     def make_room(self) -> None:
-        """Make room in :attr:`folder` for an incoming file. Raises InvalidInput, StorageFull."""
+        """Make :attr:`folder` if it is missing, and room on its disk for an incoming file as far as copies can be
+        removed. Raises InvalidInput, StorageFull: the folder cannot be made.
+        """
 
     @abstractmethod
     def store(self, arrived: Path, map_: Map) -> MapFile:

@@ -131,7 +131,8 @@ def corrected_waypoints(
 ) -> tuple[RecordedWaypoint, ...] | None:
     """The corrected waypoints in ``files``, which replace the recording's own; None if ``files`` has none.
 
-    ``notes`` give the recording's time span, against which they are checked (None: unchecked). Raises InvalidWaypoints.
+    ``notes`` give the recording's time span, against which they are checked (None: unchecked). Raises InvalidWaypoints,
+    also for fewer than three.
     """
     if WAYPOINTS_FILE not in files:
         return None

@@ -56,8 +56,8 @@ class MapTable:
 
     @classmethod
     def concat(cls, tables: Sequence[Self]) -> Self:
-        """The rows of all tables, one after the other. A column that no table has is None, and so is one that only some
-        have unless it has a value for unknown rows.
+        """The rows of all tables (at least one), one after the other. A column that no table has is None, and so is one
+        that only some have unless it has a value for unknown rows.
         """
         joined = {}
         for name, column in cls.columns().items():

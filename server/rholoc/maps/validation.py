@@ -101,12 +101,12 @@ def _check_table(table: MapTable) -> None:
         if column.dtype is object:
             _check(isinstance(values, tuple) and len(values) == len(table), f"{called} has not one entry for each row")
         else:
-            _check_array(called, values, column.dtype, (None, *column.shape), finite=column.unknown is None)
+            _check_array(called, values, column.dtype, (None, *column.shape), nan_allowed=column.unknown is not None)
             _check(len(values) == len(table), f"{called} is not as long as the other columns")
 
 
 def _check_array(
-    name: str, array: object, dtype: type[np.generic], shape: tuple[int | None, ...], finite: bool = True
+    name: str, array: object, dtype: type[np.generic], shape: tuple[int | None, ...], nan_allowed: bool = False
 ) -> None:
     fits = (
         isinstance(array, np.ndarray)
@@ -115,8 +115,9 @@ def _check_array(
         and all(wanted is None or wanted == length for wanted, length in zip(shape, array.shape, strict=True))
     )
     _check(fits, f"{name} is not an array of {np.dtype(dtype).name} of the right shape")
-    if finite and isinstance(array, np.ndarray) and np.issubdtype(dtype, np.floating):
-        _check(bool(np.isfinite(array).all()), f"{name} has values that are not finite")
+    if isinstance(array, np.ndarray) and np.issubdtype(dtype, np.floating):
+        allowed = np.isfinite(array) | (np.isnan(array) & nan_allowed)
+        _check(bool(allowed.all()), f"{name} has values that are not finite")
 
 
 def _all_patches(patches: FloatArray) -> bool:

@@ -45,7 +45,7 @@ async def follow_keys(state: State) -> None:
 
 
 def _map_ids(state: State) -> set[str] | None:
-    """The ids of all maps; None if one cannot be read."""
+    """The ids of all maps; None if one is damaged or was deleted meanwhile. Raises StorageUnavailable."""
     try:
         return {state.maps.sync.map_id(name) for name in state.maps.sync.names()}
     except (InvalidMap, UnknownMap):

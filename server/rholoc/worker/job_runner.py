@@ -198,8 +198,8 @@ class JobRunner:
         return reasons
 
     def _furnish(self, claim: Claim) -> None:
-        """Let the pipeline draw the room of a published map; failures are logged. Removes local copies of the
-        recording.
+        """Let the pipeline draw the room of a published map if the job read a recording; failures are logged. Removes
+        local copies of the recording.
         """
         lease, work = claim.lease, claim.work
         if work.options.kind.reads_recording:

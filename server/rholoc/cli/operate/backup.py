@@ -42,7 +42,9 @@ def restore(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Bring back what is in a backup. Where something of it exists and is different, nothing is restored."""
+    """Bring back what is in a backup, but for maps whose files are damaged. Where something of it exists and is
+    different, nothing is restored.
+    """
     from rholoc.service.operate.backup import restore as bring_back
 
     with _opened(service_settings(maps_dir=maps, data_dir=data)) as stores:

@@ -51,11 +51,11 @@ class Extractor(Protocol):
 
 def widened(extractor: Extractor, camera: Camera | None) -> Extractor:
     """Extractor with limits multiplied by the camera's breadth, to find as much in every part of a wide picture; itself
-    for a pinhole.
+    for a pinhole, or if it is no dataclass.
 
     Args:
         extractor: for ordinary pictures.
-        camera: of the pictures, None where the lens is unknown.
+        camera: of the pictures, None where the lens is unknown: taken for a pinhole.
     """
     breadth = 1.0 if camera is None else camera.breadth
     if breadth == 1 or not is_dataclass(extractor) or isinstance(extractor, type):

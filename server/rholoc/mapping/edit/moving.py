@@ -97,7 +97,9 @@ def _moved_info(info: MapInfo, similarity: Similarity) -> MapInfo:
 
 
 def _scaled_report(report: MapReport, scale: float) -> MapReport:
-    """A report with its lengths multiplied by ``scale``."""
+    """A report with the lengths in ``held_out``, ``trajectories`` and ``learned`` multiplied by ``scale``, and recalls
+    counted anew. The map's statistics are left as they are.
+    """
     if scale == 1.0:
         return report
     return replace(

@@ -45,8 +45,9 @@ class Localizers:
         """The localizer of the current map; built if the map is new or was replaced.
 
         Raises:
-            InvalidName, UnknownMap: there is no such map. InvalidMap: its file is not a map.
-            MapNotHereError: the map's file is not on this machine.
+            MapNotHereError: the map's file is not on this machine, or there is no such map.
+            InvalidName: the name is not valid, though there is such a file. UnknownMap: the map was deleted just now.
+            InvalidMap: its file is not a map, or nothing can be localized in it.
         """
         if not self._library.is_here(name):
             raise MapNotHereError(name)

@@ -707,7 +707,9 @@ def _held_points(
     observations: Observations, state: State, used: BoolArray, firmness: float
 ) -> gtsam.GaussianFactorGraph:
     """Prior that keeps each point near its position relative to its distance: weak points would jump behind cameras.
-    ``firmness`` should be small, because the prior also holds the walk's scale.
+
+    It is on the points of the observations ``used`` (O,); the distance is the largest to their cameras. ``firmness``
+    should be small, because the prior also holds the walk's scale.
     """
     tracks, count = observations.tracks[used], observations.points
     away = np.zeros(count)

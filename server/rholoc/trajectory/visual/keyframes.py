@@ -77,8 +77,8 @@ class KeyframeSteps:
         return ended
 
     def end(self) -> int | None:
-        """Keyframe of the present step, noted as taken; None without frames or less than 0.08 s after the one
-        before.
+        """Row of the sharpest frame of the present step, noted as taken as a keyframe; None without frames or, if times
+        are measured, less than 0.08 s after the keyframe before.
         """
         if self.sharpest is None or self._time_s - self._last_s < self._shortest_s:
             return None
