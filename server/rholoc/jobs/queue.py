@@ -236,8 +236,8 @@ class JobQueue:
         self._engine.dispose()
 
     def _size_of(self, recording_id: str, options: JobOptions) -> tuple[float, int | None]:
-        """Estimated length of a job's walk [s], and memory [bytes]; None until a job has read the recording. Raises
-        UnknownRecording: there is no such recording.
+        """Estimated length of a job's walk [s], and memory [bytes]; None until a job has read the recording, and for a
+        part of its frames. Length 0 for a job without a recording. Raises UnknownRecording: there is no such recording.
         """
         if not recording_id:
             return 0.0, memory_for_walk(0.0, 0)

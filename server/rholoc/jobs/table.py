@@ -162,7 +162,9 @@ class JobTable:
             connection.execute(jobs_table.insert().values(**values, **_QUEUED))
 
     def requeue(self, job_id: str, length_s: float, asked_in: str | None = None) -> None:
-        """Queue a failed or cancelled job again, as if submitted now. Raises UnknownJob; Conflict for another state."""
+        """Queue a failed or cancelled job again: its turn is as if submitted now with a walk of ``length_s`` [s];
+        its time of creation and its memory stay. Raises UnknownJob; Conflict for another state.
+        """
         turn = turn_of(time.time(), self.get(job_id).priority, length_s)
         values = {"run": _new_run(job_id), "turn": turn, "asked_in": asked_in, **_QUEUED}
         with self._engine.begin() as connection:

@@ -93,14 +93,14 @@ class PendingRecording:
     def write(self, name: str, chunk: bytes) -> None:
         """Append ``chunk`` to the file ``name``; an empty chunk makes an empty file.
 
-        A name may have folders (``frames/0001.jpg``). Characters other than letters, digits, ``.``, ``_`` and ``-``
-        become ``_``; parts such as ``..`` are dropped.
+        A name may have folders (``frames/0001.jpg``). It is written as :func:`sanitized`: characters other than
+        letters, digits, ``.``, ``_`` and ``-`` become ``_``; leading dots, and parts such as ``..``, are dropped.
 
         Raises:
             Conflict: the upload was committed or aborted.
             TooLarge: the recording exceeds its limit.
-            InvalidRecording: the name has no usable character, two files would get the same one, or a file's name is a
-                folder's.
+            InvalidRecording: the name has no usable character or more than four parts, two files would get the same
+                one, or a file's name is a folder's.
             StorageFull: the disk is full.
         """
         if self._ended:

@@ -137,7 +137,9 @@ def _height_and_pitch(positions: FloatArray, rotations: FloatArray, up: FloatArr
 
 
 def _metre(map_: Map, positions: FloatArray) -> float:
-    """Length of a metre in the map's unit: 1 if metric, else the median distance of its landmarks over 2.5."""
+    """Length of a metre in the map's unit: 1 if metric or without observations, else the median distance of its
+    landmarks from the views (at ``positions``, (K, 3)) that see them, over 2.5.
+    """
     if map_.info.metric or len(map_.observations) == 0:
         return 1.0
     seen_from = positions[map_.observations.views]

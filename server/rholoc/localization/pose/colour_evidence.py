@@ -30,8 +30,8 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
         known: (M, 3) uint8, red, green and blue of their landmarks; ``UNKNOWN_GREY`` in all three counts as unknown.
 
     Returns:
-        0 by chance, 1 at best, times √(M / (M + 6)). NaN if fewer than four colours are known or the picture has no
-            contrast.
+        0 by chance or worse, 1 at best, times √(k / (k + 6)) for k ≤ 300 of the known colours. NaN if
+            either is None, k < 4, or the picture has no contrast.
     """
     if shown is None or known is None:
         return np.nan

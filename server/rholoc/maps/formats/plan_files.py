@@ -88,10 +88,11 @@ def plan_of_archive(content: bytes, level: str | None) -> tuple[bytes, FloorPlan
 
 
 def level_of_archive(content: bytes, level: str | None) -> bytes:
-    """The features of a level of an IMDF archive as a GeoJSON FeatureCollection.
+    """The features of a level of an IMDF archive that can be drawn, without the level's outline, as a GeoJSON
+    FeatureCollection. ``level`` is a name, short name, ordinal or id; None: the only one.
 
     Raises:
-        InvalidInput: it is not IMDF, is damaged or too large, or the level is not clear.
+        InvalidInput: it is not IMDF, is damaged or too large, or no or several levels match.
     """
     with _opened(content) as archive:
         collection = _level_features(archive, level, (*_DRAWN[1:], "amenity", "anchor"))

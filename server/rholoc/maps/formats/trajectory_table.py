@@ -125,9 +125,12 @@ def _or_unknown(values: FloatArray | None, count: int) -> FloatArray:
 def read_trajectory_csv(path: Path) -> TrajectoryTable:
     """Read Table 6. The paper's seven columns suffice; without quaternions the camera is upright (or has ``roll``).
 
+    Other missing columns: frames -1, confidences NaN, inliers 0, the rest None.
+
     Raises:
-        InvalidTrajectory: the file cannot be read, a column is missing, a value is not a finite number, or a heading or
-            quaternion is not of unit length. A table without rows is a trajectory without poses.
+        InvalidTrajectory: the file cannot be read, a column is missing, a value is not a number, a time, position,
+            heading or roll in use is not finite, a frame or inliers not whole, or a heading or quaternion not of unit
+            length. A table without rows is a trajectory without poses.
     """
     header, values = _read_values(path)
     columns = {name: values[:, header.index(name)] for name in TRAJECTORY_COLUMNS if name in header}

@@ -63,9 +63,9 @@ class SteadyFrames:
 def with_logged_intrinsics(recording: Recording) -> Recording:
     """The recording with the median of its logged intrinsics as its camera, its frames resampled to it if they change.
 
-    Changes are more than 0.2 % of a focal length or 1 px of the principal point. Unchanged where intrinsics were not
-    logged for every frame, or are implausible: a focal length not 0.3 to 4 × the longer side, or a principal point 0.1
-    × it off the centre.
+    Changes are more than 0.2 % of a focal length or 1 px of the principal point. Without changes, a camera that the
+    recording has stays; with them, its distortion does. Unchanged where intrinsics were not logged for every frame, or
+    are implausible: a focal length not 0.3 to 4 × the longer side, or a principal point 0.1 × it off the centre.
     """
     logged, (width, height) = recording.frame_intrinsics, recording.frames.size
     if logged is None or not np.isfinite(logged).all() or 0 in (width, height):
