@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import httpx
 import numpy as np
@@ -69,3 +71,12 @@ def test_a_picture_is_joined_with_the_view_where_they_show_the_same(point_room):
     lines = lines_between(features, (640, 480), map_, 12, Metric.HAMMING)
     assert len(lines) > 20
     np.testing.assert_allclose(lines[:, :2], lines[:, 2:], atol=0.01)  # it is the view's own pose
+
+
+def test_a_view_of_another_camera_than_the_maps_is_joined_within_its_picture(point_room):
+    poses = point_room.walk(30)
+    map_ = point_room.map_of(poses, "walk")
+    source = replace(map_.info.sources[0], camera=map_.info.camera)
+    small = replace(map_.info, camera=map_.info.camera.resized(320, 240), sources=(source,))
+    lines = lines_between(point_room.see(poses[12], seed=99), (640, 480), replace(map_, info=small), 12, Metric.HAMMING)
+    np.testing.assert_allclose(lines[:, :2], lines[:, 2:], atol=0.01)

@@ -17,6 +17,7 @@ from rholoc.features.matching import LIMITS, mutual_matches
 from rholoc.geometry import FloatArray
 from rholoc.localization import AnyLocalizer, Cause, likeliest_views
 from rholoc.maps import Map
+from rholoc.maps.kept_observations import source_cameras
 from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image
 from rholoc.service.caller import ASKER
 from rholoc.service.frames.answers import LocalizationOut
@@ -152,7 +153,8 @@ def lines_between(features: FeatureSet, size: tuple[int, int], map_: Map, view: 
         np.full(len(seen), np.nan, np.float32),
     )
     ours, theirs = mutual_matches(features, of_view, metric, LIMITS[metric].strict)[:_MAX_LINES].T
-    camera = map_.info.camera
+    sources = map_.views.sources
+    camera = map_.info.camera if sources is None else source_cameras(map_.info)[sources[view]]
     return np.column_stack(
         [features.pixels[ours] / size, of_view.pixels[theirs] / (camera.width, camera.height)]
     ).astype(np.float64)
