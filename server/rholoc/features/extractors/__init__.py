@@ -13,7 +13,7 @@ from rholoc.features.feature_set import Channel, FeatureSet, Metric
 from rholoc.geometry import ByteArray, Camera
 
 DEFAULT_FEATURES = "sift48"
-"""Of maps."""
+"""Extractor of new maps, unless another one is asked for."""
 
 
 class Extractor(Protocol):

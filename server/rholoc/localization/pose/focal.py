@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
-from math import erf, sqrt
 
 import numpy as np
 
@@ -116,8 +115,8 @@ def check_focal(
 
 
 def _estimate_beside(camera: Camera, verified: Verified, others: list[Refocused]) -> FocalEstimate:
-    """Estimate by the pose that explains most, of a verified one and others by other focal lengths."""
-    scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
+    """Estimate by the pose that explains most of those by other focal lengths; by the verified one without any."""
+    scale, best = _explaining_most(verified, others)
     focal_px, moved_m = scale * camera.focal, _apart_m(best, verified)
     return FocalEstimate(focal_px, _spread(_known_to(best)) * focal_px, moved_m, belief_beside(verified, others))
 
@@ -208,11 +207,16 @@ def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
     length fits from some distance. Therefore only another pose that explains more counts, and 2.5 % of the nats are
     taken for errors that the map's landmarks share. 1 if no other pose explains more than that.
     """
-    scale, best = max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
+    scale, best = _explaining_most(verified, others)
     gain = best.optimum.value - (1 + _SHARED_ERRORS) * verified.optimum.value
     if gain <= 0:
         return 1.0
     return _belief(_apart_m(best, verified), scale, _known_to(best), math.sqrt(2 * gain) / SYSTEMATIC)
+
+
+def _explaining_most(verified: Verified, others: Iterable[Refocused]) -> Refocused:
+    """Of the others the one that explains most; the verified pose by its own focal length if there are none."""
+    return max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
 
 
 def _apart_m(a: Verified, b: Verified) -> float:
@@ -250,10 +254,10 @@ def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -
     either, or inliers. True for most frames. Matches around the pose alone would not suffice: a wrong focal length
     excludes the matches that contradict it.
     """
+    if min(len(verified.wide), len(matches), verified.inliers) < ENOUGH_MATCHES:
+        return False
     camera, T = query.camera, verified.optimum.T_map_camera
     for some in (verified.wide, matches):
-        if min(len(some), verified.inliers) < ENOUGH_MATCHES:
-            return False
         evidence = evidence_of(index, some, camera.rays(query.features.pixels), camera)
         moved_m, gain = freed_focal(evidence, T, _WIDE_RADIUS_PX, query.dof)
         if moved_m >= _FITTING_M or gain >= _FITTING_NATS:
@@ -321,7 +325,7 @@ def verify_with_focal(
         return None
     focal_px = query.camera.focal
     sigma_m = worst_sigma(verified.covariance[:3, :3])
-    here, exact = (erf(limit_m / (sqrt(2) * sigma_m)) for limit_m in (PLACE_M, RIGHT_M))
+    here, exact = (math.erf(limit_m / (math.sqrt(2) * sigma_m)) for limit_m in (PLACE_M, RIGHT_M))
     return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, here, exact / here), query
 
 
