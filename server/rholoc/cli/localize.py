@@ -119,10 +119,12 @@ def localize(
 
 def _only_answer(answer: Localization, metric: bool) -> dict[str, str]:
     """The pose and its sureness, for a page that shows one frame; empty if it was not localized."""
+    from rholoc.localization.index.map_error import rms_position_error
+
     if not answer.localized or answer.pose is None:
         return {}
     unit = " m" if metric else ""
-    off = 0.0 if answer.covariance is None else math.sqrt(float(np.trace(answer.covariance[:3, :3])))
+    off = 0.0 if answer.covariance is None else rms_position_error(answer.covariance)
     return {
         "position": ", ".join(f"{value:.2f}" for value in answer.pose.position) + f"{unit} ± {off:.2f}{unit}",
         "heading": ", ".join(f"{value:.2f}" for value in answer.pose.heading),
