@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 from collections.abc import Iterator
@@ -20,8 +21,10 @@ from rholoc.jobs.leases import Leases, overall
 from rholoc.jobs.table import turn_of
 from rholoc.jobs.workers_table import WorkerTable
 from rholoc.library import RecordingStore
+from rholoc.library.recording_notes import READ_FILES, RecordingNotes
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
+from rholoc.reports import report_to_json
 from rholoc.storage.database import open_database, reporting_full_database
 from rholoc.storage.tables import jobs_table
 from rholoc.trajectory import PoseMethod
@@ -67,6 +70,17 @@ def test_a_queued_job_is_cancelled_and_retried(site: Site) -> None:
     assert (again.state, again.ended) == (JobState.QUEUED, None)
     with pytest.raises(Conflict):
         site.queue.retry(job.id)
+
+
+def test_a_retried_job_waits_as_long_as_its_walk_is(site: Site, leases: Leases) -> None:
+    """Its turn came by the size of its file, though a job had read how long the walk is."""
+    long, short = site.submit(), site.submit()
+    for job, length_s in ((long, 900.0), (short, 9.0)):
+        notes = RecordingNotes(0.0, length_s, 30, 640, 480, "rholoc", imu=False)
+        site.recordings.note(job.recording, {READ_FILES[0]: json.dumps(report_to_json(notes)).encode()})
+        site.queue.cancel(job.id)
+        site.queue.retry(job.id)
+    assert leases.take("worker").lease.job == short.id
 
 
 def test_a_job_cannot_be_retried_without_its_recording(site: Site) -> None:

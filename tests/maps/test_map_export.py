@@ -30,6 +30,7 @@ from rholoc.maps import (
     map_to_vtp,
     save_map,
 )
+from rholoc.maps.walks import consecutive
 from rholoc.pictures.map_preview import preview_png
 
 
@@ -62,8 +63,17 @@ def test_vtp_holds_landmarks_and_the_path(room_map: Map) -> None:
     np.testing.assert_allclose(points, room_map.landmarks.positions, atol=1e-5)
     sigmas = numbers(landmarks.find("PointData/DataArray[@Name='sigma_m']"))
     np.testing.assert_allclose(sigmas, landmark_sigmas(room_map), atol=1e-5)
-    connectivity = numbers(path.find("Lines/DataArray[@Name='connectivity']"))
-    np.testing.assert_array_equal(connectivity, np.arange(len(room_map.views)))
+    connectivity = numbers(path.find("Lines/DataArray[@Name='connectivity']")).reshape(-1, 2)
+    np.testing.assert_array_equal(connectivity, consecutive(room_map.views.walks))
+
+
+def test_views_in_no_order_are_not_joined(room_map: Map) -> None:
+    """The file joined pictures of a shuffled set across the room."""
+    order = np.random.default_rng(0).permutation(len(room_map.views))
+    shuffled = replace(room_map, views=room_map.views.take(order))
+    assert b"element edge 0\n" in map_to_ply(shuffled)
+    _, views = ElementTree.fromstring(map_to_vtp(shuffled)).iter("Piece")
+    assert int(views.attrib["NumberOfLines"]) == 0
 
 
 @pytest.mark.parametrize(("features", "views"), [(0, 0), (0, 1), (1, 0), (3, 1), (5, 2)])

@@ -164,6 +164,7 @@ export class PlanView {
     }
     context.strokeStyle = colour("--ink");
     context.lineWidth = 1.5;
+    context.lineCap = "round";
     this.trace(context, views, 0, views.length / STRIDE_VIEW - 1);
     this.drawNames(context, colour);
   }
@@ -175,8 +176,8 @@ export class PlanView {
       const i = k * STRIDE_VIEW;
       const goesOn = k > first && views[i + 6] === views[i + 6 - STRIDE_VIEW];
       const [x, y] = this.place(views.subarray(i, i + 3));
-      if (goesOn) context.lineTo(x, y);
-      else context.moveTo(x, y);
+      if (!goesOn) context.moveTo(x, y);
+      context.lineTo(x, y); // a view by itself is a dot
     }
     context.stroke();
   }

@@ -1,7 +1,7 @@
 // What `/v1/maps/{map}/scene` answers.
 
 export const STRIDE_LANDMARK = 4; // x, y, z, standard deviation
-export const STRIDE_VIEW = 7; // x, y, z, heading, recording
+export const STRIDE_VIEW = 7; // x, y, z, heading, walk
 
 /** What `/v1/maps/{map}/points` answers: `{positions, colours}`, three numbers and three bytes for each point. */
 export function readPoints(buffer) {

@@ -11,7 +11,7 @@ const SIGMAS = 2; // that an ellipsoid reaches
 const CORNERS = 24; // of each of its outlines
 const MAX_FLOOR = 10_000; // square metres that are drawn
 
-/** Lines between consecutive views of one recording. */
+/** Lines between consecutive views of one walk. */
 export function walk(views) {
   const lines = [];
   for (let i = STRIDE_VIEW; i < views.length; i += STRIDE_VIEW) {

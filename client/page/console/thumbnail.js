@@ -70,13 +70,13 @@ function drawLandmarks(context, { landmarks, colours }, place, ink, ratio) {
 function drawWalk(context, views, place, ink, ratio) {
   context.strokeStyle = ink;
   context.lineWidth = 1.5 * ratio;
-  context.lineJoin = "round";
+  context.lineJoin = context.lineCap = "round";
   context.beginPath();
   for (let i = 0; i < views.length; i += STRIDE_VIEW) {
     const sameWalk = i > 0 && views[i + 6] === views[i + 6 - STRIDE_VIEW];
     const [x, y] = place(views[i], views[i + 1]);
-    if (sameWalk) context.lineTo(x, y);
-    else context.moveTo(x, y);
+    if (!sameWalk) context.moveTo(x, y);
+    context.lineTo(x, y); // a view by itself is a dot
   }
   context.stroke();
 }

@@ -79,7 +79,9 @@ class JobQueue:
 
     def _insert(self, recording_id: str, map_name: str, options: JobOptions, job_id: str | None = None) -> Job:
         work = JobWork(recording_id, map_name, options, telemetry.traceparent())
-        length_s, memory_bytes = self._size_of(recording_id, options)
+        length_s, memory_bytes = self._size_of(recording_id)
+        if options.frames is not None:
+            memory_bytes = None
         job_id = job_id or uuid.uuid4().hex
         with reporting_full_database(), suppress(IntegrityError):
             self._jobs.insert(job_id, work, length_s, memory_bytes)
@@ -159,7 +161,7 @@ class JobQueue:
             UnknownRecording: its recording was deleted.
         """
         job = self._jobs.get(job_id)
-        length_s = self._recordings.get(job.recording).size_bytes / _BYTES_PER_SECOND if job.recording else 0.0
+        length_s, _ = self._size_of(job.recording)
         with reporting_full_database():
             self._jobs.requeue(job_id, length_s, telemetry.traceparent())
         return self.get(job_id)
@@ -235,15 +237,15 @@ class JobQueue:
         """Close the connections."""
         self._engine.dispose()
 
-    def _size_of(self, recording_id: str, options: JobOptions) -> tuple[float, int | None]:
-        """Estimated length of a job's walk [s], and memory [bytes]; None until a job has read the recording, and for a
-        part of its frames. Length 0 for a job without a recording. Raises UnknownRecording: there is no such recording.
+    def _size_of(self, recording_id: str) -> tuple[float, int | None]:
+        """Estimated length of a recording's walk [s], and memory [bytes] of its job; None until a job has read it.
+        Length 0 for a job without a recording. Raises UnknownRecording: there is no such recording.
         """
         if not recording_id:
             return 0.0, memory_for_walk(0.0, 0)
         length_s = self._recordings.get(recording_id).size_bytes / _BYTES_PER_SECOND
         notes = read_notes(self._recordings.notes(recording_id))
-        if notes is None or options.frames is not None:
+        if notes is None:
             return length_s, None
         length_s = notes.frames * SECONDS_PER_PICTURE if notes.length_s is None else notes.length_s
         return length_s, memory_for_walk(length_s, notes.width * notes.height)

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from rholoc.geometry import BoolArray, ByteArray, FloatArray, IntArray, PosedCameras
+from rholoc.maps.walks import walk_numbers
 
 UNKNOWN_GREY = 128  # red, green and blue of landmarks with unknown colour
 
@@ -179,6 +180,11 @@ class MapViews(MapTable, PosedCameras):
         """Expected RMS position error (K,) of each view [m]; NaN if unknown."""
         variances = np.trace(self.known_covariances[:, :3, :3].astype(np.float64), axis1=1, axis2=2)
         return np.asarray(np.sqrt(variances))
+
+    @property
+    def walks(self) -> IntArray:
+        """Number (K,) of the walk that each view belongs to; see :func:`rholoc.maps.walks.walk_numbers`."""
+        return walk_numbers(self.positions, self.sources)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from rholoc.maps.formats.ply_and_vtp import landmark_sigmas
 from rholoc.maps.map import Map
-from rholoc.pictures.style import INK, MARKED, MUTED, draw_scale_bar, draw_views, figure_of, is_walk, png_of
+from rholoc.maps.walks import consecutive
+from rholoc.pictures.style import INK, MARKED, MUTED, draw_scale_bar, draw_views, figure_of, png_of
 
 _MIN_SIGMA_M = 1e-3  # the colour scale's lower end at least
 _MARGIN = 0.06  # of the plotted width, around it
@@ -70,7 +71,7 @@ def _plot_path(axes: Axes, map_: Map) -> None:
         return
     x, y = map_.views.positions[:, :2].T
     hx, hy = map_.views.headings[:, :2].T
-    draw_views(axes, map_.views.positions[:, :2], 1.2, 3)
+    draw_views(axes, map_.views.positions[:, :2], map_.views.walks, 1.2, 3)
     axes.quiver(x, y, hx, hy, color=INK, angles="xy", scale=28, width=0.002, headwidth=4, zorder=3)
 
 
@@ -105,7 +106,7 @@ def _frame(axes: Axes, map_: Map) -> None:
     width = float(high[0] - low[0]) + 2 * margin
     unit = "m" if map_.info.metric else "units"
     draw_scale_bar(axes, low[0] - margin / 2, low[1] - 1.3 * margin, width, unit, fontsize=8)
-    in_order = is_walk(map_.views.positions[:, :2])
+    in_order = len(consecutive(map_.views.walks)) > 0
     axes.plot([], [], "-" if in_order else ".", color=INK, linewidth=1.2, label="view path" if in_order else "views")
     if map_.info.waypoints:
         axes.plot([], [], marker="D", linestyle="", color=MARKED, label="waypoints")

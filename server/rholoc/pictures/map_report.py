@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.coverage import SUFFICIENT, Coverage, coverage_of
 from rholoc.maps.formats.ply_and_vtp import landmark_sigmas
 from rholoc.maps.map import Map
@@ -84,7 +84,7 @@ def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) ->
             zorder=2,
         )
     )
-    _plot_path(axes, places, map_.views.headings @ coverage.axes.T)
+    _plot_path(axes, places, map_.views.walks, map_.views.headings @ coverage.axes.T)
     _plot_waypoints(axes, map_, coverage)
     _frame(axes, coverage, places, "m" if map_.info.metric else "units")
     axes.set_title(_caption(map_, coverage), loc="left", fontsize=9, linespacing=1.5, color=MUTED)
@@ -107,10 +107,10 @@ def _wedges(coverage: Coverage) -> list[FloatArray]:
     return [np.vstack([centre, centre + arc]) for centre in centres for arc in rim]
 
 
-def _plot_path(axes: Axes, places: FloatArray, headings: FloatArray) -> None:
+def _plot_path(axes: Axes, places: FloatArray, walks: IntArray, headings: FloatArray) -> None:
     if len(places) == 0:
         return
-    draw_views(axes, places, 1.0, 3, halo=2.6)
+    draw_views(axes, places, walks, 1.0, 3, halo=2.6)
     every = max(1, len(places) // 60)
     axes.quiver(
         *places[::every].T,

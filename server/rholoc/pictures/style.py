@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
-from scipy.spatial.distance import pdist
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, IntArray
 
 INK = "#22303c"
 MUTED = "#7b8794"
@@ -23,8 +22,6 @@ BLUE = "#2a6fb0"
 TEAL = "#00798c"
 AMBER = "#f2a71b"
 
-_SHORT_STEP = 0.7  # of the median distance between any two places: maximum median step of a walk
-_COMPARED = 300  # places, about
 _BAR_LENGTHS_M = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 
 
@@ -54,27 +51,21 @@ def png_of(figure: Figure) -> bytes:
     return png.getvalue()
 
 
-def is_walk(places: FloatArray) -> bool:
-    """Whether places (N, 2) are in the order of a walk: the median step is at most 0.7 of the median distance between
-    any two of them. Pictures in no order are as far from the next as from any other.
+def draw_views(
+    axes: Axes, places: FloatArray, walks: IntArray, linewidth: float, zorder: int, halo: float = 0.0
+) -> None:
+    """Places (N, 2) of views: each walk of several a line with a ring at its start, others points. ``walks`` (N,) are
+    their numbers; ``halo`` is the width of a line with its white border, 0 for none.
     """
-    some = places[:: max(1, len(places) // _COMPARED)]
-    if len(some) < 3:
-        return True
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    return float(np.median(steps)) <= _SHORT_STEP * float(np.median(pdist(some)))
-
-
-def draw_views(axes: Axes, places: FloatArray, linewidth: float, zorder: int, halo: float = 0.0) -> None:
-    """Places (N, 2) of views: a line with a ring at its start if they are a walk, else points. ``halo`` is the width of
-    the line with its white border; 0 for none.
-    """
-    if not is_walk(places):
-        axes.plot(*places.T, ".", color=INK, markersize=5, zorder=zorder)
-        return
     around = [withStroke(linewidth=halo, foreground="white")] if halo else []
-    axes.plot(*places.T, color=INK, linewidth=linewidth, zorder=zorder, path_effects=around)
-    axes.plot(*places[0], marker="o", markersize=6, color=INK, markerfacecolor="white", zorder=zorder + 2)
+    numbers, counts = np.unique(walks, return_counts=True)
+    for number in numbers[counts > 1]:
+        walk = places[walks == number]
+        axes.plot(*walk.T, color=INK, linewidth=linewidth, zorder=zorder, path_effects=around)
+        axes.plot(*walk[0], marker="o", markersize=6, color=INK, markerfacecolor="white", zorder=zorder + 2)
+    if np.any(counts == 1):
+        single = places[np.isin(walks, numbers[counts == 1])]
+        axes.plot(*single.T, ".", color=INK, markersize=5, zorder=zorder)
 
 
 def draw_scale_bar(axes: Axes, x: float, y: float, width: float, unit: str, fontsize: float = 9) -> None:

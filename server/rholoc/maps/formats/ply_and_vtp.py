@@ -9,6 +9,7 @@ import numpy as np
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.formats.vtp import Cells, Owner, data_array, piece, polydata
 from rholoc.maps.map import Map
+from rholoc.maps.walks import consecutive
 
 
 def landmark_sigmas(map_: Map) -> FloatArray:
@@ -22,14 +23,14 @@ def view_sigmas(map_: Map) -> FloatArray:
 
 
 def map_to_ply(map_: Map) -> bytes:
-    """The map as an ASCII PLY file: landmarks, then views, as vertices; the view path as edges.
+    """The map as an ASCII PLY file: landmarks, then views, as vertices; the walks from view to view as edges.
 
     Vertex properties: ``x y z`` in metres, ``sigma_m`` (0 for views that do not know theirs), ``channel`` (255 for
     views), the heading ``nx ny nz`` (0 for landmarks), and where the map knows its colours, ``red green blue`` (black
     for views).
     """
     features, views = len(map_), len(map_.views)
-    edges = max(views - 1, 0)
+    edges = consecutive(map_.views.walks)
     header = [
         "ply",
         "format ascii 1.0",
@@ -39,7 +40,7 @@ def map_to_ply(map_: Map) -> bytes:
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "sigma_m")),
         "property uchar channel",
         *(f"property uchar {name}" for name in ("red", "green", "blue") if map_.landmarks.colours is not None),
-        f"element edge {edges}",
+        f"element edge {len(edges)}",
         "property int vertex1",
         "property int vertex2",
         "end_header",
@@ -56,12 +57,13 @@ def map_to_ply(map_: Map) -> bytes:
             np.column_stack([path, np.zeros((views, 3))]),
         )
     np.savetxt(text, np.vstack([landmarks, path]), fmt=["%.5f"] * 7 + ["%d"] * (landmarks.shape[1] - 7))
-    np.savetxt(text, features + np.column_stack([np.arange(edges), np.arange(1, edges + 1)]), fmt="%d")
+    np.savetxt(text, features + edges, fmt="%d")
     return text.getvalue().encode("ascii")
 
 
 def map_to_vtp(map_: Map) -> bytes:
-    """The map as a VTK XML PolyData file with two pieces: landmarks (vertices) and the view path (one polyline).
+    """The map as a VTK XML PolyData file with two pieces: landmarks (vertices), and views with lines from each to the
+    next of its walk.
 
     Point data of both: ``sigma_m``, ``channel`` and ``heading``, as in :func:`map_to_ply`.
     """
@@ -79,7 +81,7 @@ def map_to_vtp(map_: Map) -> bytes:
         view_sigmas(map_),
         np.full(views, 255),
         map_.views.headings,
-        np.arange(views)[None] if views > 1 else np.zeros((0, 0), int),
+        consecutive(map_.views.walks),
         Cells.LINES,
     )
     return polydata(landmarks, path)

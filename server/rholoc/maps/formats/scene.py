@@ -13,16 +13,15 @@ def map_to_scene(map_: Map, most_landmarks: int | None = None, rotation: FloatAr
     """Landmarks and views as little-endian numbers, one array after the other.
 
     Two uint32, the numbers F and K; (F, 4) float32 of each landmark's x, y, z and standard deviation; (K, 7) float32 of
-    each view's x, y, z, heading and the number of the recording that it comes from; where the map knows the colours of
-    its landmarks or positions of a second reconstruction, (F, 3) uint8, red, green and blue; where it knows these
-    positions, (K, 3) float32 of them, NaN for views without one. Lengths in metres. If there are more than
+    each view's x, y, z, heading and the number of its walk, as in :attr:`MapViews.walks`; where the map knows the
+    colours of its landmarks or positions of a second reconstruction, (F, 3) uint8, red, green and blue; where it knows
+    these positions, (K, 3) float32 of them, NaN for views without one. Lengths in metres. If there are more than
     ``most_landmarks``, that many are chosen evenly. ``rotation`` (3, 3) rotates everything.
     """
     views = len(map_.views)
-    sources = np.zeros(views) if map_.views.sources is None else map_.views.sources
     R = np.eye(3) if rotation is None else rotation
     landmarks = np.column_stack([map_.landmarks.positions @ R.T, landmark_sigmas(map_)])
-    path = np.column_stack([map_.views.positions @ R.T, map_.views.headings @ R.T, sources])
+    path = np.column_stack([map_.views.positions @ R.T, map_.views.headings @ R.T, map_.views.walks])
     chosen = evenly(len(landmarks), most_landmarks)
     counts = np.array([len(chosen), views])
     arrays = [counts.astype("<u4"), landmarks[chosen].astype("<f4"), path.astype("<f4")]

@@ -182,7 +182,7 @@ class Answerer:
         """The answer without a pose at the deadline. Raises DeadlineExceeded if loading takes half a second more."""
         try:
             async with asyncio.timeout(_LOADING_GRACE_S):
-                localizer = await self.lanes.files(self.localizers.get, name)
+                localizer = await self.localizer(name)
         except (TimeoutError, MapNotHereError, StorageUnavailable):
             raise DeadlineExceeded("The deadline passed while the map was being loaded.", "Try again.") from None
         return late_answer(name, localizer, clock)

@@ -178,9 +178,10 @@ async def get_scene(
     level: Level = False,
 ) -> Response:
     """Landmarks and views. Little-endian: two uint32, the numbers F of landmarks and K of views; F × 4 float32: x, y,
-    z, standard deviation; K × 7 float32: x, y, z, heading, the number of the recording; where the map knows its
-    colours or second positions, F × 3 uint8: red, green, blue; where it knows second positions of the views, K × 3
-    float32 of them (NaN: none). Lengths in metres, or in the map's unit if it is not metric.
+    z, standard deviation; K × 7 float32: x, y, z, heading, the number of the walk (views of one number follow one
+    another; of pictures in no order each has its own); where the map knows its colours or second positions, F × 3
+    uint8: red, green, blue; where it knows second positions of the views, K × 3 float32 of them (NaN: none). Lengths in
+    metres, or in the map's unit if it is not metric.
     """
 
     def scene(map_: Map) -> tuple[bytes, str]:
