@@ -66,7 +66,7 @@ from rholoc.recordings import (
     read_pose_table,
     read_recording,
 )
-from rholoc.recordings.tables.odometry_table import read_odometry_csv
+from rholoc.recordings.tables.own_tables import read_odometry_csv
 from rholoc.service.operate.backup import back_up, unpack_backup
 from rholoc_lab.paper.table_reading import read_observations
 

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from rholoc.cli.targets import check_target
+from rholoc.cli.options import check_target
 from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.maps import read_coefficient_table
 

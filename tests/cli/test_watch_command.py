@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 
 from foxglove_client import Foxglove
 from rholoc.cli.app import app
-from rholoc.cli.watch import KEY_VARIABLE
+from rholoc.cli.track import KEY_VARIABLE
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.settings import KeyPolicy
 

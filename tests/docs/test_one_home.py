@@ -14,12 +14,12 @@ OPENING_VIDEOS = {"recordings/frames/live_camera.py", "recordings/frames/video.p
 @pytest.mark.parametrize(
     ("what", "pattern", "homes"),
     [
-        ("angles between rotations", r"\.magnitude\(\)|\btrace\(.*- 1", {"geometry/angles.py"}),
+        ("angles between rotations", r"\.magnitude\(\)|\btrace\(.*- 1", {"geometry/vectors.py"}),
         ("alignments of points", r"align_vectors|def (kabsch|umeyama|align_poses)", {"geometry/alignment.py"}),
         ("cameras as text and JSON", r"\*distortion = |asdict\([\w.]*camera\)", {"geometry/camera.py"}),
-        ("visual words", r"\bKmeans\b", {"features/vlad.py"}),
+        ("visual words", r"\bKmeans\b", {"features/picture_vectors.py"}),
         ("a full disk's errors", r"\bENOSPC\b|\bEDQUOT\b", {"disk.py"}),
-        ("VTK's PolyData", r'VTKFile type="PolyData"', {"maps/formats/vtp.py"}),
+        ("VTK's PolyData", r'VTKFile type="PolyData"', {"maps/formats/ply_and_vtp.py"}),
         ("VTK's ImageData", r'VTKFile type="ImageData"', {"maps/formats/vti.py"}),
         (
             "starting and killing processes",
@@ -40,7 +40,7 @@ def test_it_has_one_home(what: str, pattern: str, homes: set[str]) -> None:
 
 @pytest.mark.parametrize("folder", ["server", "client", "tests", "benchmarks"])
 def test_no_angle_is_the_arccos_of_a_rounded_cosine(folder: str) -> None:
-    """It is NaN just above 1 and off by 1e-8 rad just below it; :mod:`rholoc.geometry.angles` uses atan2."""
+    """It is NaN just above 1 and off by 1e-8 rad just below it; :mod:`rholoc.geometry.vectors` uses atan2."""
     files = (file for file in (PACKAGE.parents[1] / folder).rglob("*.py") if file != Path(__file__))
     found = [str(file) for file in files if re.search(r"\ba(rc)?cos\(", file.read_text(encoding="utf-8"))]
     assert not found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.features.vlad import Vlad
+from rholoc.features.picture_vectors import Vlad
 from rholoc.geometry import ByteArray
 
 

@@ -14,8 +14,7 @@ from pyproj import Transformer
 
 from rholoc.errors import InvalidInput, NotInstalled
 from rholoc.geometry import FloatArray
-from rholoc.geometry.earth import enu_of
-from rholoc.geometry.grids import places_in
+from rholoc.geometry.earth import enu_of, places_in
 from rholoc.maps import SiteOnEarth
 
 SEA = "EPSG:32633+5773"  # UTM zone 33, heights of EGM96

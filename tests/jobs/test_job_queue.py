@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, UnknownRecording
 from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
-from rholoc.jobs.job_memory import MoreMemoryNeeded, memory_for_walk
+from rholoc.jobs.job import MoreMemoryNeeded, memory_for_walk
 from rholoc.jobs.leases import Leases, overall
 from rholoc.jobs.table import turn_of
 from rholoc.jobs.workers_table import WorkerTable

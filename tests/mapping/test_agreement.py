@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import BoolArray
-from rholoc.mapping.learn.camera_agreement import agreeing
-from rholoc.mapping.learn.expected_sightings import Sights
+from rholoc.mapping.learn.expected_sightings import Sights, agreeing
 
 STAYED = np.arange(60)
 MOVED = np.arange(60, 100)

@@ -17,9 +17,9 @@ from rholoc.mapping.build.landmarks import triangulate
 from rholoc.mapping.build.reconstruction_cloud import cloud_of
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.mapping.edit.correcting import remove_region, remove_views
-from rholoc.mapping.edit.forgetting import forget_recording
 from rholoc.mapping.edit.frame_from_people import levelled
 from rholoc.mapping.edit.moving import move_map
+from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import Cloud, Map, Room, load_map, map_to_bytes, save_map
 

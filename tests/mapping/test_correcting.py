@@ -25,8 +25,8 @@ from rholoc.mapping.edit.correcting import (
     set_wall,
 )
 from rholoc.mapping.edit.cutting import in_region
-from rholoc.mapping.edit.forgetting import forget_recording
 from rholoc.mapping.edit.moving import move_map
+from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import DensityKind, MapNames, NamedArea, NamedPoint, map_to_bytes, without_memory
 from rholoc.maps.formats.rho_file import info_from_json, info_to_json

@@ -16,7 +16,7 @@ from rholoc.errors import Conflict, InvalidInput, MappingFailed
 from rholoc.geometry import BoolArray, Camera, Pose
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping.build.stored_observations import keep_features
-from rholoc.mapping.edit.forgetting import forget_recording
+from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn import from_queries as user_learning
 from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.mapping.learn.from_queries import learn_from_queries

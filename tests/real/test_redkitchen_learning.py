@@ -11,7 +11,7 @@ import pytest
 from rholoc.errors import MappingFailed
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import BuildOptions, build_map, update_map
-from rholoc.mapping.edit.forgetting import forget_recording
+from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import Map
 from rholoc.recordings import read_recording

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidWaypoints
-from rholoc.geometry.earth import enu_of
-from rholoc.geometry.grids import places_in
+from rholoc.geometry.earth import enu_of, places_in
 from rholoc.recordings import Waypoint, check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
 
 ROWS = "W1,0.5,1,0,1.5\nW2,1.0,1,2,1.5\nE,1.5,0,2,1.6\n"

@@ -9,9 +9,8 @@ from typing import cast
 from rholoc.library import MapLibrary
 from rholoc.library.map_cache import memory_bytes
 from rholoc.maps import save_map
-from rholoc.service.frames.best_map import each_map
 from rholoc.service.frames.localizers import Localizers
-from rholoc.service.frames.map_choice import Candidates
+from rholoc.service.frames.map_choice import Candidates, each_map
 from rholoc.service.http.stopwatch import Stopwatch
 
 

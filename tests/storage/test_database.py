@@ -13,7 +13,7 @@ import pytest
 import sqlalchemy as sa
 
 from rholoc.errors import Conflict, InvalidInput, StorageUnavailable
-from rholoc.storage import schema
+from rholoc.storage import tables
 from rholoc.storage.database import check_database, database_engine, is_silence, open_database
 from rholoc.storage.tables import jobs_table, metadata
 
@@ -36,12 +36,12 @@ def test_a_database_of_an_earlier_version_is_updated(tmp_path: Path, monkeypatch
     def add_a_column(connection: sa.Connection) -> None:
         connection.exec_driver_sql("ALTER TABLE rholoc_jobs ADD COLUMN colour TEXT")
 
-    monkeypatch.setattr(schema, "UPDATES", (add_a_column,))
+    monkeypatch.setattr(tables, "UPDATES", (add_a_column,))
     for _ in range(2):
         engine = open_database(tmp_path)
         assert tables_of(engine)["rholoc_jobs"] - WANTED["rholoc_jobs"] == {"colour"}
         engine.dispose()
-    monkeypatch.setattr(schema, "UPDATES", ())
+    monkeypatch.setattr(tables, "UPDATES", ())
     with pytest.raises(Conflict, match="later version"):
         open_database(tmp_path)
 
@@ -53,10 +53,10 @@ def test_an_update_that_fails_changes_nothing(tmp_path: Path, monkeypatch: pytes
         connection.exec_driver_sql("DROP TABLE rholoc_jobs")
         raise ValueError("in the middle")
 
-    monkeypatch.setattr(schema, "UPDATES", (fail,))
+    monkeypatch.setattr(tables, "UPDATES", (fail,))
     with pytest.raises(ValueError, match="in the middle"):
         open_database(tmp_path)
-    monkeypatch.setattr(schema, "UPDATES", ())
+    monkeypatch.setattr(tables, "UPDATES", ())
     engine = open_database(tmp_path)
     assert tables_of(engine) == WANTED
     engine.dispose()

@@ -16,7 +16,7 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice
-from rholoc.cli.targets import is_bag_target
+from rholoc.cli.options import is_bag_target
 from rholoc.errors import InvalidCamera
 
 if TYPE_CHECKING:

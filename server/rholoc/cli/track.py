@@ -1,4 +1,4 @@
-"""``rholoc track``: follows a camera through a map on this machine."""
+"""``rholoc track`` follows a camera through a map on this machine; ``rholoc watch`` shows who is localized in one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import typer
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice
 from rholoc.cli.localize import camera_of, recording_camera
-from rholoc.cli.targets import is_bag_target
+from rholoc.cli.options import is_bag_target
 from rholoc.errors import InvalidInput
 from rholoc.processes.interrupts import interruptible
 
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
     from rholoc.maps import MapInfo
     from rholoc.recordings.frames.live_camera import LiveCamera
     from rholoc.tracking import Answering, Moment, Motion, Step, StepUser
+import os
+from tempfile import TemporaryDirectory
+
+from rholoc.errors import RholocError
+
+KEY_VARIABLE = "RHOLOC_API_KEY"
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,3 +165,37 @@ def _hand_out(steps: Iterable[Step], users: list[StepUser], advance: Callable[[]
                 advance()
     except KeyboardInterrupt:
         print_notice("Stopped; what was tracked until now is written.")
+
+
+def watch(
+    map_name: Annotated[str, typer.Argument(metavar="MAP", help="Name of a map of the service.")],
+    url: Annotated[str, typer.Option(help="The service.")] = "http://127.0.0.1:8080",
+    view: Annotated[
+        str, typer.Option(metavar="HOST[:PORT]", help="Where Foxglove connects to: ws://HOST:PORT.")
+    ] = "127.0.0.1",
+) -> None:
+    """Show in Foxglove who is localized in a map of a service, until Ctrl-C. The key is in RHOLOC_API_KEY."""
+    import numpy as np
+
+    from rholoc.maps import load_map
+    from rholoc.tracking.live_view import LiveView
+    from rholoc_client import Client
+    from rholoc_client.errors import RholocClientError
+
+    try:
+        with Client(url, os.environ.get(KEY_VARIABLE)) as client, LiveView(view, np.eye(4)) as shown:
+            with TemporaryDirectory() as folder:
+                path = Path(folder) / f"{map_name}.rho"
+                path.write_bytes(client.download_map(map_name))
+                landmarks = load_map(path).landmarks
+            shown.room(0.0, landmarks.positions, landmarks.known_colours)
+            print_notice(f"Foxglove: open a connection to ws://{view.rpartition(':')[0] or view}:{shown.port}.")
+            with interruptible():
+                for sightings in client.live(map_name):
+                    for one in sightings:
+                        if one["T_map_camera"] is not None:
+                            shown.camera(one["time"], one["asker"], np.array(one["T_map_camera"]))
+    except RholocClientError as error:
+        raise RholocError(str(error)) from error
+    except KeyboardInterrupt:
+        print_notice("Stopped.")

@@ -51,10 +51,9 @@ from rholoc.service.http.bodies import HeldBodies
 from rholoc.service.http.boundary import RequestBoundary
 from rholoc.service.http.connections import ConcurrencyLimited, ProbesOnly, SlowBodies
 from rholoc.service.http.json_bodies import JsonBodies
-from rholoc.service.http.metrics import Metered, Metrics
+from rholoc.service.http.metrics import Metered, Metrics, Traced
 from rholoc.service.http.openapi import install
 from rholoc.service.http.pacing import FramesFirst
-from rholoc.service.http.tracing import Traced
 from rholoc.service.http.tus import Tus
 from rholoc.service.libraries import (
     AsyncAudit,

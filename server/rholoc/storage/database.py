@@ -22,7 +22,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from rholoc import telemetry
 from rholoc.disk import reporting_full_disk, storage_full
 from rholoc.errors import Conflict, InvalidInput, RholocError, StorageUnavailable
-from rholoc.storage.schema import prepare_tables
+from rholoc.storage.tables import prepare_tables
 
 MIN_SQLITE = (3, 38)  # the first version that always has JSON functions
 _BUSY_TIMEOUT_MS = 10_000

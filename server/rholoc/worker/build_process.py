@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from rholoc.disk import is_full, storage_full
 from rholoc.errors import RholocError
-from rholoc.jobs.job_memory import MoreMemoryNeeded
+from rholoc.jobs.job import MoreMemoryNeeded
 from rholoc.jobs.leases import Failure
 from rholoc.processes import (
     BACKGROUND_NICENESS,

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from rholoc.errors import InvalidMap, UnknownMap
-from rholoc.jobs.job import JobKind, JobOptions
-from rholoc.jobs.job_memory import MoreMemoryNeeded, memory_for
+from rholoc.jobs.job import JobKind, JobOptions, MoreMemoryNeeded, memory_for
 from rholoc.library import CameraLibrary, MapLibrary
 from rholoc.library.queries import QueryStore
 from rholoc.library.recording_notes import WAYPOINTS_FILE, notes_of, write_notes

@@ -12,7 +12,7 @@ import typer
 from rholoc.cli import options
 from rholoc.cli.console import print_figures, print_json, stage_progress
 from rholoc.cli.maps.page import print_map
-from rholoc.cli.targets import check_target
+from rholoc.cli.options import check_target
 
 if TYPE_CHECKING:
     from rholoc.maps import Map
@@ -212,7 +212,7 @@ def forget(
     as_json: options.Json = False,
 ) -> None:
     """Make a map forget what it learned from a recording."""
-    from rholoc.mapping.edit.forgetting import forget_recording
+    from rholoc.mapping.edit.sources import forget_recording
     from rholoc.maps import load_map
 
     save_and_print(forget_recording(load_map(map_file), recording), out or map_file, as_json)
