@@ -87,7 +87,7 @@ def test_uploads_are_bounded_and_expire(uploads: Any) -> None:
     for _ in range(3):
         upload = here.create("walk.mp4", 2000, "hall", JobOptions())
         here.append(upload.id, 0, VIDEO[:1000])
-    assert there._unfinished() == 3
+    assert len(there.unfinished()) == 3
     there.create("walk.mp4", 2000, "hall", JobOptions())
     assert there._unfinished() == 1, "those that have expired make room"
     there.sweep()

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 from rholoc.features import DEFAULT_FEATURES
 from rholoc.maps import DensityKind
@@ -71,21 +69,6 @@ class JobOptions:
     frames: str | None = None
     priority: JobPriority = JobPriority.NORMAL
     site: str | None = None
-
-    @classmethod
-    def from_json(cls, stored: Mapping[str, Any]) -> JobOptions:
-        """Options as ``dataclasses.asdict`` made them, after a round trip through JSON."""
-        return cls(
-            density=DensityKind(stored["density"]),
-            features=stored["features"],
-            poses=PoseMethod(stored["poses"]) if stored["poses"] else None,
-            camera=stored["camera"],
-            kind=JobKind(stored["kind"]),
-            pictures=stored["pictures"],
-            frames=stored["frames"],
-            priority=JobPriority(stored["priority"]),
-            site=stored["site"],
-        )
 
 
 class JobState(StrEnum):
