@@ -89,9 +89,9 @@ def test_uploads_are_bounded_and_expire(uploads: Any) -> None:
         here.append(upload.id, 0, VIDEO[:1000])
     assert len(there.unfinished()) == 3
     there.create("walk.mp4", 2000, "hall", JobOptions())
-    assert there._unfinished() == 1, "those that have expired make room"
+    assert len(there.unfinished()) == 1, "those that have expired make room"
     there.sweep()
-    assert there._unfinished() == 0
+    assert len(there.unfinished()) == 0
     assert not list(here._objects.list("uploads"))
 
 
