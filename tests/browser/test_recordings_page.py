@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import notes_of
+from rholoc.library.recordings import RecordingStore
 from rholoc.maps import Cloud, MapLabels, Room, map_to_bytes
 from rholoc.recordings import MemoryFrames, Recording, Waypoint
 from rholoc.service.access.keys import KeyStore, Scope

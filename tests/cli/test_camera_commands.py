@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import Camera
-from rholoc.jobs import Job, JobPriority, JobState
-from rholoc.jobs.queue import JobQueue
-from rholoc.library import CameraLibrary, RecordingStore, SiteLibrary
+from rholoc.jobs import Job, JobPriority, JobQueue, JobState
+from rholoc.library.cameras import CameraLibrary
+from rholoc.library.recordings import RecordingStore
+from rholoc.library.sites import SiteLibrary
 from rholoc.maps import Map, MapInfo, save_map
 from rholoc.progress import Stage
 from rholoc.reports import ExpectedError, MapReport, TrajectoryReport

@@ -15,7 +15,7 @@ import pytest
 
 import rholoc_client
 from rholoc.features import get_extractor
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc.reports import MapReport, report_from_json
 from rholoc_client import (
     AsyncClient,

@@ -14,7 +14,7 @@ import httpx
 import numpy as np
 import pytest
 
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc_client import AsyncClient, Client, ConnectionFailed, MapSummary, ServiceError
 
 RHO = (2).to_bytes(8, "little") + b"{}" + b"the arrays"

@@ -19,7 +19,7 @@ from rholoc.jobs.job import MoreMemoryNeeded, memory_for_walk
 from rholoc.jobs.leases import Leases, overall
 from rholoc.jobs.table import turn_of
 from rholoc.jobs.workers_table import WorkerTable
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.storage.database import open_database, reporting_full_database

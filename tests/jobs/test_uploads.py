@@ -11,7 +11,7 @@ import pytest
 
 from rholoc.errors import Conflict, InvalidRecording, StorageFull, TooLarge, UnknownRecording
 from rholoc.jobs import JobOptions, JobQueue, JobState, UploadStore
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc.storage import ObjectStorage
 from rholoc.storage.database import open_database
 

@@ -14,9 +14,9 @@ from unittest.mock import Mock
 
 import pytest
 
-from rholoc.library import MapLibrary
 from rholoc.library.map_cache import MapCache, memory_bytes
 from rholoc.library.map_folder import MapFolder
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import Map, save_map
 
 CHANGES: dict[str, Callable[[MapLibrary, Map], None]] = {

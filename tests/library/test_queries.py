@@ -14,7 +14,7 @@ from kept_queries import LATELY_S, keep_queries
 from kept_queries import a_query as query
 from rholoc.jobs import JobKind, JobOptions, JobQueue
 from rholoc.jobs.table import JobTable
-from rholoc.library import KeptLimits, QueryStore
+from rholoc.library.queries import KeptLimits, QueryStore
 from rholoc.library.stores import ASKERS
 from rholoc.service.frames.kept.learning import Learner
 from rholoc.service.settings import Settings

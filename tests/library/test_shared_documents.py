@@ -11,7 +11,9 @@ from sqlalchemy.exc import OperationalError
 
 from rholoc.errors import Conflict, InvalidCamera, InvalidInput, InvalidName, NotFound, UnknownCamera
 from rholoc.geometry import Camera
-from rholoc.library import CameraLibrary, CameraProfile, MapLibrary, SiteLibrary
+from rholoc.library.cameras import CameraLibrary, CameraProfile
+from rholoc.library.maps import MapLibrary
+from rholoc.library.sites import SiteLibrary
 from rholoc.library.stores import CAMERAS, KEYS, SITES
 from rholoc.localization import MapFinder
 from rholoc.maps import Site, SiteMap

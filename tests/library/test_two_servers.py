@@ -17,9 +17,13 @@ import pytest
 
 from fake_pipeline import tiny_map
 from rholoc.geometry import Camera
-from rholoc.library import CameraLibrary, CameraProfile, MapLibrary, RecordingStore, SiteLibrary, Stores, import_data
+from rholoc.library.cameras import CameraLibrary, CameraProfile
+from rholoc.library.data_import import import_data
+from rholoc.library.maps import MapLibrary
 from rholoc.library.recording_notes import WAYPOINTS_FILE
-from rholoc.library.stores import CAMERAS, KEYS, SITES
+from rholoc.library.recordings import RecordingStore
+from rholoc.library.sites import SiteLibrary
+from rholoc.library.stores import CAMERAS, KEYS, SITES, Stores
 from rholoc.maps import FramePose, Site, SiteMap
 from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
 from rholoc.service.settings import KeyPolicy

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import Conflict, InvalidInput, InvalidName, UnknownSite
 from rholoc.geometry import Similarity
 from rholoc.geometry.earth import EarthPlace, enu_of
-from rholoc.library import SiteLibrary
+from rholoc.library.sites import SiteLibrary
 from rholoc.maps import FramePose, Site, SiteLink, SiteMap, SiteOnEarth, check_site
 
 HALF_TURN = (0.0, 0.0, 1.0, 0.0)

@@ -15,8 +15,8 @@ import pycolmap  # noqa: F401  # the child imports this module, and so installs 
 import pytest
 
 from rholoc.errors import Cancelled, InvalidRecording, MappingFailed
-from rholoc.processes import ChildDied, ChildFailed, Limits, MemoryLimitExceeded, TimeLimitExceeded, named, run_in_child
-from rholoc.processes.limits import _control_group_limits
+from rholoc.processes.child import ChildDied, ChildFailed, named, run_in_child
+from rholoc.processes.limits import Limits, MemoryLimitExceeded, TimeLimitExceeded, _control_group_limits
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory import child as reconstruction
 from waiting import alive, until

@@ -13,7 +13,7 @@ from rholoc.features import get_extractor
 from rholoc.jobs import JobKind
 from rholoc.jobs.leases import Leases
 from rholoc.jobs.table import JobTable
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import load_map, save_map
 from rholoc.service.access.keys import HANDED_PREFIX, KeyStore, Scope
 from rholoc.service.frames.kept import learning

@@ -9,8 +9,8 @@ from typing import cast
 import httpx
 import pytest
 
-from rholoc.library import MapLibrary
 from rholoc.library.map_cache import memory_bytes
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import map_to_bytes, save_map
 from rholoc.service.frames.localizers import Localizers
 from rholoc.service.frames.map_choice import MAX_ASKED, Candidates, each_map

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rholoc.errors import InvalidMap, UnknownMap
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import map_to_ply, map_to_vtp, read_trajectory_csv
 from rholoc.pictures.rendering import Rendering
 from rholoc.service.maps.renderings import Renderings

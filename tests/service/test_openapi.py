@@ -15,8 +15,8 @@ from pydantic import TypeAdapter
 import rholoc
 from rholoc.disk import replace_file
 from rholoc.errors import InvalidInput, InvalidMap, RholocError, UnknownMap
-from rholoc.library import MapLibrary
 from rholoc.library.folder_documents import FolderDocuments
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import load_map
 from rholoc.maps.name_rules import is_name
 from rholoc.recordings import read_recording

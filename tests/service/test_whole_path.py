@@ -15,7 +15,7 @@ import pytest
 
 from rholoc.errors import InvalidInput
 from rholoc.jobs import JobQueue
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc.simulation import (
     PHONE_CAMERA,
     Light,

@@ -19,19 +19,10 @@ from rholoc.localization import Localizer
 from rholoc.recordings import GivenPoses, PoseKind, Recording
 from rholoc.recordings.frames.memory_frames import MemoryFrames
 from rholoc.recordings.recording import Odometry
-from rholoc.tracking import (
-    AtOnce,
-    InBackground,
-    Motion,
-    PoseBag,
-    TableOfTrack,
-    Tally,
-    film_times,
-    follow,
-    odometry_of,
-    paced,
-    recorded_moments,
-)
+from rholoc.tracking.follow import AtOnce, InBackground, follow
+from rholoc.tracking.moments import Motion, film_times, odometry_of, paced, recorded_moments
+from rholoc.tracking.pose_bag import PoseBag
+from rholoc.tracking.users import TableOfTrack, Tally
 from rholoc_client.tracking import TrackStatus
 
 FRAMES = 12

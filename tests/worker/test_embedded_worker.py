@@ -23,7 +23,7 @@ from rholoc import telemetry
 from rholoc.jobs import JobQueue, JobState, Obstacle
 from rholoc.jobs.leases import Leases
 from rholoc.jobs.workers_table import WorkerTable, process_name
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc.worker import EmbeddedWorker, WorkerSetup
 from rholoc.worker.embedded import reason_of_death
 from waiting import BREAKS_WORKERS, alive, until

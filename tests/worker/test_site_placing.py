@@ -15,7 +15,8 @@ from fake_pipeline import tiny_map
 from house import DOORS, IN_SITE, PAIRS, placed, put_house, put_rooms
 from rholoc.errors import Cancelled, Conflict, MappingFailed, UnknownSite
 from rholoc.jobs import JobKind, JobState
-from rholoc.library import MapLibrary, SiteLibrary
+from rholoc.library.maps import MapLibrary
+from rholoc.library.sites import SiteLibrary
 from rholoc.mapping.sites.poses import solve_site
 from rholoc.maps import FramePose, Site, SiteMap
 from rholoc.progress import Stage, silent

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fake_pipeline import KILL_POINTS
-from rholoc.jobs import JobState
-from rholoc.library import MapLibrary
+from rholoc.jobs import JobState, Obstacle
+from rholoc.library.maps import MapLibrary
 
 if TYPE_CHECKING:
     from job_site import Site
@@ -21,7 +21,6 @@ from waiting import until
 if TYPE_CHECKING:
     from job_site import Site
     from postgres_server import PostgresServer
-from rholoc.jobs import Obstacle
 from rholoc.jobs.workers_table import WorkerTable
 
 

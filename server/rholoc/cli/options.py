@@ -85,7 +85,7 @@ def named_camera(text: str | None) -> GeometryCamera | str | None:
     Raises:
         InvalidName, UnknownCamera, InvalidCamera: there is no such camera, or its file is damaged.
     """
-    from rholoc.library import CameraLibrary
+    from rholoc.library.cameras import CameraLibrary
 
     return CameraLibrary(Path(os.environ.get(MAPS_VARIABLE, DEFAULT_MAPS))).named_in(text)
 

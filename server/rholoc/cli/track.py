@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from rholoc.geometry import Camera
     from rholoc.maps import MapInfo
     from rholoc.recordings.frames.live_camera import LiveCamera
-    from rholoc.tracking import Answering, Moment, Motion, Step, StepUser
+    from rholoc.tracking.follow import Answering, Step
+    from rholoc.tracking.moments import Moment, Motion
+    from rholoc.tracking.users import StepUser
 import os
 from tempfile import TemporaryDirectory
 
@@ -74,10 +76,13 @@ def track(
     from rholoc.localization import localizer_of
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings.frames.live_camera import is_live, opened_camera
-    from rholoc.tracking import InBackground, MessagesOfTrack, PoseBag, TableOfTrack, Tally, follow, paced
+    from rholoc.tracking.follow import InBackground, follow
     from rholoc.tracking.live_view import LiveView
     from rholoc.tracking.mavlink import MavlinkSender
+    from rholoc.tracking.moments import paced
     from rholoc.tracking.mqtt import MqttSender
+    from rholoc.tracking.pose_bag import PoseBag
+    from rholoc.tracking.users import MessagesOfTrack, TableOfTrack, Tally
 
     T_base_camera = options.mounting(mount)
     bags = [path for path in out or [] if is_bag_target(path)]
@@ -128,7 +133,8 @@ def _recorded(
     path: Path, motion: str | None, frames: str | None, topics: list[str] | None, camera: str | None, info: MapInfo
 ) -> _Followed:
     from rholoc.recordings import read_recording
-    from rholoc.tracking import AtOnce, Motion, odometry_of, recorded_moments
+    from rholoc.tracking.follow import AtOnce
+    from rholoc.tracking.moments import Motion, odometry_of, recorded_moments
 
     recording = read_recording(path, camera=options.named_camera(camera), frames=frames, topics=topics or ())
     odometry = odometry_of(recording)
@@ -145,7 +151,8 @@ def _recorded(
 
 def _live(live: LiveCamera, camera: str | None, info: MapInfo) -> _Followed:
     from rholoc.geometry import Camera
-    from rholoc.tracking import InBackground, Motion, live_moments
+    from rholoc.tracking.follow import InBackground
+    from rholoc.tracking.moments import Motion, live_moments
 
     named = options.named_camera(camera)
     given = Camera.parse(named, *live.size) if isinstance(named, str) else named

@@ -12,9 +12,9 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
 
 from rholoc.jobs import Capacity
-from rholoc.library import Stores
+from rholoc.library.stores import Stores
 from rholoc.localization import MIN_RECOGNIZED
-from rholoc.processes import machine_memory_bytes
+from rholoc.processes.limits import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
 from rholoc.worker import BuildLimits, WorkerSetup
 

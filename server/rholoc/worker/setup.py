@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from rholoc.jobs.job import Capacity
-from rholoc.processes import Limits
+from rholoc.processes.limits import Limits
 from rholoc.recordings import MAX_FRAME_PIXELS
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from kept_queries import keep_queries
 from rholoc.geometry import Camera
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import Map, load_map, save_map
 from rholoc.reports import Advice, CoachingReport, ExpectedError, MapReport, TrajectoryReport, WalkFigures
 

@@ -12,7 +12,8 @@ from typer.testing import CliRunner, Result
 
 from rholoc.cli import app
 from rholoc.errors import Conflict, NotFound
-from rholoc.library import MapLibrary, Stores
+from rholoc.library.maps import MapLibrary
+from rholoc.library.stores import Stores
 from rholoc.service.access.audit import AuditLog, Change
 from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
 from rholoc.storage.database import open_database

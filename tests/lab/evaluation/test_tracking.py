@@ -15,7 +15,7 @@ from rholoc.localization import Localizer
 from rholoc.maps import save_map
 from rholoc.recordings import GivenPoses, Imu, Recording
 from rholoc.recordings.frames.memory_frames import MemoryFrames
-from rholoc.tracking import Motion
+from rholoc.tracking.moments import Motion
 from rholoc_lab.evaluation.odometry import measure_odometry
 from rholoc_lab.evaluation.tracking import Outage, drifting_odometry, run_tracker
 

@@ -147,7 +147,8 @@ def learn(
 
     The map before is kept, as a server keeps it, and can be restored.
     """
-    from rholoc.library import MapLibrary, QueryStore
+    from rholoc.library.maps import MapLibrary
+    from rholoc.library.queries import QueryStore
     from rholoc.mapping.learn.from_queries import learn_from_queries
     from rholoc.maps import load_map
     from rholoc.storage import ObjectStorage
@@ -167,7 +168,7 @@ def queries(
     as_json: options.Json = False,
 ) -> None:
     """Show how many queries a server has kept for a map to learn from; or delete them."""
-    from rholoc.library import QueryStore
+    from rholoc.library.queries import QueryStore
     from rholoc.maps import load_map
     from rholoc.storage import ObjectStorage
 

@@ -14,7 +14,7 @@ from rholoc.cli.operate.serve import Data, Maps, service_settings
 from rholoc.cli.options import Json
 
 if TYPE_CHECKING:
-    from rholoc.library import Stores
+    from rholoc.library.stores import Stores
     from rholoc.service import Settings
     from rholoc.service.operate.backup import Manifest
 from dataclasses import asdict
@@ -97,7 +97,7 @@ def _group() -> None:
 @storage_app.command("import")
 def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
     """Copy maps, cameras, sites, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
-    from rholoc.library import import_data
+    from rholoc.library.data_import import import_data
 
     settings = service_settings(maps_dir=maps, data_dir=data)
     stores = settings.stores()
