@@ -41,7 +41,10 @@ from rholoc.density.tensor import fit_tensors
 from rholoc.errors import RholocError
 from rholoc.evaluation.reading import read_frame_poses
 from rholoc.exports import ExportFormat, export_map
-from rholoc.library import CameraLibrary, MapLibrary, SiteLibrary, Stores
+from rholoc.library.cameras import CameraLibrary
+from rholoc.library.maps import MapLibrary
+from rholoc.library.sites import SiteLibrary
+from rholoc.library.stores import Stores
 from rholoc.maps import (
     DensityKind,
     FloorPlan,
@@ -66,7 +69,7 @@ from rholoc.recordings import (
     read_pose_table,
     read_recording,
 )
-from rholoc.recordings.tables.odometry_table import read_odometry_csv
+from rholoc.recordings.tables.own_tables import read_odometry_csv
 from rholoc.service.operate.backup import back_up, unpack_backup
 from rholoc_lab.paper.table_reading import read_observations
 

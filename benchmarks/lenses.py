@@ -39,7 +39,7 @@ from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, Pose,
 from rholoc.localization import Localizer, Query
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.recordings import GivenPoses, MemoryFrames, Recording, read_recording
-from rholoc.recordings.frames.steady_frames import SteadyFrames
+from rholoc.recordings.frames.unified_pictures import SteadyFrames
 from rholoc.simulation import Light
 from rholoc.simulation.light import light_scene
 from rholoc.simulation.recording import PHONE_CAMERA

@@ -29,8 +29,8 @@ import uvicorn
 from fastapi import FastAPI
 from playwright.sync_api import BrowserContext, Page, sync_playwright
 
-from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import notes_of
+from rholoc.library.recordings import RecordingStore
 from rholoc.mapping import BuildOptions, build_map
 from rholoc.mapping.edit.correcting import set_labels, set_names
 from rholoc.mapping.room.drawing import draw_room

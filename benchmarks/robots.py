@@ -35,7 +35,7 @@ from measuring import jpeg_of
 from rholoc.features import DEFAULT_FEATURES
 from rholoc.geometry import FloatArray
 from rholoc.maps import map_to_bytes
-from rholoc.tracking import film_times
+from rholoc.tracking.moments import film_times
 from rholoc_client import Camera, Client
 from rholoc_client.models import Localization
 from rholoc_client.tracking import Tracker

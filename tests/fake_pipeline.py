@@ -19,7 +19,7 @@ import numpy as np
 from rholoc.errors import InvalidRecording, UnknownMap
 from rholoc.geometry import Camera
 from rholoc.jobs import Capacity, JobKind, MoreMemoryNeeded
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import (
     DensityKind,
     Map,

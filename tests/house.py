@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from fake_pipeline import tiny_map
-from rholoc.library import MapLibrary, SiteLibrary
+from rholoc.library.maps import MapLibrary
+from rholoc.library.sites import SiteLibrary
 from rholoc.mapping.sites.poses import solve_site
 from rholoc.maps import Site, SiteMap
 

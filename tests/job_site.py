@@ -13,7 +13,7 @@ import pytest
 
 from fake_pipeline import Control
 from rholoc.jobs import Job, JobOptions, JobPriority, JobQueue, JobState
-from rholoc.library import Stores
+from rholoc.library.stores import Stores
 from waiting import TIMEOUT_S, until
 
 _HERE = Path(__file__).parent

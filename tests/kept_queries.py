@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, Pose
-from rholoc.library import QueryStore
+from rholoc.library.queries import QueryStore
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.maps import Map

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rholoc.library import Stores
+from rholoc.library.stores import Stores
 
 OpenStorage = Callable[..., Stores]
 

@@ -10,8 +10,8 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
-from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import notes_of
+from rholoc.library.recordings import RecordingStore
 from rholoc.recordings import MemoryFrames, Recording, Waypoint
 
 DESK, ZOOMED, PHONE = (

@@ -15,7 +15,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
 from kept_queries import a_query
-from rholoc.library import QueryStore
+from rholoc.library.queries import QueryStore
 from rholoc.maps import load_map, map_to_bytes, save_map
 from rholoc.storage import ObjectStorage
 

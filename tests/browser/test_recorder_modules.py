@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidRecording
 from rholoc.recordings import read_recording
 from rholoc.recordings.camera_file import read_camera_json
-from rholoc.recordings.tables.frames_table import read_frames_csv
-from rholoc.recordings.tables.imu_table import read_imu_csv
+from rholoc.recordings.tables.own_tables import read_frames_csv, read_imu_csv
 
 MODULES = Path(__file__).parents[2] / "client" / "page"
 

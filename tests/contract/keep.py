@@ -21,8 +21,10 @@ from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.jobs import JobOptions, JobQueue, UploadStore
 from rholoc.jobs.leases import Leases
-from rholoc.library import CameraLibrary, CameraProfile, QueryStore, SiteLibrary, Stores
-from rholoc.library.stores import CAMERAS, KEYS, SITES
+from rholoc.library.cameras import CameraLibrary, CameraProfile
+from rholoc.library.queries import QueryStore
+from rholoc.library.sites import SiteLibrary
+from rholoc.library.stores import CAMERAS, KEYS, SITES, Stores
 from rholoc.mapping import BuildOptions
 from rholoc.maps import FramePose, Site, SiteMap
 from rholoc.service.access.audit import AuditLog, Change

@@ -17,8 +17,10 @@ from offers import broken_promises, present_offers
 from rholoc import Localizer, Query, load_map
 from rholoc.features import get_extractor
 from rholoc.jobs import JobQueue, JobState, UploadStore
-from rholoc.library import CameraLibrary, QueryStore, SiteLibrary, Stores
-from rholoc.library.stores import CAMERAS, KEYS, SITES
+from rholoc.library.cameras import CameraLibrary
+from rholoc.library.queries import QueryStore
+from rholoc.library.sites import SiteLibrary
+from rholoc.library.stores import CAMERAS, KEYS, SITES, Stores
 from rholoc.service.access.audit import AuditLog
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.operate.backup import restore

@@ -17,6 +17,8 @@ from rholoc.exports import ExportFormat
 from rholoc.features import extractor_names
 from rholoc.mapping import BuildOptions
 from rholoc.maps import DensityKind
+from rholoc.recordings import AdviceKind, WarningKind
+from rholoc.recordings.readers import READERS
 from rholoc.simulation import Light
 from rholoc.trajectory import PoseMethod
 
@@ -166,3 +168,85 @@ def test_files_that_the_readme_uses_are_shipped() -> None:
 
 def test_the_version_has_an_entry_in_the_changelog() -> None:
     assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+PACKAGE = ROOT / "server" / "rholoc"
+METHOD = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("module", sorted(set(re.findall(r"`([a-z_0-9]+(?:/[a-z_0-9]+)+\.py)`", METHOD))))
+def test_modules_of_the_method_exist(module: str) -> None:
+    assert (PACKAGE / module).is_file()
+
+
+def test_modules_that_the_method_names_without_their_room_exist() -> None:
+    named = set(re.findall(r"`([a-z_0-9]+\.py)`", METHOD))
+    assert named <= {path.name for path in PACKAGE.rglob("*.py")}
+
+
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:server|tests|benchmarks|maps)/[\w/.]*)`", CONTRIBUTING))))
+def test_paths_for_contributors_exist(path: str) -> None:
+    assert (ROOT / path).exists()
+
+
+def test_every_package_is_in_the_table_for_contributors() -> None:
+    named = set(re.findall(r"`(\w+)`", CONTRIBUTING))
+    assert {folder.name for folder in PACKAGE.iterdir() if (folder / "__init__.py").is_file()} <= named
+
+
+def test_nothing_cites_a_design_that_is_not_here() -> None:
+    citing = [path for path in PACKAGE.rglob("*.py") if "DESIGN" in path.read_text(encoding="utf-8")]
+    assert citing == []
+
+
+FORMATS = (ROOT / "maps" / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("kind", [*WarningKind, *AdviceKind])
+def test_every_warning_and_advice_is_documented(kind: WarningKind | AdviceKind) -> None:
+    assert f"`{kind.value}`" in REFERENCE
+
+
+def test_every_format_has_a_row() -> None:
+    section = FORMATS.split("### Formats of recorder apps and datasets")[1].split("\n##")[0]
+    rows = [line for line in section.splitlines() if line.startswith("| ")]
+    assert len(rows) == 1 + len(READERS)  # the head
+
+
+OPENING_VIDEOS = {"recordings/frames/live_camera.py", "recordings/frames/video.py"}
+
+
+@pytest.mark.parametrize(
+    ("what", "pattern", "homes"),
+    [
+        ("angles between rotations", r"\.magnitude\(\)|\btrace\(.*- 1", {"geometry/vectors.py"}),
+        ("alignments of points", r"align_vectors|def (kabsch|umeyama|align_poses)", {"geometry/alignment.py"}),
+        ("cameras as text and JSON", r"\*distortion = |asdict\([\w.]*camera\)", {"geometry/camera.py"}),
+        ("visual words", r"\bKmeans\b", {"features/picture_vectors.py"}),
+        ("a full disk's errors", r"\bENOSPC\b|\bEDQUOT\b", {"disk.py"}),
+        ("VTK's PolyData", r'VTKFile type="PolyData"', {"maps/formats/ply_and_vtp.py"}),
+        ("VTK's ImageData", r'VTKFile type="ImageData"', {"maps/formats/vti.py"}),
+        (
+            "starting and killing processes",
+            r"\bPopen\(|\bget_context\(|create_subprocess_|\bos\.(kill|killpg|fork)\(|subprocess\.run\(|psutil\.Process\(",
+            {"processes/async_program.py", "processes/child.py", "processes/program.py", "processes/tree.py"},
+        ),
+        ("opening videos and cameras", r"\bcv2\.VideoCapture\(", OPENING_VIDEOS),
+    ],
+)
+def test_it_has_one_home(what: str, pattern: str, homes: set[str]) -> None:
+    found = {
+        str(file.relative_to(PACKAGE))
+        for file in PACKAGE.rglob("*.py")
+        if any(re.search(pattern, line) for line in file.read_text(encoding="utf-8").splitlines())
+    }
+    assert found == homes, what
+
+
+@pytest.mark.parametrize("folder", ["server", "client", "tests", "benchmarks"])
+def test_no_angle_is_the_arccos_of_a_rounded_cosine(folder: str) -> None:
+    """It is NaN just above 1 and off by 1e-8 rad just below it; :mod:`rholoc.geometry.vectors` uses atan2."""
+    files = (file for file in (PACKAGE.parents[1] / folder).rglob("*.py") if file != Path(__file__))
+    found = [str(file) for file in files if re.search(r"\ba(rc)?cos\(", file.read_text(encoding="utf-8"))]
+    assert not found

@@ -19,7 +19,7 @@ import uvicorn
 
 from rholoc.errors import Busy, Conflict, UnknownJob
 from rholoc.jobs import JobQueue
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc.service import Settings, create_app
 from rholoc.service.http.bodies import HeldBodies
 from rholoc.service.http.connections import PatientProtocol, protocol_of

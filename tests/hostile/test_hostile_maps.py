@@ -17,7 +17,7 @@ from starlette.requests import ClientDisconnect
 
 from rholoc.errors import InvalidMap
 from rholoc.exports import ExportFormat
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import load_map, map_to_bytes
 from rholoc.maps.formats.rho_file import _checksum
 from rholoc.service import libraries

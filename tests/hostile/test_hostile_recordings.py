@@ -19,8 +19,10 @@ from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, Too
 from rholoc.jobs import JobOptions
 from rholoc.jobs.leases import Lease, shortened
 from rholoc.jobs.table import JobWork
-from rholoc.library import MapLibrary, RecordingStore, Stores
-from rholoc.processes import Limits, machine_memory_bytes
+from rholoc.library.maps import MapLibrary
+from rholoc.library.recordings import RecordingStore
+from rholoc.library.stores import Stores
+from rholoc.processes.limits import Limits, machine_memory_bytes
 from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import check_archive, frame_pixels_limited, read_recording
 from rholoc.recordings.archive import unpack

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 
 from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, UnknownRecording
 from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
-from rholoc.jobs.job_memory import MoreMemoryNeeded, memory_for_walk
+from rholoc.jobs.job import MoreMemoryNeeded, memory_for_walk
 from rholoc.jobs.leases import Leases, overall
 from rholoc.jobs.table import turn_of
 from rholoc.jobs.workers_table import WorkerTable
-from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import READ_FILES, RecordingNotes
+from rholoc.library.recordings import RecordingStore
 from rholoc.maps import DensityKind
 from rholoc.progress import Stage
 from rholoc.reports import report_to_json

@@ -11,7 +11,7 @@ import pytest
 
 from rholoc.errors import Conflict, InvalidRecording, StorageFull, TooLarge, UnknownRecording
 from rholoc.jobs import JobOptions, JobQueue, JobState, UploadStore
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc.storage import ObjectStorage
 from rholoc.storage.database import open_database
 
@@ -87,11 +87,11 @@ def test_uploads_are_bounded_and_expire(uploads: Any) -> None:
     for _ in range(3):
         upload = here.create("walk.mp4", 2000, "hall", JobOptions())
         here.append(upload.id, 0, VIDEO[:1000])
-    assert there._unfinished() == 3
+    assert len(there.unfinished()) == 3
     there.create("walk.mp4", 2000, "hall", JobOptions())
-    assert there._unfinished() == 1, "those that have expired make room"
+    assert len(there.unfinished()) == 1, "those that have expired make room"
     there.sweep()
-    assert there._unfinished() == 0
+    assert len(there.unfinished()) == 0
     assert not list(here._objects.list("uploads"))
 
 

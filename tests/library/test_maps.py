@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rholoc.errors import Conflict, InvalidMap, InvalidName, StorageFull, UnknownMap
-from rholoc.library import MapLibrary
 from rholoc.library.map_folder import place_of
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import Cloud, Map, check_map_name, map_to_bytes, save_map
 
 

@@ -12,15 +12,16 @@ import pytest
 
 from rholoc.errors import InvalidWaypoints
 from rholoc.jobs import JobOptions
-from rholoc.library import (
+from rholoc.library.recording_notes import (
     RecordedWaypoint,
     RecordingNotes,
     corrected_waypoints,
+    notes_in,
+    notes_of,
     read_notes,
     read_thumbnail,
     waypoints_file,
 )
-from rholoc.library.recording_notes import notes_in, notes_of
 from rholoc.maps import Map
 from rholoc.progress import silent
 from rholoc.recordings import MemoryFrames, Recording, Waypoint, write_frames_csv, write_waypoints_csv

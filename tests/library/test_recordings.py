@@ -15,9 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rholoc.errors import Conflict, InvalidRecording, StorageFull, StorageUnavailable, TooLarge, UnknownRecording
-from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import WAYPOINTS_FILE
-from rholoc.library.recordings import sanitized
+from rholoc.library.recordings import RecordingStore, sanitized
 from rholoc.storage import ObjectStorage
 from rholoc.storage.database import open_database
 

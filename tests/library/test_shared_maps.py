@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from fake_pipeline import tiny_map
 from rholoc.disk import storage_full
 from rholoc.errors import Conflict, InvalidMap, RholocError, StorageFull, StorageUnavailable, UnknownMap
-from rholoc.library import MapLibrary, Stores
+from rholoc.library.maps import MapLibrary
+from rholoc.library.stores import Stores
 from rholoc.maps import Map, load_map, map_to_bytes
 from waiting import until
 

@@ -12,7 +12,7 @@ import pytest
 
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.localization.index import map_finder as module
 from rholoc.maps import Map, map_to_bytes

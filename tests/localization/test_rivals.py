@@ -13,7 +13,7 @@ from rholoc.geometry import Pose
 from rholoc.localization import Dof, Localizer, Query, SeveralFrames, localize_together
 from rholoc.localization.pose.rematching import verify
 from rholoc.localization.pose.rivals import are_rivals, shares
-from rholoc.tracking import answer_of
+from rholoc.tracking.follow import answer_of
 from rholoc_client.tracking import Track
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from rholoc.features import Metric
-from rholoc.features.picture_vectors import DIMENSIONS, PictureVectors
-from rholoc.features.vlad import normalised
+from rholoc.features.picture_vectors import DIMENSIONS, PictureVectors, normalised
 from rholoc.geometry import ByteArray, FloatArray
 from rholoc.localization.index.view_index import ViewIndex, packed_vectors, unpacked_vectors
 

@@ -19,8 +19,8 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose, Similarity
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import update_map
 from rholoc.mapping.build.density_fitting import fit_densities
-from rholoc.mapping.edit.forgetting import forget_recording
 from rholoc.mapping.edit.moving import move_map
+from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn import from_recordings as learning
 from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import DensityKind, Map, check_memory, load_map, save_map, without_memory

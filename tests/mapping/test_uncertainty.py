@@ -17,8 +17,7 @@ from rholoc.mapping.build.view_covariance import (
     storable_covariances,
     uncertainty_in,
 )
-from rholoc.mapping.edit.forgetting import forget_recording
-from rholoc.mapping.edit.sources import join, without_source
+from rholoc.mapping.edit.sources import forget_recording, join, without_source
 from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import Map
 

@@ -16,9 +16,10 @@ from rholoc.errors import Conflict, InvalidInput, MappingFailed
 from rholoc.geometry import BoolArray, Camera, Pose
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping.build.stored_observations import keep_features
-from rholoc.mapping.edit.forgetting import forget_recording
+from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn import from_queries as user_learning
 from rholoc.mapping.learn.answered_query import AnsweredQuery
+from rholoc.mapping.learn.expected_sightings import Sights, agreeing
 from rholoc.mapping.learn.from_queries import learn_from_queries
 from rholoc.maps import Map, map_to_bytes, without_memory
 
@@ -252,3 +253,59 @@ def test_a_wrong_answer_is_outweighed_by_three_right_ones(right: int, wrong: int
     before, after = user_learning._Answers(90, 50, 1, 0.01), user_learning._Answers(90, right, wrong, 0.01)
     with pytest.raises(MappingFailed) if is_worse else nullcontext():
         user_learning._check_no_worse(before, after, "queries")
+
+
+STAYED = np.arange(60)
+MOVED = np.arange(60, 100)
+COUNT = 100
+
+
+def sights_of(seeing: list[BoolArray]) -> Sights:
+    """Cameras that expect all landmarks, and see those where theirs of ``seeing`` (F,) holds, nine of ten."""
+    rng = np.random.default_rng(1)
+    shape = (len(seeing), COUNT)
+    seen = np.array(seeing, dtype=bool).reshape(shape) & (rng.random(shape) < 0.9)
+    cameras, landmarks = (grid.ravel() for grid in np.indices(shape))
+    return Sights(cameras, landmarks, np.full(seen.size, 0.9), seen.ravel(), np.arange(len(seeing)), COUNT)
+
+
+def seeing(landmarks: np.ndarray) -> BoolArray:
+    return np.isin(np.arange(COUNT), landmarks)
+
+
+def all_of(sights: Sights) -> BoolArray:
+    return np.ones(sights.camera_count, dtype=bool)
+
+
+@pytest.mark.parametrize("misled", [1, 5, 12])
+def test_those_that_rest_on_what_moved_are_not_believed(misled: int) -> None:
+    """They agree with each other, and are sure."""
+    sights = sights_of([seeing(STAYED)] * 20 + [seeing(MOVED)] * misled)
+    assert agreeing(sights, all_of(sights)).tolist() == [True] * 20 + [False] * misled
+
+
+def test_where_nothing_moved_all_are_believed() -> None:
+    sights = sights_of([seeing(np.arange(COUNT))] * 20)
+    assert agreeing(sights, all_of(sights)).all()
+
+
+def test_what_was_hidden_by_what_moved_speaks_against_nobody() -> None:
+    """A few landmarks that all but some miss are no reason not to believe those."""
+    sights = sights_of([seeing(STAYED)] * 15 + [seeing(np.append(STAYED, MOVED[:4]))] * 5)
+    assert agreeing(sights, all_of(sights)).all()
+
+
+def test_those_that_are_held_back_are_judged_and_do_not_judge() -> None:
+    sights = sights_of([seeing(STAYED)] * 8 + [seeing(MOVED)] * 20)
+    speaking = np.arange(28) < 8
+    assert agreeing(sights, speaking).tolist() == speaking.tolist()
+
+
+def test_one_of_whom_others_know_nothing_is_not_contradicted() -> None:
+    alone = Sights(np.zeros(20, dtype=np.int64), np.arange(20), np.full(20, 0.8), np.ones(20, bool), np.zeros(1), 20)
+    assert agreeing(alone, all_of(alone)).all()
+
+
+def test_no_cameras_are_no_trouble() -> None:
+    nobody = sights_of([])
+    assert agreeing(nobody, all_of(nobody)).shape == (0,)

@@ -16,22 +16,31 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from rholoc.errors import InvalidInput
+from rholoc.geometry import angles_between
 from rholoc.mapping.build.self_report import map_statistics
 from rholoc.maps import (
     Cloud,
     Map,
     MapNames,
+    MapViews,
     NamedPoint,
     landmark_sigmas,
     load_map,
+    map_surfaces_vtp,
     map_to_gltf,
     map_to_ply,
     map_to_scene,
     map_to_vtp,
+    packed_patches,
     save_map,
+    storable_patches,
+    unpacked_patches,
 )
+from rholoc.maps.map_tables import UNKNOWN_GREY, MapTable
 from rholoc.maps.walks import consecutive
 from rholoc.pictures.map_preview import preview_png
+from same_maps import assert_same_tables
 
 
 def numbers(element: ElementTree.Element | None) -> np.ndarray:
@@ -202,3 +211,113 @@ def test_there_is_one_figure_for_how_uncertain_landmarks_are(room_map: Map) -> N
     column = [line.split()[-1] for line in header.splitlines() if line.startswith("property")].index("sigma_m")
     written = [float(line.split()[column]) for line in body.splitlines()[: len(room_map)]]
     np.testing.assert_allclose(written, shown, atol=1e-5)
+
+
+def numbers_at(piece: ElementTree.Element, path: str) -> np.ndarray:
+    return numbers(piece.find(path))
+
+
+def test_surfaces_are_closed_ellipsoids_three_sigma_wide(make_map) -> None:
+    map_: Map = make_map()
+    map_.landmarks.covariances[7] = [[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.01]]
+    surfaces, path = ElementTree.fromstring(map_surfaces_vtp(map_, [9, 7])).iter("Piece")
+    points = numbers_at(surfaces, "Points/DataArray").reshape(2, -1, 3)
+    triangles = numbers_at(surfaces, "Polys/DataArray[@Name='connectivity']").astype(int).reshape(2, -1, 3)
+    assert surfaces.attrib["NumberOfPoints"] == str(points[..., 0].size)
+    assert surfaces.attrib["NumberOfPolys"] == str(triangles[..., 0].size)
+    features = numbers_at(surfaces, "CellData/DataArray[@Name='feature']").reshape(2, -1)
+    np.testing.assert_array_equal(features, np.repeat([[7], [9]], features.shape[1], axis=1))
+    covariance = np.array([[0.04, 0.01, 0], [0.01, 0.09, 0], [0, 0, 0.01]])
+    away = points[0] - map_.landmarks.positions[7]
+    distances = np.sqrt(np.einsum("ni,ij,nj->n", away, np.linalg.inv(covariance), away))
+    np.testing.assert_allclose(distances, 3, rtol=1e-3)
+    edges = {tuple(edge) for t in triangles[0] for edge in (t[[0, 1]], t[[1, 2]], t[[2, 0]])}
+    assert len(edges) == 3 * len(triangles[0])
+    assert {(b, a) for a, b in edges} == edges  # each edge is walked once in either direction
+    volume = np.linalg.det(away[triangles[0]]).sum() / 6
+    assert volume == pytest.approx(4 / 3 * np.pi * 27 * np.sqrt(np.linalg.det(covariance)), rel=0.06)
+    np.testing.assert_allclose(numbers_at(path, "Points/DataArray").reshape(-1, 3), map_.views.positions, atol=1e-5)
+    assert len(numbers_at(path, "Lines/DataArray[@Name='connectivity']")) == len(map_.views)
+
+
+@pytest.mark.parametrize(
+    ("features", "says"),
+    [([], "No feature"), ([60], "no feature 60"), ([-1], "no feature -1"), (range(5001), "5001 surfaces")],
+)
+def test_features_that_are_not_there_are_refused(room_map: Map, features, says: str) -> None:
+    with pytest.raises(InvalidInput, match=says):
+        map_surfaces_vtp(room_map, features)
+
+
+def test_packing_keeps_directions_to_a_degree_and_lengths_to_five_percent() -> None:
+    rng = np.random.default_rng(0)
+    lengths = np.exp(rng.uniform(np.log(1e-4), np.log(1e3), (5000, 1)))
+    units = rng.normal(size=(5000, 3))
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    rounded = unpacked_patches(packed_patches(units * lengths)).astype(np.float64)
+    kept = np.linalg.norm(rounded, axis=1, keepdims=True)
+    assert np.rad2deg(angles_between(rounded / kept, units)).max() < 1
+    assert np.abs(np.log(kept / lengths)).max() < np.log(1.05)
+
+
+def test_what_is_rounded_once_stays_as_it_is() -> None:
+    coordinates = np.arange(-127, 128, dtype=np.int8)
+    every = np.stack(np.meshgrid(coordinates, coordinates, np.array([-127, 3, 127], np.int8)), axis=-1).reshape(-1, 3)
+    once = unpacked_patches(every)
+    assert np.isfinite(once).all()
+    np.testing.assert_array_equal(unpacked_patches(packed_patches(once)), once)
+
+
+def test_the_axes_are_exact() -> None:
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    np.testing.assert_array_equal(unpacked_patches(packed_patches(axes)), axes)
+
+
+def test_what_is_not_known_stays_unknown() -> None:
+    patches = np.array([[0.1, 0, 0], [np.nan, np.nan, np.nan], [0, 0, 0]])
+    np.testing.assert_array_equal(np.isnan(storable_patches(patches)).all(axis=1), [False, True, True])
+    assert storable_patches(patches[1:]) is None
+
+
+TABLES = ("landmarks", "descriptors", "views", "observations")
+
+
+def table_of(map_: Map, name: str) -> MapTable:
+    table: MapTable = getattr(map_, name)
+    return table
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_parts_joined_are_the_whole(room_map: Map, name: str) -> None:
+    table = table_of(room_map, name)
+    first = np.arange(len(table)) < len(table) // 3
+    again = type(table).concat([table.take(first), table.take(np.flatnonzero(~first))])
+    assert len(table.take(first)) == len(table) // 3
+    assert_same_tables(replace(room_map, **{name: again}), room_map)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_every_column_is_taken(room_map: Map, name: str) -> None:
+    table = table_of(room_map, name)
+    rows = np.array([2, 0, 2])
+    taken = table.take(rows)
+    for column in table.columns():
+        values = getattr(table, column)
+        if values is not None:
+            np.testing.assert_array_equal(getattr(taken, column), values[rows])
+
+
+def test_what_one_table_does_not_know_is_unknown_in_both(room_map: Map) -> None:
+    few = room_map.landmarks.take(np.arange(3))
+    coloured = replace(few, colours=np.full((3, 3), 7, np.uint8))
+    joined = type(few).concat([few, coloured])
+    np.testing.assert_array_equal(joined.colours, np.repeat([[UNKNOWN_GREY] * 3, [7] * 3], 3, axis=0))
+    assert joined.patches is None
+    views = room_map.views.take(np.arange(2))
+    seen = replace(views, pictures=(b"a", b"b"), sources=np.zeros(2, np.int32))
+    both = MapViews.concat([views, seen])
+    assert both.pictures == (b"", b"", b"a", b"b")
+    assert both.take(np.array([3, 0])).pictures == (b"b", b"")
+    assert both.sources is None  # unknown for some is unknown for all
+    assert np.isnan(both.known_covariances).all()
+    assert both.covariances is None

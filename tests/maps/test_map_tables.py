@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,16 +13,22 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rholoc.errors import InvalidInput, InvalidTrajectory
+from rholoc.errors import InvalidInput, InvalidMap, InvalidTrajectory
 from rholoc.geometry import Pose, pose_matrix
 from rholoc.maps import (
+    DensityKind,
+    Map,
     ObservationTable,
     TrajectoryTable,
     observations_csv,
+    part_of,
     read_trajectory_csv,
     trajectory_csv,
+    trust_of,
+    validate_map,
     write_trajectory_csv,
 )
+from rholoc.reports import LearningReport, MapReport, TrajectoryReport
 
 PAPER_HEADER = "timestamp,x,y,z,hx,hy,hz"
 
@@ -141,3 +149,104 @@ def test_table_4_writes_channel_and_descriptor_as_hex() -> None:
         "0100ff10,10.25,20.00,1.0000,-2.0000,3.0000,0.000000,1.000000,0.000000\n",
         "10010203,1.00,2.00,0.0000,0.0000,0.0000,1.000000,0.000000,0.000000\n",
     ]
+
+
+def test_a_part_has_its_views_and_what_they_saw(room_map: Map) -> None:
+    views = np.array([1, 2, 6])
+    patches = np.random.default_rng(0).normal(size=(len(room_map), 3)).astype(np.float32)
+    part = part_of(replace(room_map, landmarks=replace(room_map.landmarks, patches=patches)), views)
+    validate_map(part.map)
+    seen = np.isin(room_map.observations.views, views)
+    np.testing.assert_array_equal(part.features, np.unique(room_map.observations.features[seen]))
+    np.testing.assert_array_equal(part.map.landmarks.positions, room_map.landmarks.positions[part.features])
+    np.testing.assert_array_equal(part.map.landmarks.patches, patches[part.features])
+    np.testing.assert_array_equal(part.map.views.T_map_camera, room_map.views.T_map_camera[views])
+    np.testing.assert_array_equal(part.features[part.map.observations.features], room_map.observations.features[seen])
+    np.testing.assert_array_equal(views[part.map.observations.views], room_map.observations.views[seen])
+    described = np.isin(room_map.descriptors.features, part.features)
+    np.testing.assert_array_equal(part.map.descriptors.values, room_map.descriptors.values[described])
+    np.testing.assert_array_equal(
+        part.features[part.map.descriptors.features], room_map.descriptors.features[described]
+    )
+
+
+def test_the_part_of_all_views_is_the_map(room_map: Map) -> None:
+    part = part_of(room_map, np.arange(len(room_map.views)))
+    assert len(part.map) == len(np.unique(room_map.observations.features))
+    np.testing.assert_array_equal(part.map.observations.views, room_map.observations.views)
+
+
+def changed(array: Any, index: Any, value: Any) -> Any:
+    copy = array.copy()
+    copy[index] = value
+    return copy
+
+
+def broken(map_: Map, **changes: Any) -> Map:
+    """The map with other columns, named ``table.column``, or with another description."""
+    for name, value in changes.items():
+        table, _, column = name.partition(".")
+        map_ = replace(map_, **{table: replace(getattr(map_, table), **{column: value}) if column else value})
+    return map_
+
+
+BREAKS = {
+    "dtype": lambda m: {"landmarks.positions": m.landmarks.positions.astype(np.float64)},
+    "a list": lambda m: {"views.times": list(m.views.times)},
+    "shape": lambda m: {"landmarks.positions": m.landmarks.positions[:, :2]},
+    "dimensions": lambda m: {"descriptors.values": m.descriptors.values.ravel()},
+    "channels too few": lambda m: {"landmarks.channels": m.landmarks.channels[1:]},
+    "covariances too few": lambda m: {"landmarks.covariances": m.landmarks.covariances[1:]},
+    "nan landmark": lambda m: {"landmarks.positions": changed(m.landmarks.positions, (0, 0), np.nan)},
+    "infinite time": lambda m: {"views.times": changed(m.views.times, 0, np.inf)},
+    "infinite range": lambda m: {"observations.ranges_m": np.full(len(m.observations), np.inf, np.float32)},
+    "negative variance": lambda m: {"landmarks.covariances": changed(m.landmarks.covariances, (0, 1, 1), -1)},
+    "descriptor without owner": lambda m: {"descriptors.features": m.descriptors.features[1:]},
+    "owner too large": lambda m: {"descriptors.features": changed(m.descriptors.features, -1, len(m))},
+    "owner negative": lambda m: {"descriptors.features": changed(m.descriptors.features, 0, -1)},
+    "owners unsorted": lambda m: {"descriptors.features": m.descriptors.features[::-1].copy()},
+    "views differ": lambda m: {"views.times": m.views.times[1:]},
+    "not a rotation": lambda m: {"views.T_map_camera": changed(m.views.T_map_camera, (0, 0, 0), 2.0)},
+    "mirrored": lambda m: {"views.T_map_camera": m.views.T_map_camera * [[1, 1, -1, 1]]},
+    "poses differ": lambda m: {"views.T_map_camera": m.views.T_map_camera[1:]},
+    "observations differ": lambda m: {"observations.views": m.observations.views[1:]},
+    "views fall": lambda m: {"observations.views": m.observations.views[::-1].copy()},
+    "view too large": lambda m: {"observations.views": changed(m.observations.views, -1, len(m.views))},
+    "view negative": lambda m: {"observations.views": changed(m.observations.views, 0, -1)},
+    "seen feature too large": lambda m: {"observations.features": changed(m.observations.features, 0, len(m))},
+    "seen feature negative": lambda m: {"observations.features": changed(m.observations.features, 0, -1)},
+    "tensors missing": lambda m: {"info": replace(m.info, density=DensityKind.TENSOR)},
+}
+
+
+@pytest.mark.parametrize("name", BREAKS)
+def test_arrays_that_contradict_each_other_are_refused(room_map: Map, name: str) -> None:
+    validate_map(room_map)
+    with pytest.raises(InvalidMap):
+        validate_map(broken(room_map, **BREAKS[name](room_map)))
+
+
+GOOD = TrajectoryReport("visual", 9, trusted=True, why="Two reconstructions agree.")
+BAD = TrajectoryReport("visual", 9, trusted=False, why="Two reconstructions disagree.")
+LEARNED = LearningReport(2, frames_found=3)
+LEARNED_BADLY = LearningReport(2, trusted=False, why="Two reconstructions disagree.")
+
+
+@pytest.mark.parametrize(
+    ("report", "trusted", "reason"),
+    [
+        (MapReport(trajectories=(GOOD,)), True, "Two reconstructions agree."),
+        (MapReport(trajectories=(GOOD, BAD)), False, "Two reconstructions disagree."),
+        (MapReport(trajectories=(BAD, BAD)), False, "Two reconstructions disagree."),
+        (MapReport(trajectories=(GOOD,), learned=(LEARNED,)), True, "Two reconstructions agree."),
+        (MapReport(trajectories=(GOOD,), learned=(LEARNED_BADLY,)), False, "Two reconstructions disagree."),
+    ],
+)
+def test_a_map_is_trusted_where_every_walk_is(room_map: Map, report: MapReport, trusted: bool, reason: str) -> None:
+    trust = trust_of(replace(room_map.info, report=report))
+    assert (trust.trusted, trust.reason) == (trusted, reason)
+
+
+@pytest.mark.parametrize("report", [MapReport(), MapReport(trajectories=(TrajectoryReport("visual", 9),))])
+def test_a_map_that_does_not_say_is_neither(room_map: Map, report: MapReport) -> None:
+    assert trust_of(replace(room_map.info, report=report)).trusted is None

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from rholoc.processes import AsyncProgram, Program, running_program
+from rholoc.processes.async_program import AsyncProgram
 from rholoc.processes.interrupts import interrupts_deferred
+from rholoc.processes.program import Program, running_program
 from rholoc.processes.tree import descendants
 from waiting import alive, until
 

@@ -24,7 +24,7 @@ from rholoc.recordings import (
     pauses,
     read_recording,
 )
-from rholoc.recordings.frames.missing_images import MissingImages
+from rholoc.recordings.frames.memory_frames import MissingImages
 from rholoc.recordings.walk.stillness import is_still
 from rholoc.recordings.walk.walk_figures import look_through, nearest_return
 from rholoc.reports import report_to_json

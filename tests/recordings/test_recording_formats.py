@@ -24,8 +24,7 @@ from rholoc.recordings import (
     write_waypoints_csv,
 )
 from rholoc.recordings.frame_slice import SelectedFrames, select_frames
-from rholoc.recordings.frames.steady_frames import SteadyFrames
-from rholoc.recordings.frames.unified_pictures import resampled
+from rholoc.recordings.frames.unified_pictures import SteadyFrames, resampled
 from rholoc.recordings.readers import READERS
 from rholoc.recordings.recording import Waypoint
 

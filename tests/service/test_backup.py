@@ -13,8 +13,10 @@ import pytest
 
 from rholoc.errors import Conflict, InvalidInput, StorageUnavailable
 from rholoc.geometry import Camera
-from rholoc.library import WAYPOINTS_FILE, CameraLibrary, CameraProfile, SiteLibrary, Stores
-from rholoc.library.stores import CAMERAS, KEYS, SITES
+from rholoc.library.cameras import CameraLibrary, CameraProfile
+from rholoc.library.recording_notes import WAYPOINTS_FILE
+from rholoc.library.sites import SiteLibrary
+from rholoc.library.stores import CAMERAS, KEYS, SITES, Stores
 from rholoc.maps import Map, Site, SiteMap
 from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
 from rholoc.service.operate import backup as module

@@ -10,7 +10,7 @@ import pytest
 from fastapi import APIRouter
 
 from rholoc.errors import Conflict, InvalidName, NotFound
-from rholoc.library import FolderDocuments
+from rholoc.library.folder_documents import FolderDocuments
 from rholoc.service.access.guard import Guard, check_query, check_same_site
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.access.scopes import NEEDS_MAP, Access, RouteAccess

@@ -1,14 +1,20 @@
-"""Of many maps, those are asked that a frame is most like."""
+"""Of many maps, those are asked that a frame is most like; localizers live as long as their maps are in memory."""
 
 from __future__ import annotations
 
 import time
+from pathlib import Path
+from typing import cast
 
 import httpx
 import pytest
 
-from rholoc.maps import map_to_bytes
-from rholoc.service.frames.map_choice import MAX_ASKED, Candidates
+from rholoc.library.map_cache import memory_bytes
+from rholoc.library.maps import MapLibrary
+from rholoc.maps import map_to_bytes, save_map
+from rholoc.service.frames.localizers import Localizers
+from rholoc.service.frames.map_choice import MAX_ASKED, Candidates, each_map
+from rholoc.service.http.stopwatch import Stopwatch
 
 PNG = {"content-type": "image/png"}
 PATIENCE_S = 60.0
@@ -85,3 +91,31 @@ def test_a_sure_answer_ends_the_search_unless_another_map_is_about_as_likely(
 ) -> None:
     maps = Candidates(("a", "b", "c"), passing_over=True, scores=scores)
     assert maps.is_settled(asked, 0, confidence) is settled
+
+
+def test_a_map_that_leaves_memory_takes_its_localizer_along(tmp_path: Path, picture_world) -> None:
+    for name in ("first", "second"):
+        save_map(picture_world.map_, tmp_path / f"{name}.rho")
+    library = MapLibrary(tmp_path, cache_bytes=1.5 * memory_bytes(picture_world.map_))
+    localizers = Localizers(library, 0.5)
+    first = localizers.get("first")
+    assert localizers.get("first") is first
+    localizers.get("second")
+    again = localizers.get("first")
+    assert again is not first
+    assert again.map is not first.map
+
+
+def test_loading_a_map_is_timed_apart() -> None:
+    class Cold:
+        def get(self, name: str) -> str:
+            time.sleep(0.02)
+            return name
+
+    asked: list[str] = []
+    clock = Stopwatch()
+    each_map(
+        Candidates(("a", "b"), passing_over=False), cast(Localizers, Cold()), lambda name, _: asked.append(name), clock
+    )
+    assert asked == ["a", "b"]
+    assert clock.stages_ms["load"] >= 40

@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 
 from rholoc.errors import InvalidInput, UnknownRecording
-from rholoc.library import MapLibrary, RecordingStore
+from rholoc.library.maps import MapLibrary
+from rholoc.library.recordings import RecordingStore
 from rholoc.maps import FloorPlan
 from rholoc.maps.floor_plan import check_plan
 from rholoc.service.settings import KeyPolicy

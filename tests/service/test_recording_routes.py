@@ -9,8 +9,8 @@ import httpx
 import numpy as np
 import pytest
 
-from rholoc.library import RecordingStore
 from rholoc.library.recording_notes import notes_of
+from rholoc.library.recordings import RecordingStore
 from rholoc.recordings import MemoryFrames, Recording
 from rholoc_client import Client, ServiceError
 

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 import httpx
 import pytest
 
-from rholoc.library import RecordingStore
+from rholoc.library.recordings import RecordingStore
 from rholoc.storage.tables import uploads_table
 
 VIDEO = b"\0\0\0\x18ftypmp42" + bytes(range(256)) * 8000

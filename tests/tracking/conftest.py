@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rholoc.tracking import Answered, Moment, Step
+from rholoc.tracking.follow import Answered, Step
+from rholoc.tracking.moments import Moment
 from rholoc_client.models import Pose
 from rholoc_client.tracking import Tracked, TrackStatus
 

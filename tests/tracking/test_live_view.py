@@ -16,9 +16,11 @@ from bag_messages import bag_messages
 from foxglove_client import PATIENCE_S, Foxglove
 from rholoc.errors import InvalidInput
 from rholoc.geometry import Camera
-from rholoc.tracking import MessagesOfTrack, PoseBag, pose_messages
+from rholoc.tracking import pose_messages
 from rholoc.tracking.live_view import LiveView
+from rholoc.tracking.pose_bag import PoseBag
 from rholoc.tracking.pose_messages import PICTURE_TOPICS, TOPICS
+from rholoc.tracking.users import MessagesOfTrack
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove.json"
 CAMERA = Camera(960, 720, 800.0, 810.0, 470.0, 350.0)

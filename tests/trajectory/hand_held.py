@@ -1,4 +1,4 @@
-"""A synthetic hand-held walk: splines, and what an IMU feels of them."""
+"""Synthetic hand-held walks, along splines or from stop to stop, and what an IMU feels of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from rholoc.geometry import FloatArray, pose_matrix
-from rholoc.recordings import GRAVITY, Imu
+from rholoc.recordings import GRAVITY, Imu, Waypoint
 
 R_CAMERA_IMU = Rotation.from_euler("xyz", [90, 0, 80], degrees=True).as_matrix()
 
@@ -42,3 +42,38 @@ def hand_held_walk(delay_s: float = 0.0, known_mounting: bool = True) -> HandHel
     )
     times = np.arange(0.0, 20.0, 0.2)
     return HandHeld(times, pose_matrix(turn(times).as_matrix(), path(times)), imu)
+
+
+STOPS = np.array([1.0, 6.0, 11.0, 16.0])
+PLACES = np.array([[0.0, 0, 1.4], [2.0, 0.5, 1.4], [2.5, 2.5, 1.3], [0.5, 2.0, 1.4]])
+HOLD_S = 1.6
+
+
+def walk(drift: float = 0.0) -> tuple[Imu, FloatArray, FloatArray]:
+    """From stop to stop: the IMU, and the camera's path (N, 3) and rotations (N, 3, 3) at its times.
+
+    ``drift``: m/s³, by which the accelerometer's error along y grows while the camera moves.
+    """
+    t = np.arange(0.0, 17.0, 0.005)
+    share = np.clip((t[:, None] - STOPS[:-1] - HOLD_S / 2) / (np.diff(STOPS) - HOLD_S), 0, 1)
+    smooth = 10 * share**3 - 15 * share**4 + 6 * share**5
+    path = PLACES[0] + smooth @ np.diff(PLACES, axis=0)
+    yaw = 0.8 * smooth.sum(axis=1)
+    R = (Rotation.from_rotvec(np.outer(yaw, [0, 0, 1])) * Rotation.from_euler("x", -90, degrees=True)).as_matrix()
+    acceleration = np.add(np.gradient(np.gradient(path, t, axis=0), t, axis=0), [0, 0, GRAVITY])
+    moving = np.where((share > 0) & (share < 1), share, 0).sum(axis=1) * (STOPS[1] - STOPS[0] - HOLD_S)
+    acceleration[:, 1] += drift * moving
+    rate = np.column_stack([0 * t, 0 * t, np.gradient(yaw, t)])
+    R_map_imu = R @ R_CAMERA_IMU
+    imu = Imu(
+        t,
+        np.add(np.einsum("nij,ni->nj", R_map_imu, acceleration), [0.03, -0.02, 0.02]),
+        np.add(np.einsum("nij,ni->nj", R_map_imu, rate), [0.002, -0.001, 0.001]),
+        True,
+        R_CAMERA_IMU,
+    )
+    return imu, path, R
+
+
+def waypoints(which: tuple[int, ...]) -> list[Waypoint]:
+    return [Waypoint(str(i), float(STOPS[i]), tuple(PLACES[i])) for i in which]

@@ -8,11 +8,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from synthetic_walk import DELAY_S, SyntheticWalk, estimated
 
 from rholoc.errors import InvalidRecording, InvalidWaypoints, MappingFailed
-from rholoc.geometry import ByteArray, Camera, FloatArray
-from rholoc.recordings import GivenPoses, KnownLength, MemoryFrames, Recording, Waypoint
-from rholoc.trajectory import PoseMethod, Scale
+from rholoc.geometry import ByteArray, Camera, FloatArray, align_poses, pose_distances, umeyama
+from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.recordings import GivenPoses, KnownLength, MemoryFrames, Recording, Waypoint, read_recording
+from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk
+from rholoc.trajectory import PoseMethod, Scale, Trajectory
+from rholoc.trajectory.child import ReconstructionBroken, run_in_child
 from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc.trajectory.reconstruction import Sights
 
@@ -102,3 +106,110 @@ def test_a_rolling_shutter_is_corrected_before_the_reconstruction(monkeypatch: p
     late_s = ((as_read[:, 1] + 0.5) / 240 - 0.5) * 0.015
     np.testing.assert_allclose(at_once[:, 0] - as_read[:, 0], 180 * late_s, atol=0.1)
     np.testing.assert_allclose(at_once[:, 1], as_read[:, 1], atol=0.1)
+
+
+def _fail(text: str, _: ProgressListener) -> None:
+    raise RuntimeError(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "The reconstruction stopped at an unexpected error: RuntimeError"),
+        ("out of range", "The reconstruction stopped at an unexpected error: RuntimeError: out of range"),
+        (
+            "\nIndeterminant linear system detected while working near variable\n0 (Symbol: d0)",
+            "What was measured leaves the shape of the walk open.",
+        ),
+    ],
+)
+def test_a_librarys_error_is_reported_in_words(text: str, message: str) -> None:
+    with pytest.raises(MappingFailed) as raised:
+        run_in_child(_fail, text, progress=silent, stage=Stage.POSES)
+    assert raised.value.message == message
+    assert raised.value.hint
+    assert isinstance(raised.value, ReconstructionBroken) == ("unexpected" in message)
+
+
+_WRONG_M = 0.3
+
+
+@pytest.fixture(scope="module")
+def walk() -> SyntheticWalk:
+    """The first six seconds of a walk."""
+    return SyntheticWalk(times=np.arange(0, 6, 0.2))
+
+
+def _waypoints(walk: SyntheticWalk) -> tuple[Waypoint, ...]:
+    """Where the camera truly was, every second, the fourth measured wrong."""
+    rows = np.arange(2, len(walk.times), 5)
+    places = walk.T_map_camera[rows, :3, 3] + np.where(np.arange(len(rows)) == 3, _WRONG_M, 0.0)[:, None] * [0, 0, 1]
+    return tuple(
+        Waypoint(f"P{i}", float(walk.times[row]), tuple(place))
+        for i, (row, place) in enumerate(zip(rows, places, strict=True))
+    )
+
+
+def _truth(walk: SyntheticWalk, found: Trajectory) -> FloatArray:
+    return walk.T_map_camera[found.rows]
+
+
+def test_with_imu_and_waypoints_one_of_which_is_wrong(walk: SyntheticWalk) -> None:
+    found = estimated(walk, walk.recording(waypoints=_waypoints(walk)), PoseMethod.VISUAL_INERTIAL)
+    off_m, off_rad = pose_distances(found.T_map_camera, _truth(walk, found))
+    report = found.report
+    assert found.scale is Scale.METRIC
+    assert found.upright
+    assert len(found.rows) == report.keyframes == report.frames > 25
+    assert np.median(off_m) < 0.015
+    assert off_m.max() < 0.05
+    assert np.degrees(np.median(off_rad)) < 0.5
+    assert report.waypoint_mistake is not None
+    assert "P3" in report.waypoint_mistake
+    assert report.waypoint_residuals_m["P3"] == pytest.approx(_WRONG_M, abs=0.05)
+    assert max(off for name, off in report.waypoint_residuals_m.items() if name != "P3") < 0.05
+    assert 0.2 < report.reprojection_error_px < 0.6
+    assert report.imu.time_offset_s == pytest.approx(DELAY_S, abs=0.01)
+    assert report.imu.accelerometer_scale == pytest.approx(1.0, abs=0.05)
+    np.testing.assert_allclose(np.linalg.det(np.array(report.imu.R_camera_imu)), 1, atol=1e-6)
+    assert 0.2 * np.median(off_m) < report.expected_error_m < 0.05
+    assert found.covariances is not None
+    assert np.linalg.eigvalsh(found.covariances).min() > 0
+
+
+@pytest.mark.slow
+def test_by_pictures_alone_the_shape_is_right(walk: SyntheticWalk) -> None:
+    found = estimated(walk, walk.recording(imu=None, waypoints=()), PoseMethod.VISUAL)
+    assert found.scale is Scale.ARBITRARY
+    to_truth = umeyama(found.T_map_camera[:, :3, 3], _truth(walk, found)[:, :3, 3])
+    off_m, off_rad = pose_distances(to_truth.poses(found.T_map_camera), _truth(walk, found))
+    assert len(found.rows) > 25
+    assert np.median(off_m) < 0.02
+    assert np.degrees(np.median(off_rad)) < 1.0
+    assert found.report.disagreement_of_depth < 0.02
+    assert found.report.trusted, found.report.why
+    assert found.report.expected_error_m is None
+
+
+@pytest.mark.slow
+def test_depth_pictures_make_a_walk_metric(tmp_path: Path) -> None:
+    """Files as 7-Scenes has them, of a simulated room."""
+    scene = make_test_site(0)
+    renderer = Renderer(scene, [face.paint.albedo for face in scene.faces])
+    camera, depth_camera = PHONE_CAMERA, PHONE_CAMERA.resized(160, 120)
+    poses = make_walk(1).poses(np.arange(0, 6, 0.4))
+    for i, pose in enumerate(poses):
+        name = tmp_path / f"frame-{i:06d}"
+        depth = np.round(1000 * renderer.surface(depth_camera, pose).depth).astype(np.uint16)
+        assert cv2.imwrite(f"{name}.color.png", renderer.radiance(camera, [pose] * 4))
+        assert cv2.imwrite(f"{name}.depth.png", depth)
+        np.savetxt(f"{name}.pose.txt", pose.T_map_camera)
+    recording = read_recording(tmp_path)
+    assert recording.depth is not None
+    depth_images = replace(recording.depth, camera=depth_camera)
+    found = estimate_trajectory(replace(recording, camera=camera, poses=None, depth=depth_images), PoseMethod.AUTO)
+    assert found.scale is Scale.METRIC
+    assert found.report.scale is not None
+    assert found.report.scale.startswith("Depth pictures fix the scale to 1.")
+    T = np.array([poses[row].T_map_camera for row in found.rows])
+    assert align_poses(found.T_map_camera, T).scale == pytest.approx(1.0, abs=0.02)

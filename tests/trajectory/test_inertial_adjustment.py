@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_dead_reckoning import STOPS, walk, waypoints
+from hand_held import PLACES, STOPS, walk, waypoints
+from scipy.spatial.transform import Rotation
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, pose_distances, pose_matrix
@@ -100,3 +101,49 @@ def test_a_waypoint_that_is_wrong_does_not_bend_the_walk() -> None:
     rows = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::100]
     found = adjust_between_waypoints(imu, measured, imu.times[rows])
     assert np.median(np.linalg.norm(found[:, :3, 3] - path[rows], axis=1)) < 0.15
+
+
+def test_the_imu_alone_joins_waypoints_and_rests_between_them() -> None:
+    imu, path, R = walk()
+    rows = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::40]
+    found = integrate_between_waypoints(imu, waypoints((0, 1, 3)), imu.times[rows])  # the third is a mere rest
+    assert np.linalg.norm(found[:, :3, 3] - path[rows], axis=1).max() < 0.05
+    turned = Rotation.from_matrix(np.swapaxes(found[:, :3, :3], 1, 2) @ R[rows])
+    assert np.degrees(turned.magnitude()).max() < 4
+
+
+def test_what_is_left_of_place_at_a_waypoint_is_spread_over_the_way_there() -> None:
+    imu, path, _ = walk(drift=0.1)
+    moving = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::20]
+    found = integrate_between_waypoints(imu, waypoints((0, 1, 2, 3)), imu.times[moving])
+    assert np.linalg.norm(found[:, :3, 3] - path[moving], axis=1).max() < 0.2
+
+    just_before = STOPS[1:] - 0.01
+    arrived = integrate_between_waypoints(imu, waypoints((0, 1, 2, 3)), just_before)
+    np.testing.assert_allclose(arrived[:, :3, 3], PLACES[1:], atol=0.005)
+
+
+def test_a_perfect_imu_gives_the_perfect_walk() -> None:
+    imu, path, R = walk()
+    exact = replace(
+        imu,
+        acceleration=imu.acceleration - [0.03, -0.02, 0.02],
+        angular_velocity=imu.angular_velocity - [0.002, -0.001, 0.001],
+    )
+    rows = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::20]
+    shuffled = waypoints((2, 0, 3, 1))
+    found = integrate_between_waypoints(exact, shuffled, imu.times[rows])
+    np.testing.assert_allclose(found[:, :3, 3], path[rows], atol=1e-3)
+    np.testing.assert_allclose(found[:, :3, :3], R[rows], atol=2e-3)
+
+
+def test_an_imu_that_cannot_place_the_camera_is_refused() -> None:
+    imu, *_ = walk()
+    at = np.array([2.0])
+    for useless in (replace(imu, R_camera_imu=None), replace(imu, includes_gravity=False)):
+        with pytest.raises(MappingFailed, match="mounting or gravity"):
+            integrate_between_waypoints(useless, waypoints((0, 1, 3)), at)
+    for kept in (imu.times > 1.1, imu.times < 15.9):
+        part = replace(imu, times=imu.times[kept], acceleration=imu.acceleration[kept])
+        with pytest.raises(MappingFailed, match="does not cover"):
+            integrate_between_waypoints(part, waypoints((0, 1, 3)), at)

@@ -13,7 +13,7 @@ from synthetic_walk import SyntheticWalk, estimated
 from rholoc.errors import InvalidRecording, InvalidTrajectory
 from rholoc.geometry import FloatArray, align_poses, pose_matrix
 from rholoc.recordings import Odometry
-from rholoc.recordings.tables.odometry_table import read_odometry_csv
+from rholoc.recordings.tables.own_tables import read_odometry_csv
 from rholoc.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.inertial.odometry import odometry_steps
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_held import STOPS, walk, waypoints
 from scipy.spatial.transform import Rotation
 from synthetic_walk import Frames, followed
-from test_dead_reckoning import STOPS, walk, waypoints
 
 from rholoc.errors import InvalidRecording, InvalidWaypoints, MappingFailed
 from rholoc.features import FeatureSet

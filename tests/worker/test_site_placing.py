@@ -15,7 +15,8 @@ from fake_pipeline import tiny_map
 from house import DOORS, IN_SITE, PAIRS, placed, put_house, put_rooms
 from rholoc.errors import Cancelled, Conflict, MappingFailed, UnknownSite
 from rholoc.jobs import JobKind, JobState
-from rholoc.library import MapLibrary, SiteLibrary
+from rholoc.library.maps import MapLibrary
+from rholoc.library.sites import SiteLibrary
 from rholoc.mapping.sites.poses import solve_site
 from rholoc.maps import FramePose, Site, SiteMap
 from rholoc.progress import Stage, silent
@@ -23,6 +24,8 @@ from rholoc.worker.site_placing import store_links, write_links
 
 if TYPE_CHECKING:
     from job_site import Site as Workplace
+from rholoc.library.stores import SITES
+from waiting import until
 
 
 @pytest.fixture
@@ -156,3 +159,19 @@ def test_a_site_is_placed_though_the_worker_dies_in_the_middle(site: Workplace) 
     assert (done.state, done.attempts, done.warnings, done.trusted) == (JobState.PUBLISHED, 2, (), None)
     assert set(placed(sites.get("house"))) == set(DOORS)
     assert sites.get("house").version == 2
+
+
+@pytest.mark.slow
+def test_another_machine_places_the_site_of_one_that_died(campus: Workplace) -> None:
+    put_rooms(campus.library)
+    sites = put_house(SiteLibrary(campus.stores.documents(SITES)))
+    campus.control.hold(PAIRS[-1])
+    worker = campus.start_worker()
+    job = campus.queue.submit_placing("house")
+    campus.wait_at(PAIRS[-1])
+    os.kill(worker.pid, signal.SIGKILL)
+    campus.control.let_go(PAIRS[-1])
+    campus.start_worker()
+    done = campus.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
+    assert (done.state, done.attempts, done.error_message) == (JobState.PUBLISHED, 2, None)
+    until(lambda: set(placed(sites.get("house"))) == set(DOORS))

@@ -9,11 +9,19 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fake_pipeline import KILL_POINTS
-from rholoc.jobs import JobState
-from rholoc.library import MapLibrary
+from rholoc.jobs import JobState, Obstacle
+from rholoc.library.maps import MapLibrary
 
 if TYPE_CHECKING:
     from job_site import Site
+from pathlib import Path
+
+from waiting import until
+
+if TYPE_CHECKING:
+    from job_site import Site
+    from postgres_server import PostgresServer
+from rholoc.jobs.workers_table import WorkerTable
 
 
 @pytest.mark.slow
@@ -81,3 +89,88 @@ def test_stopping_workers_does_not_fail_a_job(site: Site) -> None:
     site.start_worker()
     done = site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
     assert (done.state, done.attempts) == (JobState.PUBLISHED, 7)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)  # workers are started again after each kill, in a minute on a busy machine
+def test_workers_killed_while_they_publish_are_followed_by_others_elsewhere_and_publish_once(campus: Site) -> None:
+    jobs = campus.survive_kills([KILL_POINTS[-3:]])
+    assert [job.state for job in jobs] == [JobState.PUBLISHED] * len(jobs)
+    campus.stores.refresh()
+    assert campus.library.names() == sorted(job.map_name for job in jobs)
+    assert all(campus.library.versions(name) == {} for name in campus.library.names()), "each was published once"
+    assert all(campus.library.get(name).info.version == 1 for name in campus.library.names())
+
+
+@pytest.mark.slow
+def test_a_job_outlives_a_storage_that_is_gone_for_a_while(campus: Site, storage_url: str) -> None:
+    folder = Path(storage_url.removeprefix("file://"))
+    campus.control.hold("built")
+    campus.start_worker()
+    job = campus.submit()
+    campus.wait_at("built")
+    folder.rename(folder.with_name("gone"))
+    folder.write_text("a file stands where the storage was")
+    campus.control.let_go("built")
+    until(lambda: "publishing" in campus.queue.get(job.id).message)
+    folder.unlink()
+    folder.with_name("gone").rename(folder)
+    assert campus.wait_for(job, JobState.PUBLISHED, JobState.FAILED).state is JobState.PUBLISHED
+    until(lambda: campus.library.names() == ["room"])
+
+
+@pytest.mark.slow
+def test_a_job_outlives_a_database_that_is_started_again(campus: Site, postgres: PostgresServer) -> None:
+    campus.control.hold("poses")
+    campus.start_worker()
+    job = campus.submit()
+    campus.wait_at("poses")
+    campus.library.names()
+    postgres.stop()
+    postgres.start()
+    campus.control.let_go("poses")
+    assert campus.wait_for(job, JobState.PUBLISHED, JobState.FAILED).state is JobState.PUBLISHED
+    until(lambda: campus.library.names() == ["room"])
+
+
+_ENDED = (JobState.PUBLISHED, JobState.FAILED)
+
+
+@pytest.mark.slow
+def test_a_long_walk_is_left_to_the_worker_that_has_the_memory(campus: Site) -> None:
+    campus.start_worker(memory_gib=2)
+    long = campus.submit(b"4 GiB, a long walk", "long")
+    until(lambda: campus.queue.get(long.id).obstacle is Obstacle.MEMORY)
+    assert "4.0 GiB" in campus.queue.get(long.id).message
+    short = campus.submit(b"1 GiB, a short walk", "short")
+    assert campus.wait_for(short, *_ENDED).state is JobState.PUBLISHED, "the small worker goes on with others"
+    campus.start_worker(memory_gib=6, jobs=2)
+    done = campus.wait_for(long, *_ENDED)
+    assert (done.state, done.attempts, done.obstacle) == (JobState.PUBLISHED, 2, None)
+
+
+@pytest.mark.slow
+def test_a_job_that_is_killed_for_its_memory_goes_to_a_worker_with_more(campus: Site) -> None:
+    campus.start_worker(memory_gib=2)
+    alone = campus.submit(b"killed below 4 GiB", "alone")
+    failed = campus.wait_for(alone, *_ENDED)
+    assert (failed.state, failed.attempts) == (JobState.FAILED, 1), "nobody has more"
+    campus.start_worker(memory_gib=6)
+    until(lambda: {worker.memory_bytes for worker in WorkerTable(campus.queue.engine).living()} == {2**31, 6 * 2**30})
+    jobs = [campus.submit(b"killed below 4 GiB", f"room-{number}") for number in range(4)]
+    assert all(campus.wait_for(job, *_ENDED).state is JobState.PUBLISHED for job in jobs)
+    campus.queue.retry(alone.id)
+    done = campus.wait_for(alone, *_ENDED)
+    assert (done.state, done.attempts <= 2) == (JobState.PUBLISHED, True)
+
+
+@pytest.mark.slow
+def test_a_worker_does_as_many_jobs_at_a_time_as_it_has_memory_for(campus: Site) -> None:
+    campus.control.hold("poses")
+    campus.start_worker(memory_gib=8, jobs=3)
+    jobs = [campus.submit(b"3 GiB", f"room-{number}") for number in range(3)]
+    campus.wait_at("poses", 2)
+    states = [campus.queue.get(job.id).state for job in jobs]
+    assert sorted(states) == [JobState.QUEUED, JobState.RUNNING, JobState.RUNNING]
+    campus.control.let_go("poses")
+    assert all(campus.wait_for(job, *_ENDED).state is JobState.PUBLISHED for job in jobs)

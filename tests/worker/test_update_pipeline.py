@@ -11,9 +11,9 @@ import pytest
 
 from rholoc.errors import Conflict, MappingFailed, UnknownMap
 from rholoc.jobs import JobKind, JobOptions
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.maps import Cloud, Map, Room
-from rholoc.processes import Limits
+from rholoc.processes.limits import Limits
 from rholoc.progress import silent
 from rholoc.recordings import MemoryFrames, Recording
 from rholoc.worker import pipeline

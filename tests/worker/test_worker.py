@@ -18,8 +18,8 @@ from rholoc.errors import Conflict
 from rholoc.jobs import JobOptions, JobState
 from rholoc.jobs.leases import Failure
 from rholoc.jobs.workers_table import WorkerTable
-from rholoc.library import MapLibrary
-from rholoc.processes import Limits
+from rholoc.library.maps import MapLibrary
+from rholoc.processes.limits import Limits
 from rholoc.progress import Stage, silent
 from rholoc.storage.database import open_database
 from rholoc.worker.build_process import KilledForMemory, build_in_process, run_build

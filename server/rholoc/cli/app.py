@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 
 from rholoc import __version__
-from rholoc.cli import cameras, demo, localize, maps, recordings, sites, track, watch
+from rholoc.cli import cameras, demo, localize, maps, recordings, sites, track
 from rholoc.cli.console import print_error
 from rholoc.cli.lab import CommandsOfTheLab, add_lab
-from rholoc.cli.operate import audit, backup, doctor, jobs, keys, serve, storage
+from rholoc.cli.operate import backup, doctor, jobs, keys, serve
 from rholoc.disk import is_full
 from rholoc.errors import RholocError
 
@@ -36,17 +36,17 @@ app.command()(serve.worker)
 app.command()(backup.backup)
 app.command()(backup.restore)
 app.command()(doctor.doctor)
-app.command()(audit.audit)
+app.command()(keys.audit)
 app.add_typer(maps.app, name="map")
 app.add_typer(cameras.app, name="camera")
 app.add_typer(sites.app, name="site")
 app.add_typer(recordings.app, name="recording")
 app.add_typer(keys.app, name="key")
 app.add_typer(jobs.app, name="job")
-app.add_typer(storage.app, name="storage")
+app.add_typer(backup.storage_app, name="storage")
 app.command()(localize.localize)
 app.command()(track.track)
-app.command()(watch.watch)
+app.command()(track.watch)
 add_lab(app, maps.app, recordings.app)
 
 

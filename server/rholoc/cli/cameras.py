@@ -13,7 +13,7 @@ from rholoc.errors import InvalidCamera, InvalidInput
 
 if TYPE_CHECKING:
     from rholoc.geometry import Camera
-    from rholoc.library import CameraProfile
+    from rholoc.library.cameras import CameraProfile
 
 app = typer.Typer(no_args_is_help=True, help="Keep cameras under names, and calibrate them.")
 
@@ -46,7 +46,7 @@ def add(
 ) -> None:
     """Store a camera under a name, replacing any of that name."""
     from rholoc.geometry import Lens
-    from rholoc.library import CameraLibrary, CameraProfile
+    from rholoc.library.cameras import CameraLibrary, CameraProfile
 
     is_written = "," in source or source == Lens.EQUIRECTANGULAR
     profile = CameraProfile(_parse(source, size) if is_written else _read(Path(source)))
@@ -57,7 +57,7 @@ def add(
 @app.command(name="list")
 def list_cameras(maps: Maps = _MAPS, as_json: options.Json = False) -> None:
     """List the cameras."""
-    from rholoc.library import CameraLibrary
+    from rholoc.library.cameras import CameraLibrary
 
     library = CameraLibrary(maps)
     profiles = {name: library.get(name) for name in library.names()}
@@ -70,7 +70,7 @@ def list_cameras(maps: Maps = _MAPS, as_json: options.Json = False) -> None:
 @app.command()
 def show(name: Name, maps: Maps = _MAPS, as_json: options.Json = False) -> None:
     """Print a camera's intrinsics and how it was calibrated."""
-    from rholoc.library import CameraLibrary
+    from rholoc.library.cameras import CameraLibrary
 
     _print(name, CameraLibrary(maps).get(name), as_json)
 
@@ -78,7 +78,7 @@ def show(name: Name, maps: Maps = _MAPS, as_json: options.Json = False) -> None:
 @app.command()
 def remove(name: Name, maps: Maps = _MAPS) -> None:
     """Delete a camera; maps that were made with it keep it."""
-    from rholoc.library import CameraLibrary
+    from rholoc.library.cameras import CameraLibrary
 
     CameraLibrary(maps).delete(name)
 
@@ -112,7 +112,7 @@ def calibrate(
     from rholoc.calibration import calibrate as calibrated
     from rholoc.disk import replace_file
     from rholoc.geometry import Lens
-    from rholoc.library import CameraLibrary, CameraProfile, check_camera_name
+    from rholoc.library.cameras import CameraLibrary, CameraProfile, check_camera_name
     from rholoc.recordings import read_recording
 
     kind = BoardKind.CHARUCO if charuco else BoardKind.CHECKERBOARD

@@ -50,9 +50,9 @@ def print_notice(text: str) -> None:
 def print_qr_code(text: str) -> None:
     """Print a text as a QR code on standard error, if that is a terminal."""
     if notices.is_terminal:
-        import segno
+        from rholoc.service.qr_code import qr_for_terminal
 
-        segno.make(text, error="l", micro=False).terminal(out=sys.stderr, compact=True)
+        sys.stderr.write(f"{qr_for_terminal(text)}\n")
 
 
 def print_figures(title: str, figures: Mapping[str, str]) -> None:

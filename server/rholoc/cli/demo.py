@@ -27,7 +27,7 @@ from rholoc.cli.localize import trajectory_table
 from rholoc.cli.maps.page import trust_line
 from rholoc.cli.server_process import RunningServer, in_background, running_server
 from rholoc.errors import RholocError
-from rholoc.processes import interruptible
+from rholoc.processes.interrupts import interruptible
 
 if TYPE_CHECKING:
     from rholoc.evaluation import Evaluation

@@ -16,7 +16,7 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice
-from rholoc.cli.targets import is_bag_target
+from rholoc.cli.options import is_bag_target
 from rholoc.errors import InvalidCamera
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def _localize_frames(
 
 def _write_bag(path: Path, times: FloatArray, answers: Sequence[Localization], T_base_camera: FloatArray) -> None:
     """Write the answers to a bag of ROS 2: beliefs of all frames, poses of those that were localized."""
-    from rholoc.tracking import PoseBag
+    from rholoc.tracking.pose_bag import PoseBag
 
     with PoseBag(path, T_base_camera) as bag:
         for time_s, answer in zip(times.tolist(), answers, strict=True):

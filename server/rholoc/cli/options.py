@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Options that several commands share, and checks of their output files before the work begins."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rholoc.geometry import Camera as GeometryCamera
     from rholoc.geometry import FloatArray
     from rholoc.localization import Dof
+from rholoc.errors import InvalidInput
 
 _Choice = TypeVar("_Choice", bound=StrEnum)
 
@@ -84,7 +85,7 @@ def named_camera(text: str | None) -> GeometryCamera | str | None:
     Raises:
         InvalidName, UnknownCamera, InvalidCamera: there is no such camera, or its file is damaged.
     """
-    from rholoc.library import CameraLibrary
+    from rholoc.library.cameras import CameraLibrary
 
     return CameraLibrary(Path(os.environ.get(MAPS_VARIABLE, DEFAULT_MAPS))).named_in(text)
 
@@ -134,3 +135,31 @@ def choice(kind: type[_Choice], text: str, option: str) -> _Choice:
 def data_folder(given: Path | None) -> Path:
     """The data folder: given by the command, else by RHOLOC_DATA_DIR, else the default one."""
     return given or Path(os.environ.get(DATA_VARIABLE, DEFAULT_DATA))
+
+
+def check_target(path: Path, what: str) -> Path:
+    """Return the path after checking that a file for ``what`` can be written there.
+
+    Raises:
+        InvalidInput: its folder does not exist or is not writable, or it is a folder itself.
+    """
+    if not path.parent.is_dir():
+        raise InvalidInput(f"There is no folder {path.parent} to write {what} to.", "Create it first.")
+    if path.is_dir():
+        raise InvalidInput(f"{path} is a folder.", f"Name a file to write {what} to, in it or elsewhere.")
+    if not os.access(path.parent, os.W_OK):
+        raise InvalidInput(f"The folder {path.parent} cannot be written to.", "Choose another, or allow it.")
+    return path
+
+
+def is_bag_target(path: Path) -> bool:
+    """Whether poses that are written to a path are a bag of ROS 2 (``.mcap``), not a table, after checking the path.
+
+    Raises:
+        InvalidInput: it cannot be written there, or is a bag of another kind.
+    """
+    check_target(path, "the poses")
+    suffix = path.suffix.lower()
+    if suffix in (".bag", ".db3"):
+        raise InvalidInput(f"Bags are written as .mcap, not as {suffix}.", f"Name it {path.stem}.mcap.")
+    return suffix == ".mcap"

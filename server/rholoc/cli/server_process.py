@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rholoc.errors import RholocError
-from rholoc.processes import Program, interruptible, running_program
+from rholoc.processes.interrupts import interruptible
+from rholoc.processes.program import Program, running_program
 
 _START_TIMEOUT_S = 200.0  # only a very busy machine takes more than a few seconds
 _STOP_TIMEOUT_S = 2.0  # after which the server and its workers are killed

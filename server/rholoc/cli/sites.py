@@ -29,7 +29,7 @@ _MAPS = Path(options.DEFAULT_MAPS)
 @app.command(name="list")
 def list_sites(maps: Maps = _MAPS, as_json: options.Json = False) -> None:
     """List the sites."""
-    from rholoc.library import SiteLibrary
+    from rholoc.library.sites import SiteLibrary
 
     sites = SiteLibrary(maps).all()
     if as_json:
@@ -45,7 +45,7 @@ def list_sites(maps: Maps = _MAPS, as_json: options.Json = False) -> None:
 @app.command()
 def show(name: Name, maps: Maps = _MAPS, as_json: options.Json = False) -> None:
     """Show a site: where its maps lie, and the links that this follows from."""
-    from rholoc.library import SiteLibrary
+    from rholoc.library.sites import SiteLibrary
 
     _print(name, SiteLibrary(maps).get(name), maps, as_json)
 
@@ -60,7 +60,8 @@ def put(
     """Store a site, and find the poses that nobody gave from its links."""
     from pydantic import ValidationError
 
-    from rholoc.library import MapLibrary, SiteLibrary
+    from rholoc.library.maps import MapLibrary
+    from rholoc.library.sites import SiteLibrary
     from rholoc.mapping.sites.poses import solve_site
     from rholoc.service.maps.site_documents import SiteIn, site_of
 
@@ -85,7 +86,8 @@ def link(
     as_json: options.Json = False,
 ) -> None:
     """Find the pose between two maps, by points that both have or by overlap, and place the site's maps anew."""
-    from rholoc.library import MapLibrary, SiteLibrary
+    from rholoc.library.maps import MapLibrary
+    from rholoc.library.sites import SiteLibrary
     from rholoc.mapping.sites.poses import find_link, with_link
 
     sites, library = SiteLibrary(maps), MapLibrary(maps)
@@ -115,7 +117,7 @@ def place(
 def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> None:
     from dataclasses import asdict
 
-    from rholoc.library import SiteLibrary
+    from rholoc.library.sites import SiteLibrary
 
     settings = service_settings(data_dir=data)
     if settings.shared_storage is None:
@@ -129,7 +131,8 @@ def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> N
 
 
 def _place(name: str, maps: Path, as_json: bool) -> None:
-    from rholoc.library import MapLibrary, SiteLibrary
+    from rholoc.library.maps import MapLibrary
+    from rholoc.library.sites import SiteLibrary
     from rholoc.mapping.sites.linking import search_links
     from rholoc.mapping.sites.poses import solve_site, with_link
 
@@ -151,21 +154,21 @@ def _place(name: str, maps: Path, as_json: bool) -> None:
 @app.command()
 def delete(name: Name, maps: Maps = _MAPS) -> None:
     """Delete a site; its maps stay."""
-    from rholoc.library import SiteLibrary
+    from rholoc.library.sites import SiteLibrary
 
     SiteLibrary(maps).delete(name)
     print_notice(f"The site {name} is deleted; its maps stay.")
 
 
 def _shown(name: str, site: Site, maps: Path) -> dict[str, object]:
-    from rholoc.library import MapLibrary
+    from rholoc.library.maps import MapLibrary
     from rholoc.service.maps.site_documents import site_out
 
     return site_out(name, site, set(MapLibrary(maps).names())).model_dump(mode="json")
 
 
 def _print(name: str, site: Site, maps: Path, as_json: bool) -> None:
-    from rholoc.library import MapLibrary
+    from rholoc.library.maps import MapLibrary
 
     if as_json:
         print_json(_shown(name, site, maps))

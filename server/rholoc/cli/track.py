@@ -1,4 +1,4 @@
-"""``rholoc track``: follows a camera through a map on this machine."""
+"""``rholoc track`` follows a camera through a map on this machine; ``rholoc watch`` shows who is localized in one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import typer
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice
 from rholoc.cli.localize import camera_of, recording_camera
-from rholoc.cli.targets import is_bag_target
+from rholoc.cli.options import is_bag_target
 from rholoc.errors import InvalidInput
 from rholoc.processes.interrupts import interruptible
 
@@ -21,7 +21,15 @@ if TYPE_CHECKING:
     from rholoc.geometry import Camera
     from rholoc.maps import MapInfo
     from rholoc.recordings.frames.live_camera import LiveCamera
-    from rholoc.tracking import Answering, Moment, Motion, Step, StepUser
+    from rholoc.tracking.follow import Answering, Step
+    from rholoc.tracking.moments import Moment, Motion
+    from rholoc.tracking.users import StepUser
+import os
+from tempfile import TemporaryDirectory
+
+from rholoc.errors import RholocError
+
+KEY_VARIABLE = "RHOLOC_API_KEY"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +76,13 @@ def track(
     from rholoc.localization import localizer_of
     from rholoc.maps import load_map, write_trajectory_csv
     from rholoc.recordings.frames.live_camera import is_live, opened_camera
-    from rholoc.tracking import InBackground, MessagesOfTrack, PoseBag, TableOfTrack, Tally, follow, paced
+    from rholoc.tracking.follow import InBackground, follow
     from rholoc.tracking.live_view import LiveView
     from rholoc.tracking.mavlink import MavlinkSender
+    from rholoc.tracking.moments import paced
     from rholoc.tracking.mqtt import MqttSender
+    from rholoc.tracking.pose_bag import PoseBag
+    from rholoc.tracking.users import MessagesOfTrack, TableOfTrack, Tally
 
     T_base_camera = options.mounting(mount)
     bags = [path for path in out or [] if is_bag_target(path)]
@@ -122,7 +133,8 @@ def _recorded(
     path: Path, motion: str | None, frames: str | None, topics: list[str] | None, camera: str | None, info: MapInfo
 ) -> _Followed:
     from rholoc.recordings import read_recording
-    from rholoc.tracking import AtOnce, Motion, odometry_of, recorded_moments
+    from rholoc.tracking.follow import AtOnce
+    from rholoc.tracking.moments import Motion, odometry_of, recorded_moments
 
     recording = read_recording(path, camera=options.named_camera(camera), frames=frames, topics=topics or ())
     odometry = odometry_of(recording)
@@ -139,7 +151,8 @@ def _recorded(
 
 def _live(live: LiveCamera, camera: str | None, info: MapInfo) -> _Followed:
     from rholoc.geometry import Camera
-    from rholoc.tracking import InBackground, Motion, live_moments
+    from rholoc.tracking.follow import InBackground
+    from rholoc.tracking.moments import Motion, live_moments
 
     named = options.named_camera(camera)
     given = Camera.parse(named, *live.size) if isinstance(named, str) else named
@@ -159,3 +172,37 @@ def _hand_out(steps: Iterable[Step], users: list[StepUser], advance: Callable[[]
                 advance()
     except KeyboardInterrupt:
         print_notice("Stopped; what was tracked until now is written.")
+
+
+def watch(
+    map_name: Annotated[str, typer.Argument(metavar="MAP", help="Name of a map of the service.")],
+    url: Annotated[str, typer.Option(help="The service.")] = "http://127.0.0.1:8080",
+    view: Annotated[
+        str, typer.Option(metavar="HOST[:PORT]", help="Where Foxglove connects to: ws://HOST:PORT.")
+    ] = "127.0.0.1",
+) -> None:
+    """Show in Foxglove who is localized in a map of a service, until Ctrl-C. The key is in RHOLOC_API_KEY."""
+    import numpy as np
+
+    from rholoc.maps import load_map
+    from rholoc.tracking.live_view import LiveView
+    from rholoc_client import Client
+    from rholoc_client.errors import RholocClientError
+
+    try:
+        with Client(url, os.environ.get(KEY_VARIABLE)) as client, LiveView(view, np.eye(4)) as shown:
+            with TemporaryDirectory() as folder:
+                path = Path(folder) / f"{map_name}.rho"
+                path.write_bytes(client.download_map(map_name))
+                landmarks = load_map(path).landmarks
+            shown.room(0.0, landmarks.positions, landmarks.known_colours)
+            print_notice(f"Foxglove: open a connection to ws://{view.rpartition(':')[0] or view}:{shown.port}.")
+            with interruptible():
+                for sightings in client.live(map_name):
+                    for one in sightings:
+                        if one["T_map_camera"] is not None:
+                            shown.camera(one["time"], one["asker"], np.array(one["T_map_camera"]))
+    except RholocClientError as error:
+        raise RholocError(str(error)) from error
+    except KeyboardInterrupt:
+        print_notice("Stopped.")

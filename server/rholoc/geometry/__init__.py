@@ -9,7 +9,6 @@ from rholoc.geometry.alignment import (
     umeyama,
     upright_umeyama,
 )
-from rholoc.geometry.angles import angles_between, direction_angles, pose_distances, rotation_angles
 from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray, ranges
 from rholoc.geometry.camera import CAMERA_WRITTEN, Camera, on_plane
 from rholoc.geometry.lenses import Lens
@@ -25,7 +24,15 @@ from rholoc.geometry.pose import (
     rotation_from_heading,
     rows_from_poses,
 )
-from rholoc.geometry.vectors import UP, basis_across, cross
+from rholoc.geometry.vectors import (
+    UP,
+    angles_between,
+    basis_across,
+    cross,
+    direction_angles,
+    pose_distances,
+    rotation_angles,
+)
 
 __all__ = [
     "CAMERA_WRITTEN",

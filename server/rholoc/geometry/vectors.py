@@ -1,8 +1,10 @@
-"""Vectors of three; ``UP`` is the map's z axis."""
+"""Vectors of three (``UP`` is the map's z axis), and angles and distances between rotations, directions and poses."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
 from rholoc.geometry.arrays import FloatArray
 
@@ -24,3 +26,29 @@ def basis_across(rays: FloatArray) -> FloatArray:
     first = cross(rays, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, cross(rays, first)], axis=2)
+
+
+def rotation_angles(R_a: FloatArray, R_b: FloatArray) -> FloatArray:
+    """The angle (...) in radians that each rotation (..., 3, 3) of one array is turned from the other's."""
+    relative = np.swapaxes(R_a, -1, -2) @ R_b
+    angles = Rotation.from_matrix(relative.reshape(-1, 3, 3)).magnitude() if relative.size else np.zeros(0)
+    return np.asarray(np.reshape(angles, relative.shape[:-2]))
+
+
+def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The angles (...) in radians, 0 to π, between the vectors (..., 3) of two arrays, pair by pair.
+
+    Vectors of any length; with a vector of length 0 the angle is 0.
+    """
+    return np.asarray(np.arctan2(np.linalg.norm(cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def direction_angles(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The angles (N, M) in radians, 0 to π, between unit vectors (N, 3) and (M, 3), each with each."""
+    return np.asarray(2 * np.arctan2(cdist(a, b), cdist(a, -b)))
+
+
+def pose_distances(T_a: FloatArray, T_b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distances (...) [m] and angles (...) [rad] between poses (..., 4, 4) of two arrays, pair by pair."""
+    apart = np.linalg.norm(T_a[..., :3, 3] - T_b[..., :3, 3], axis=-1)
+    return np.asarray(apart), rotation_angles(T_a[..., :3, :3], T_b[..., :3, :3])

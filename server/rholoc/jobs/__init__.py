@@ -1,7 +1,6 @@
 """Mapping jobs, their queue, and the uploads that become jobs."""
 
-from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
-from rholoc.jobs.job_memory import Capacity, MoreMemoryNeeded
+from rholoc.jobs.job import Capacity, Job, JobKind, JobOptions, JobPriority, JobState, MoreMemoryNeeded, Obstacle
 from rholoc.jobs.queue import JobQueue
 from rholoc.jobs.uploads import Upload, UploadStore
 

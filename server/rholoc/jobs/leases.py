@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import sqlalchemy as sa
 
 from rholoc.jobs.job import JobOptions, JobState
-from rholoc.jobs.table import JobWork
+from rholoc.jobs.table import UNFINISHED, JobWork
 from rholoc.progress import Stage
+from rholoc.reports import report_from_json
+from rholoc.storage.database import change_rows, read_rows
 from rholoc.storage.tables import jobs_table
 
 LOG_LINES = 50
@@ -103,8 +105,7 @@ class Leases:
         if math.isfinite(memory_bytes):
             fits.append(sa.func.coalesce(jobs_table.c.memory_bytes, 0) <= int(memory_bytes))
         wanted = sa.select(jobs_table).where(*fits).order_by(jobs_table.c.turn, jobs_table.c.id).limit(1)
-        with self._engine.connect() as connection:
-            row = connection.execute(wanted).mappings().first()
+        row = next(iter(read_rows(self._engine, wanted)), None)
         if row is None or (row["memory_bytes"] or 0) > free_bytes:
             return None
         lease = Lease(row["id"], row["run"], row["attempts"] + 1)
@@ -115,11 +116,9 @@ class Leases:
             "started": time.time(),
         }
         as_seen = [jobs_table.c[name] == row[name] for name in ("id", "state", "run", "attempts")]
-        with self._engine.begin() as connection:
-            changed = connection.execute(jobs_table.update().where(*as_seen).values(**taken))
-        if not changed.rowcount:
+        if not change_rows(self._engine, jobs_table.update().where(*as_seen).values(**taken)):
             return None
-        work = JobWork(row["recording"], row["map_name"], JobOptions.from_json(row["options"]), row["asked_in"])
+        work = JobWork(row["recording"], row["map_name"], report_from_json(JobOptions, row["options"]), row["asked_in"])
         return Claim(lease, work, row["memory_bytes"] or 0, row["deaths"])
 
     def held_by(self, worker: str) -> set[Lease]:
@@ -147,15 +146,12 @@ class Leases:
             return connection.execute(update.values(**{**_GIVEN_BACK, **values})).rowcount > 0
 
     def _running(self, of: sa.ColumnElement[bool]) -> set[Lease]:
-        found = sa.select(jobs_table).where(jobs_table.c.state == JobState.RUNNING, of)
-        with self._engine.connect() as connection:
-            rows = connection.execute(found).mappings().all()
-        return {Lease(row["id"], row["run"], row["attempts"]) for row in rows}
+        wanted = sa.select(jobs_table).where(jobs_table.c.state == JobState.RUNNING, of)
+        return {Lease(row["id"], row["run"], row["attempts"]) for row in read_rows(self._engine, wanted)}
 
     def holds(self, lease: Lease) -> bool:
         """Whether the lease is still valid."""
-        with self._engine.connect() as connection:
-            return connection.execute(sa.select(jobs_table.c.id).where(*_held(lease))).first() is not None
+        return bool(read_rows(self._engine, sa.select(jobs_table.c.id).where(*_held(lease))))
 
     def note(self, lease: Lease, stage: Stage, fraction: float, message: str) -> None:
         """Record progress, which never decreases; a new stage or message is added to the log. A lost lease records
@@ -180,9 +176,7 @@ class Leases:
 
     def unfinished_runs(self) -> set[str]:
         """The runs of all jobs that are queued or running."""
-        unfinished = jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
-        with self._engine.connect() as connection:
-            return set(connection.execute(sa.select(jobs_table.c.run).where(unfinished)).scalars())
+        return {row["run"] for row in read_rows(self._engine, sa.select(jobs_table.c.run).where(UNFINISHED))}
 
     def give_back(self, lease: Lease) -> None:
         """Requeue the job of a worker that stops, without counting a death; does nothing if the lease is lost."""
@@ -211,12 +205,8 @@ class Leases:
         lines = [*(f"warning: {warning}" for warning in kept), "published"]
         values = {"stage": Stage.PUBLISHED, "progress": 1.0, "warnings": kept}
         ended = self._end(lease, JobState.PUBLISHED, "published", lines, connection, **values)
-        return ended or self._has_published(lease)
-
-    def _has_published(self, lease: Lease) -> bool:
-        found = sa.select(jobs_table.c.id).where(*_held(lease, JobState.PUBLISHED))
-        with self._engine.connect() as connection:
-            return connection.execute(found).first() is not None
+        published = sa.select(jobs_table.c.id).where(*_held(lease, JobState.PUBLISHED))
+        return ended or bool(read_rows(self._engine, published))
 
     def fail(self, lease: Lease, failure: Failure) -> bool:
         """Record why the job failed. Returns False, and records nothing, if the lease was lost before."""
@@ -250,8 +240,7 @@ class Leases:
             return True
 
     def _update(self, lease: Lease, **values: object) -> bool:
-        with self._engine.begin() as connection:
-            return connection.execute(jobs_table.update().where(*_held(lease)).values(**values)).rowcount > 0
+        return change_rows(self._engine, jobs_table.update().where(*_held(lease)).values(**values)) > 0
 
 
 def shortened(text: str) -> str:

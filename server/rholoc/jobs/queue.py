@@ -14,8 +14,16 @@ from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
 from rholoc import telemetry
 from rholoc.errors import Conflict, RholocError, UnknownRecording
-from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState, Obstacle
-from rholoc.jobs.job_memory import SECONDS_PER_PICTURE, memory_for_walk
+from rholoc.jobs.job import (
+    SECONDS_PER_PICTURE,
+    Job,
+    JobKind,
+    JobOptions,
+    JobPriority,
+    JobState,
+    Obstacle,
+    memory_for_walk,
+)
 from rholoc.jobs.leases import Leases, shortened
 from rholoc.jobs.table import JobTable, JobWork
 from rholoc.jobs.workers_table import WorkerOffer, WorkerTable, process_name

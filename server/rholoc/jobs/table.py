@@ -12,6 +12,8 @@ import sqlalchemy as sa
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState
 from rholoc.progress import Stage
+from rholoc.reports import report_from_json
+from rholoc.storage.database import change_rows, read_rows
 from rholoc.storage.tables import jobs_table
 
 _ID_LENGTH = 32
@@ -52,11 +54,10 @@ class JobTable:
 
     def get(self, job_id: str) -> Job:
         """The job. Raises UnknownJob."""
-        with self._engine.connect() as connection:
-            row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().first()
-        if row is None:
+        found = self._found(jobs_table.c.id == job_id)
+        if not found:
             raise _unknown(job_id)
-        return _job(row)
+        return found[0]
 
     def list(self, most: int | None = None, before: str | None = None) -> list[Job]:
         """At most ``most`` jobs, the newest first, older than the job ``before`` if given. Raises UnknownJob."""
@@ -64,78 +65,55 @@ class JobTable:
         if before is not None:
             job = self.get(before)
             wanted = wanted.where(sa.tuple_(jobs_table.c.created, jobs_table.c.id) < (job.created, job.id))
-        with self._engine.connect() as connection:
-            rows = connection.execute(wanted).mappings().all()
-        return [_job(row) for row in rows]
+        return [_job(row) for row in read_rows(self._engine, wanted)]
 
     def counts(self) -> dict[JobState, int]:
         """Number of jobs in each state."""
-        with self._engine.connect() as connection:
-            found = sa.select(jobs_table.c.state, sa.func.count()).group_by(jobs_table.c.state)
-            counted = {JobState(state): number for state, number in connection.execute(found)}
+        wanted = sa.select(jobs_table.c.state, sa.func.count().label("number")).group_by(jobs_table.c.state)
+        counted = {row["state"]: row["number"] for row in read_rows(self._engine, wanted)}
         return {state: counted.get(state, 0) for state in JobState}
 
     def queued(self) -> Sequence[Job]:
         """The queued jobs, unordered."""
-        with self._engine.connect() as connection:
-            rows = connection.execute(sa.select(jobs_table).where(jobs_table.c.state == JobState.QUEUED)).mappings()
-            return [_job(row) for row in rows]
+        return self._found(jobs_table.c.state == JobState.QUEUED)
 
     def unfinished(self) -> dict[str, str]:
         """Job id → map name of the queued and running jobs."""
-        wanted = sa.select(jobs_table.c.id, jobs_table.c.map_name)
-        with self._engine.connect() as connection:
-            rows = connection.execute(wanted.where(jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])))
-            return {row.id: row.map_name for row in rows}
+        wanted = sa.select(jobs_table.c.id, jobs_table.c.map_name).where(UNFINISHED)
+        return {row["id"]: row["map_name"] for row in read_rows(self._engine, wanted)}
 
     def needs(self, recording_id: str) -> bool:
         """Whether a job that is queued or running reads the recording."""
-        with self._engine.connect() as connection:
-            found = sa.select(jobs_table.c.id).where(
-                jobs_table.c.recording == recording_id,
-                jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
-            )
-            return connection.execute(found).first() is not None
+        return bool(self._found(jobs_table.c.recording == recording_id, UNFINISHED))
 
     def learning(self, map_name: str) -> Job | None:
         """The queued or running job by which a map learns from its queries; None if there is none."""
-        return self._unfinished(JobKind.LEARN, jobs_table.c.map_name == map_name)
+        return next(
+            iter(self._found(jobs_table.c.map_name == map_name, _kind_of_row == JobKind.LEARN, UNFINISHED)), None
+        )
 
     def placing(self, site: str) -> Job | None:
         """The queued or running job by which the maps of a site are placed; None if there is none."""
-        return self._unfinished(JobKind.PLACE, jobs_table.c.options["site"].as_string() == site)
-
-    def _unfinished(self, kind: JobKind, of: sa.ColumnElement[bool]) -> Job | None:
-        unfinished = jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
-        with self._engine.connect() as connection:
-            found = connection.execute(sa.select(jobs_table).where(of, _kind_of_row == kind, unfinished))
-            row = found.mappings().first()
-        return None if row is None else _job(row)
+        of_site = jobs_table.c.options["site"].as_string() == site
+        found = self._found(of_site, _kind_of_row == JobKind.PLACE, UNFINISHED)
+        return found[0] if found else None
 
     def last_learning(self, map_name: str) -> Job | None:
         """The last ended of the published or failed jobs by which a map learns from its queries; None without any."""
-        found = (
-            sa.select(jobs_table)
-            .where(
-                jobs_table.c.map_name == map_name,
-                _kind_of_row == JobKind.LEARN,
-                jobs_table.c.state.in_([JobState.PUBLISHED, JobState.FAILED]),
-            )
-            .order_by(jobs_table.c.ended.desc())
-            .limit(1)
-        )
-        with self._engine.connect() as connection:
-            row = connection.execute(found).mappings().first()
-        return None if row is None else _job(row)
+        ended = jobs_table.c.state.in_([JobState.PUBLISHED, JobState.FAILED])
+        found = self._found(jobs_table.c.map_name == map_name, _kind_of_row == JobKind.LEARN, ended)
+        return max(found, key=lambda job: job.ended or 0.0, default=None)
 
     def mapped_before(self, time_s: float) -> Sequence[str]:
         """Ids of recordings whose jobs all published their maps before ``time_s`` [s since the epoch]."""
         published_before = sa.and_(jobs_table.c.state == JobState.PUBLISHED, jobs_table.c.ended < time_s)
         others = sa.func.sum(sa.case((published_before, 0), else_=1))
-        with self._engine.connect() as connection:
-            recordings = sa.select(jobs_table.c.recording).where(jobs_table.c.recording != "")
-            found = recordings.group_by(jobs_table.c.recording).having(others == 0)
-            return connection.execute(found).scalars().all()
+        recordings = sa.select(jobs_table.c.recording).where(jobs_table.c.recording != "")
+        wanted = recordings.group_by(jobs_table.c.recording).having(others == 0)
+        return [row["recording"] for row in read_rows(self._engine, wanted)]
+
+    def _found(self, *conditions: sa.ColumnElement[bool]) -> Sequence[Job]:
+        return [_job(row) for row in read_rows(self._engine, sa.select(jobs_table).where(*conditions))]
 
     def insert(self, job_id: str, work: JobWork, length_s: float, memory_bytes: int | None) -> None:
         """Add a queued job. Raises IntegrityError: there is one of this id.
@@ -158,8 +136,7 @@ class JobTable:
             "turn": turn_of(now, work.options.priority, length_s),
             "memory_bytes": memory_bytes,
         }
-        with self._engine.begin() as connection:
-            connection.execute(jobs_table.insert().values(**values, **_QUEUED))
+        change_rows(self._engine, jobs_table.insert().values(**values, **_QUEUED))
 
     def requeue(self, job_id: str, length_s: float, asked_in: str | None = None) -> None:
         """Queue a failed or cancelled job again: its turn is as if submitted now with a walk of ``length_s`` [s];
@@ -167,13 +144,9 @@ class JobTable:
         """
         turn = turn_of(time.time(), self.get(job_id).priority, length_s)
         values = {"run": _new_run(job_id), "turn": turn, "asked_in": asked_in, **_QUEUED}
-        with self._engine.begin() as connection:
-            changed = connection.execute(
-                jobs_table.update()
-                .where(jobs_table.c.id == job_id, jobs_table.c.state.in_([JobState.FAILED, JobState.CANCELLED]))
-                .values(**values)
-            )
-        if not changed.rowcount:
+        ended = jobs_table.c.state.in_([JobState.FAILED, JobState.CANCELLED])
+        update = jobs_table.update().where(jobs_table.c.id == job_id, ended)
+        if not change_rows(self._engine, update.values(**values)):
             raise Conflict("Only a job that failed or was cancelled can be retried.", "Submit a new one.")
 
     def prioritize(self, job_id: str, priority: JobPriority) -> None:
@@ -182,7 +155,7 @@ class JobTable:
             row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().first()
             if row is None:
                 raise _unknown(job_id)
-            turn = row["turn"] + _AHEAD_S[_priority(row)] - _AHEAD_S[priority]
+            turn = row["turn"] + _AHEAD_S[row["options"]["priority"]] - _AHEAD_S[priority]
             changed = connection.execute(
                 jobs_table.update()
                 .where(jobs_table.c.id == job_id, jobs_table.c.state == JobState.QUEUED)
@@ -195,27 +168,16 @@ class JobTable:
         """Set a queued or running job to cancelled. Raises Conflict if it has ended, is unknown, or its map is being
         published.
         """
-        with self._engine.begin() as connection:
-            changed = connection.execute(
-                jobs_table.update()
-                .where(
-                    jobs_table.c.id == job_id,
-                    jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING]),
-                    jobs_table.c.stage != Stage.PUBLISHED,
-                )
-                .values(state=JobState.CANCELLED, message="cancelled", ended=time.time(), worker=None)
-            )
-        if not changed.rowcount:
+        update = jobs_table.update().where(jobs_table.c.id == job_id, UNFINISHED, jobs_table.c.stage != Stage.PUBLISHED)
+        values = {"state": JobState.CANCELLED, "message": "cancelled", "ended": time.time(), "worker": None}
+        if not change_rows(self._engine, update.values(**values)):
             raise Conflict("The job has ended, or its map is being published.", "Retry it, or submit a new one.")
 
     def delete(self, job_id: str) -> None:
         """Remove a job that has ended. Raises Conflict if it has not, or is unknown."""
         ended = [state for state in JobState if state.ended]
-        with self._engine.begin() as connection:
-            removed = connection.execute(
-                jobs_table.delete().where(jobs_table.c.id == job_id, jobs_table.c.state.in_(ended))
-            )
-        if not removed.rowcount:
+        delete = jobs_table.delete().where(jobs_table.c.id == job_id, jobs_table.c.state.in_(ended))
+        if not change_rows(self._engine, delete):
             raise Conflict("The job has not ended.", "Cancel it first.")
 
 
@@ -235,6 +197,8 @@ _QUEUED: dict[str, object] = {
     "deaths": 0,
     "worker": None,
 }
+UNFINISHED = jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
+"""Condition on the table of jobs: queued or running."""
 _kind_of_row = jobs_table.c.options["kind"].as_string()
 
 
@@ -247,35 +211,6 @@ def _unknown(job_id: str) -> UnknownJob:
     return UnknownJob(f"There is no job {job_id[:_ID_LENGTH]!r}.", "List the jobs to see their ids.")
 
 
-def _priority(row: sa.RowMapping) -> JobPriority:
-    return JobPriority(row["options"]["priority"])
-
-
-def _kind(row: sa.RowMapping) -> JobKind:
-    return JobKind(row["options"]["kind"])
-
-
 def _job(row: sa.RowMapping) -> Job:
-    return Job(
-        id=row["id"],
-        recording=row["recording"],
-        map_name=row["map_name"],
-        state=JobState(row["state"]),
-        stage=Stage(row["stage"]),
-        progress=row["progress"],
-        message=row["message"],
-        log=tuple(row["log"]),
-        warnings=tuple(row["warnings"]),
-        error_code=row["error_code"],
-        error_message=row["error_message"],
-        error_hint=row["error_hint"],
-        created=row["created"],
-        started=row["started"],
-        ended=row["ended"],
-        attempts=row["attempts"],
-        priority=_priority(row),
-        memory_bytes=row["memory_bytes"],
-        worker=row["worker"],
-        kind=_kind(row),
-        site=row["options"]["site"],
-    )
+    options = row["options"]
+    return report_from_json(Job, {**row, **{name: options[name] for name in ("kind", "priority", "site")}})

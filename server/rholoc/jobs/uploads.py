@@ -32,7 +32,8 @@ from rholoc.jobs.job import Job, JobOptions
 from rholoc.jobs.queue import JobQueue
 from rholoc.library.recordings import RecordingStore, is_recording_id, sanitized, unknown_recording
 from rholoc.recordings import MAX_FILES, START_BYTES, ZIP_SUFFIXES, check_archive, check_file_name, check_file_start
-from rholoc.storage.database import reporting_full_database
+from rholoc.reports import report_from_json
+from rholoc.storage.database import read_rows, reporting_full_database
 from rholoc.storage.tables import upload_pieces_table, uploads_table
 
 _PREFIX = "uploads"
@@ -191,8 +192,7 @@ class UploadStore:
         """Remove expired uploads and their pieces, and queue the jobs of complete uploads without one. Raises
         StorageUnavailable.
         """
-        with self._engine.connect() as connection:
-            ids = connection.execute(sa.select(uploads_table.c.id)).scalars().all()
+        ids = self.unfinished()
         for upload_id in ids:
             with suppress(RholocError):
                 self.get(upload_id)
@@ -203,29 +203,23 @@ class UploadStore:
 
     def unfinished(self) -> dict[str, str]:
         """Upload id → map name of the uploads without a job yet."""
-        with self._engine.connect() as connection:
-            rows = connection.execute(sa.select(uploads_table.c.id, uploads_table.c.map_name))
-            return {row.id: row.map_name for row in rows}
+        rows = read_rows(self._engine, sa.select(uploads_table.c.id, uploads_table.c.map_name))
+        return {row["id"]: row["map_name"] for row in rows}
 
     def _check_room(self) -> None:
         """Raise Busy at the limit of unfinished uploads, after expired ones were removed."""
-        if self._unfinished() < self._max_unfinished:
+        if len(self.unfinished()) < self._max_unfinished:
             return
         self.sweep()
-        if self._unfinished() >= self._max_unfinished:
+        if len(self.unfinished()) >= self._max_unfinished:
             hint = "Finish or abandon (DELETE) another upload, or try again later."
             raise Busy(f"There are {self._max_unfinished} unfinished uploads already.", hint, _RETRY_AFTER_S)
-
-    def _unfinished(self) -> int:
-        with self._engine.connect() as connection:
-            return connection.execute(sa.select(sa.func.count()).select_from(uploads_table)).scalar_one()
 
     def _plan(self, upload_id: str) -> _Plan | None:
         if not is_recording_id(upload_id):
             raise unknown_recording(upload_id)
-        with self._engine.connect() as connection:
-            row = connection.execute(sa.select(uploads_table).where(uploads_table.c.id == upload_id)).mappings().first()
-        return None if row is None else _Plan(**{**row, "options": JobOptions.from_json(row["options"])})
+        rows = read_rows(self._engine, sa.select(uploads_table).where(uploads_table.c.id == upload_id))
+        return report_from_json(_Plan, dict(rows[0])) if rows else None
 
     def _recorded(self, upload_id: str) -> Upload:
         """State of an upload that has become a recording, with its job if it has one. Raises UnknownRecording."""
@@ -249,8 +243,7 @@ class UploadStore:
     def _pieces(self, upload_id: str) -> Sequence[_Piece]:
         table = upload_pieces_table
         wanted = sa.select(table.c.start, table.c.size_bytes, table.c.blob).where(table.c.upload == upload_id)
-        with self._engine.connect() as connection:
-            return [_Piece(**row) for row in connection.execute(wanted.order_by(table.c.start)).mappings()]
+        return [_Piece(**row) for row in read_rows(self._engine, wanted.order_by(table.c.start))]
 
     def _assemble(self, plan: _Plan) -> None:
         """Turn a complete upload into a recording, unless another server has done so.

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import sqlalchemy as sa
 
+from rholoc.storage.database import change_rows, read_rows
 from rholoc.storage.tables import workers_table
 
 DEAD_AFTER_S = 15.0  # since the last heartbeat
@@ -50,30 +51,28 @@ class WorkerTable:
 
     def remove(self, worker: str) -> None:
         """Remove a worker, or the report of a process that starts workers."""
-        with self._engine.begin() as connection:
-            connection.execute(workers_table.delete().where(workers_table.c.id == worker))
+        change_rows(self._engine, workers_table.delete().where(workers_table.c.id == worker))
 
     def remove_all(self, process: str) -> None:
         """Remove the workers that ran as a process, named as :func:`process_name` does."""
-        with self._engine.begin() as connection:
-            of_process = workers_table.c.id.startswith(f"{process}-", autoescape=True)
-            connection.execute(workers_table.delete().where(of_process))
+        of_process = workers_table.c.id.startswith(f"{process}-", autoescape=True)
+        change_rows(self._engine, workers_table.delete().where(of_process))
 
     def living(self, dead_after_s: float = DEAD_AFTER_S) -> list[WorkerOffer]:
         """Workers with a heartbeat younger than ``dead_after_s``."""
         recent = workers_table.c.heartbeat > time.time() - dead_after_s
-        with self._engine.connect() as connection:
-            found = connection.execute(sa.select(workers_table).where(recent, workers_table.c.error.is_(None)))
-            rows = found.mappings().all()
-        memory = [math.inf if row["memory_bytes"] is None else row["memory_bytes"] for row in rows]
-        return [WorkerOffer(row["id"], memory_bytes) for row, memory_bytes in zip(rows, memory, strict=True)]
+        wanted = sa.select(workers_table).where(recent, workers_table.c.error.is_(None))
+        return [
+            WorkerOffer(row["id"], math.inf if row["memory_bytes"] is None else row["memory_bytes"])
+            for row in read_rows(self._engine, wanted)
+        ]
 
     def error(self) -> str | None:
         """The last error reported in the last ten minutes; None if there is none."""
         recent = workers_table.c.heartbeat > time.time() - _TROUBLE_FOR_S
         reported = sa.select(workers_table.c.error).where(workers_table.c.error.is_not(None), recent)
-        with self._engine.connect() as connection:
-            return connection.execute(reported.order_by(workers_table.c.heartbeat.desc()).limit(1)).scalar()
+        newest = reported.order_by(workers_table.c.heartbeat.desc()).limit(1)
+        return next((row["error"] for row in read_rows(self._engine, newest)), None)
 
     def forget(self, dead_after_s: float) -> None:
         """Remove workers with a heartbeat older than ``dead_after_s``, and errors older than ten minutes too."""
@@ -82,11 +81,8 @@ class WorkerTable:
             sa.and_(error.is_(None), heartbeat < now - dead_after_s),
             heartbeat < now - max(_TROUBLE_FOR_S, dead_after_s),
         )
-        with self._engine.connect() as connection:
-            found = connection.execute(sa.select(workers_table.c.id).where(old)).first()
-        if found is not None:
-            with self._engine.begin() as connection:
-                connection.execute(workers_table.delete().where(old))
+        if read_rows(self._engine, sa.select(workers_table.c.id).where(old)):
+            change_rows(self._engine, workers_table.delete().where(old))
 
     def _put(self, row_id: str, memory_bytes: int | None, error: str | None) -> None:
         values = {"heartbeat": time.time(), "memory_bytes": memory_bytes, "error": error}

@@ -28,7 +28,7 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.library.recording_notes import NOTE_FILES, notes_in
-from rholoc.storage.database import database_engine, reporting_full_database
+from rholoc.storage.database import database_engine, read_rows, reporting_full_database
 from rholoc.storage.objects import ObjectStorage, StoredObject
 from rholoc.storage.tables import recording_notes_table, recordings_table
 
@@ -264,17 +264,15 @@ class RecordingStore:
         if not is_recording_id(recording_id):
             raise unknown_recording(recording_id)
         wanted = sa.select(recordings_table).where(recordings_table.c.id == recording_id)
-        with self.engine.connect() as connection:
-            row = connection.execute(wanted).mappings().first()
-        if row is None:
+        rows = read_rows(self.engine, wanted)
+        if not rows:
             raise unknown_recording(recording_id)
-        return _entry(row)
+        return _entry(rows[0])
 
     def list(self) -> list[RecordingEntry]:
         """All recordings, the newest first."""
-        with self.engine.connect() as connection:
-            rows = connection.execute(sa.select(recordings_table).order_by(recordings_table.c.created.desc()))
-            return [_entry(row) for row in rows.mappings()]
+        wanted = sa.select(recordings_table).order_by(recordings_table.c.created.desc())
+        return [_entry(row) for row in read_rows(self.engine, wanted)]
 
     def path(self, recording_id: str) -> Path:
         """Path for :func:`rholoc.recordings.read_recording`: the only file (a video or a ZIP file), or the folder.
@@ -306,8 +304,7 @@ class RecordingStore:
         """
         self.get(recording_id)
         wanted = sa.select(recording_notes_table).where(recording_notes_table.c.recording == recording_id)
-        with self.engine.connect() as connection:
-            return {row["file"]: bytes(row["content"]) for row in connection.execute(wanted).mappings()}
+        return {row["file"]: bytes(row["content"]) for row in read_rows(self.engine, wanted)}
 
     def note(self, recording_id: str, files: Mapping[str, bytes | None]) -> None:
         """Store a recording's notes by file name, replacing these files; None deletes one. Raises StorageFull."""

@@ -1,7 +1,6 @@
 """The map and its file formats; sites of maps."""
 
 from rholoc.density import DensityKind
-from rholoc.maps.correction_record import Correction, CorrectionKind
 from rholoc.maps.coverage import Coverage, coverage_of
 from rholoc.maps.display import Cloud, Room
 from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
@@ -21,7 +20,7 @@ from rholoc.maps.formats.trajectory_table import (
     view_trajectory,
     write_trajectory_csv,
 )
-from rholoc.maps.info import MapInfo, MapWaypoint, Source
+from rholoc.maps.info import Correction, CorrectionKind, MapInfo, MapWaypoint, Source
 from rholoc.maps.kept_observations import (
     Memory,
     check_memory,
@@ -31,10 +30,9 @@ from rholoc.maps.kept_observations import (
     unpacked_pixels,
     without_memory,
 )
-from rholoc.maps.map import Map
+from rholoc.maps.map import Map, MapPart, part_of
 from rholoc.maps.map_tables import MapDescriptors, MapLandmarks, MapObservations, MapViews
 from rholoc.maps.name_rules import check_map_name
-from rholoc.maps.part import MapPart, part_of
 from rholoc.maps.place_names import (
     MapLabels,
     MapNames,

@@ -1,15 +1,15 @@
-"""A map's description: its sources and its report."""
+"""A map's description: its sources, its report, and what people corrected in it."""
 
 from __future__ import annotations
 
 import json
 import math
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from rholoc.density import DensityKind
 from rholoc.errors import InvalidInput, InvalidMap
 from rholoc.geometry import Camera
-from rholoc.maps.correction_record import Correction
 from rholoc.maps.floor_plan import FloorPlan
 from rholoc.maps.place_names import MapLabels, MapNames
 from rholoc.maps.sites import SiteOnEarth, check_earth
@@ -18,6 +18,52 @@ from rholoc.reports import MapReport, report_from_json, report_to_json
 _MAX_LENGTH = 2**24
 _MAX_WORD = 64
 _MAX_SHOWN = 300
+
+
+class CorrectionKind(StrEnum):
+    """Kind of a correction."""
+
+    ORIGIN = "origin"  # the point (0, 0, 0)
+    NORTH = "north"  # the direction of y
+    WALL = "wall"  # a wall along x
+    UP = "up"  # the direction of z
+    SCALE = "scale"  # the unit of length
+    PLAN = "plan"  # the map aligned with a floor plan, by points of both
+    REGION = "region"  # landmarks of a region removed
+    WALK = "walk"  # a piece of a walk removed
+    NAMES = "names"  # names of points and areas
+    FLOOR_PLAN = "floor-plan"  # the floor plan that the map keeps
+    EARTH = "earth"  # the pose on Earth
+    LABELS = "labels"  # site, floor and tags of the map
+
+
+@dataclass(frozen=True)
+class Correction:
+    """One correction, which made a new version of a map.
+
+    If it moved the map's frame, a point x of the previous version is now at ``scale`` · ``rotation`` x +
+    ``translation``; otherwise these are None.
+
+    Attributes:
+        version: of the map.
+        kind: what was corrected.
+        created: ISO 8601 time, UTC.
+        scale: of lengths.
+        rotation: (3, 3), rows.
+        translation: (3,) metres.
+        residual_m: RMS distance between the map's and the floor plan's points.
+        landmarks_removed, views_removed: their numbers.
+    """
+
+    version: int
+    kind: CorrectionKind
+    created: str
+    scale: float | None = None
+    rotation: tuple[tuple[float, float, float], ...] | None = None
+    translation: tuple[float, float, float] | None = None
+    residual_m: float | None = None
+    landmarks_removed: int = 0
+    views_removed: int = 0
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.readers import read_folder
 from rholoc.recordings.readers.bag import read_bag
 from rholoc.recordings.recording import Recording, RecordingFormat
-from rholoc.recordings.tables.lengths import parse_length
+from rholoc.recordings.tables.own_tables import parse_length
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.recordings.walk.checks import whole_warnings
 

@@ -20,8 +20,10 @@ from starlette.middleware.cors import CORSMiddleware
 from rholoc import __version__, telemetry
 from rholoc.errors import RholocError
 from rholoc.jobs import JobQueue, UploadStore
-from rholoc.library import CameraLibrary, KeptLimits, QueryStore, SiteLibrary, Stores
-from rholoc.library.stores import ASKERS, CAMERAS, KEYS, SITES
+from rholoc.library.cameras import CameraLibrary
+from rholoc.library.queries import KeptLimits, QueryStore
+from rholoc.library.sites import SiteLibrary
+from rholoc.library.stores import ASKERS, CAMERAS, KEYS, SITES, Stores
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.logs import configure_logs
 from rholoc.service.access.audit import Audited, AuditLog
@@ -51,10 +53,9 @@ from rholoc.service.http.bodies import HeldBodies
 from rholoc.service.http.boundary import RequestBoundary
 from rholoc.service.http.connections import ConcurrencyLimited, ProbesOnly, SlowBodies
 from rholoc.service.http.json_bodies import JsonBodies
-from rholoc.service.http.metrics import Metered, Metrics
+from rholoc.service.http.metrics import Metered, Metrics, Traced
 from rholoc.service.http.openapi import install
 from rholoc.service.http.pacing import FramesFirst
-from rholoc.service.http.tracing import Traced
 from rholoc.service.http.tus import Tus
 from rholoc.service.libraries import (
     AsyncAudit,

@@ -15,20 +15,12 @@ from pathlib import Path
 from rholoc.errors import Conflict, InvalidInput, InvalidMap, NotFound, UnknownMap, UnknownRecording
 from rholoc.exports import ExportFormat
 from rholoc.jobs import Job, JobKind, JobOptions, JobQueue, UploadStore
-from rholoc.library import (
-    WAYPOINTS_FILE,
-    CameraLibrary,
-    KeptQueries,
-    MapLibrary,
-    PendingRecording,
-    QueryStore,
-    RecordedWaypoint,
-    RecordingEntry,
-    RecordingStore,
-    SiteLibrary,
-    read_notes,
-    waypoints_file,
-)
+from rholoc.library.cameras import CameraLibrary
+from rholoc.library.maps import MapLibrary
+from rholoc.library.queries import KeptQueries, QueryStore
+from rholoc.library.recording_notes import WAYPOINTS_FILE, RecordedWaypoint, read_notes, waypoints_file
+from rholoc.library.recordings import PendingRecording, RecordingEntry, RecordingStore
+from rholoc.library.sites import SiteLibrary
 from rholoc.mapping.edit.correcting import set_floor_plan
 from rholoc.mapping.learn.from_queries import MIN_QUERIES, too_few_queries
 from rholoc.maps import FloorPlan, Map, MapInfo, SiteOnEarth, check_memory

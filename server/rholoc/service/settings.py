@@ -7,14 +7,14 @@ import math
 import os
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
-from pydantic import Field, SecretStr
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import BaseModel, ConfigDict, Field, SecretStr, model_validator
 
 from rholoc.jobs import Capacity
-from rholoc.library import Stores
+from rholoc.library.stores import Stores
 from rholoc.localization import MIN_RECOGNIZED
-from rholoc.processes import machine_memory_bytes
+from rholoc.processes.limits import machine_memory_bytes
 from rholoc.recordings import MAX_FRAME_PIXELS
 from rholoc.worker import BuildLimits, WorkerSetup
 
@@ -41,15 +41,23 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+_PREFIX = "rholoc_"  # of environment variables, in any case of letters
 _JOB_MEMORY_SHARE = 0.75
 _MAP_MEMORY_SHARE = 1 / 16
 _CACHE_MEMORY_SHARE = 1 / 4
 
 
-class Settings(BaseSettings):
+class Settings(BaseModel):
     """Settings of one process of the service. ``RHOLOC_PORT=80`` sets ``port``."""
 
-    model_config = SettingsConfigDict(env_prefix="RHOLOC_", frozen=True, extra="ignore")
+    model_config = ConfigDict(frozen=True, extra="ignore", validate_default=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_environment(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """The given settings, and from the environment those that are not given."""
+        variables = {name.lower(): text for name, text in os.environ.items()}
+        return {name: variables[key] for name in cls.model_fields if (key := f"{_PREFIX}{name}") in variables} | given
 
     maps_dir: Path = Field(default=Path("maps"), description="The folder of the maps that are served.")
     data_dir: Path = Field(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from rholoc.library import Stores
+from rholoc.library.stores import Stores
 from rholoc.service.access.open_streams import OpenStreams
 from rholoc.service.frames.answerer import Answerer
 from rholoc.service.http.bodies import HeldBodies

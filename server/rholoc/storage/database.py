@@ -10,7 +10,7 @@ import shutil
 import sqlite3
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from rholoc import telemetry
 from rholoc.disk import reporting_full_disk, storage_full
 from rholoc.errors import Conflict, InvalidInput, RholocError, StorageUnavailable
-from rholoc.storage.schema import prepare_tables
+from rholoc.storage.tables import prepare_tables
 
 MIN_SQLITE = (3, 38)  # the first version that always has JSON functions
 _BUSY_TIMEOUT_MS = 10_000
@@ -91,6 +91,20 @@ def check_database(engine: sa.Engine) -> None:
     """
     with _reporting_refusal(engine.url), reporting_full_database():
         engine.connect().close()
+
+
+def read_rows(engine: sa.Engine, wanted: sa.Executable) -> Sequence[sa.RowMapping]:
+    """All rows of a query, in a transaction of its own. Raises SQLAlchemyError."""
+    with engine.connect() as connection:
+        return connection.execute(wanted).mappings().all()
+
+
+def change_rows(engine: sa.Engine, statement: sa.Executable) -> int:
+    """Execute a change in a transaction of its own; returns the number of rows that it changed. Raises
+    SQLAlchemyError.
+    """
+    with engine.begin() as connection:
+        return connection.execute(statement).rowcount
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import sqlalchemy as sa
 
+from rholoc.storage.database import read_rows
 from rholoc.storage.tables import holdings_table as table
 
 
@@ -74,9 +75,8 @@ class Holdings:
                 connection.execute(table.delete().where(*_is(one.kind, one.name), table.c.key == one.key))
 
     def _found(self, where: sa.ColumnElement[bool]) -> Sequence[Holding]:
-        with self._engine.connect() as connection:
-            rows = connection.execute(sa.select(table).where(where)).mappings()
-            return [Holding(**{**row, "kind": Kind(row["kind"])}) for row in rows]
+        rows = read_rows(self._engine, sa.select(table).where(where))
+        return [Holding(**{**row, "kind": Kind(row["kind"])}) for row in rows]
 
 
 def _is(kind: Kind, name: str) -> tuple[sa.ColumnElement[bool], sa.ColumnElement[bool]]:

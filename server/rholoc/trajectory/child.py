@@ -6,9 +6,8 @@ import logging
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from rholoc import processes
 from rholoc.errors import MappingFailed
-from rholoc.processes import ChildDied, ChildFailed
+from rholoc.processes import child
 from rholoc.progress import ProgressListener, Stage
 
 Result = TypeVar("Result")
@@ -48,12 +47,12 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
         progress(*latest)
 
     try:
-        return processes.run_in_child(function, *args, progress=note, check=lambda: progress(*latest), quiet=True)
-    except ChildDied as died:
+        return child.run_in_child(function, *args, progress=note, check=lambda: progress(*latest), quiet=True)
+    except child.ChildDied as died:
         hint = "Give the machine more memory, or record a shorter walk."
         kind = ReconstructionKilled if died.was_killed else ReconstructionBroken
         raise kind(f"The reconstruction's process died ({died.reason}).", hint) from None
-    except ChildFailed as error:
+    except child.ChildFailed as error:
         _log.exception("the reconstruction failed unexpectedly")
         raise _unexpected(str(error)) from None
 

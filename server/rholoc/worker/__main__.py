@@ -7,7 +7,7 @@ import threading
 
 from rholoc.errors import RholocError
 from rholoc.logs import configure_process_logs
-from rholoc.processes import call_when_input_ends
+from rholoc.processes.program import call_when_input_ends
 from rholoc.worker.setup import WorkerSetup
 from rholoc.worker.worker import run_worker
 

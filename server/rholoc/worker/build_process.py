@@ -8,17 +8,11 @@ from dataclasses import dataclass
 
 from rholoc.disk import is_full, storage_full
 from rholoc.errors import RholocError
-from rholoc.jobs.job_memory import MoreMemoryNeeded
+from rholoc.jobs.job import MoreMemoryNeeded
 from rholoc.jobs.leases import Failure
-from rholoc.processes import (
-    BACKGROUND_NICENESS,
-    ChildDied,
-    Limits,
-    MemoryLimitExceeded,
-    TimeLimitExceeded,
-    named,
-    run_in_child,
-)
+from rholoc.processes.child import ChildDied, named, run_in_child
+from rholoc.processes.limits import Limits, MemoryLimitExceeded, TimeLimitExceeded
+from rholoc.processes.program import BACKGROUND_NICENESS
 from rholoc.progress import ProgressListener
 from rholoc.trajectory.child import ReconstructionKilled
 from rholoc.worker.pipeline import MappingTask, Pipeline

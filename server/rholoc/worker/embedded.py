@@ -13,7 +13,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.errors import RholocError
 from rholoc.jobs.queue import JobQueue
-from rholoc.processes import Program
+from rholoc.processes.program import Program
 from rholoc.worker.setup import WorkerSetup
 
 _log = logging.getLogger("rholoc.worker")

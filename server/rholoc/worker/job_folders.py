@@ -10,11 +10,13 @@ from rholoc.disk import link_file, reporting_full_disk
 from rholoc.jobs.job import JobKind
 from rholoc.jobs.leases import Lease
 from rholoc.jobs.table import JobWork
-from rholoc.library import CameraLibrary, MapLibrary, SiteLibrary
+from rholoc.library.cameras import CameraLibrary
 from rholoc.library.map_folder import place_of
+from rholoc.library.maps import MapLibrary
 from rholoc.library.queries import QueryStore
 from rholoc.library.recording_notes import READ_FILES, notes_in, write_notes
 from rholoc.library.shared_maps import ActOnPublishing
+from rholoc.library.sites import SiteLibrary
 from rholoc.library.stores import CAMERAS, SITES, Stores
 from rholoc.worker.pipeline import MappingTask
 

@@ -15,19 +15,19 @@ from sqlalchemy.exc import SQLAlchemyError
 from rholoc import telemetry
 from rholoc.disk import is_full, storage_full
 from rholoc.errors import Cancelled, RholocError, StorageUnavailable
-from rholoc.jobs.job_memory import MoreMemoryNeeded
+from rholoc.jobs.job import MoreMemoryNeeded
 from rholoc.jobs.leases import Claim, Failure, Lease, Leases
 from rholoc.jobs.table import JobWork
 from rholoc.jobs.workers_table import WorkerTable
 from rholoc.maps import Map
 from rholoc.progress import Stage
 from rholoc.worker.build_process import KilledForMemory, build_in_process, describe, unexpected
+from rholoc.worker.heartbeat import Timing
 from rholoc.worker.job_folders import JobFolders
 from rholoc.worker.pipeline import MappingTask, Pipeline, doubts
 from rholoc.worker.running_jobs import RunningJobs
 from rholoc.worker.setup import BuildLimits
 from rholoc.worker.site_placing import store_links
-from rholoc.worker.timing import Timing
 
 _log = logging.getLogger("rholoc.worker")
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Protocol
 
 from rholoc.errors import InvalidMap, UnknownMap
-from rholoc.jobs.job import JobKind, JobOptions
-from rholoc.jobs.job_memory import MoreMemoryNeeded, memory_for
-from rholoc.library import CameraLibrary, MapLibrary
+from rholoc.jobs.job import JobKind, JobOptions, MoreMemoryNeeded, memory_for
+from rholoc.library.cameras import CameraLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.library.queries import QueryStore
 from rholoc.library.recording_notes import WAYPOINTS_FILE, notes_of, write_notes
 from rholoc.mapping.build.pipeline import BuildOptions, build_map
@@ -20,7 +20,9 @@ from rholoc.mapping.learn.from_queries import learn_from_queries
 from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
 from rholoc.mapping.room.drawing import draw_room
 from rholoc.maps import Map, load_map, save_map, trust_of
-from rholoc.processes import BACKGROUND_NICENESS, Limits, run_in_child
+from rholoc.processes.child import run_in_child
+from rholoc.processes.limits import Limits
+from rholoc.processes.program import BACKGROUND_NICENESS
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import MAX_FRAME_PIXELS, Recording, frame_pixels_limited, read_recording
 from rholoc.storage import ObjectStorage

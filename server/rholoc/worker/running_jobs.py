@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from rholoc.jobs.job_memory import Capacity
+from rholoc.jobs.job import Capacity
 from rholoc.jobs.leases import Claim, Lease
 
 

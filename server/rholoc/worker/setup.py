@@ -6,8 +6,8 @@ import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from rholoc.jobs.job_memory import Capacity
-from rholoc.processes import Limits
+from rholoc.jobs.job import Capacity
+from rholoc.processes.limits import Limits
 from rholoc.recordings import MAX_FRAME_PIXELS
 
 

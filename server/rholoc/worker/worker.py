@@ -21,13 +21,12 @@ from rholoc.errors import RholocError, StorageFull, StorageUnavailable
 from rholoc.jobs.leases import Claim, Leases
 from rholoc.jobs.workers_table import WorkerTable, process_name
 from rholoc.library.stores import Stores
-from rholoc.worker.heartbeat import Heartbeat
+from rholoc.worker.heartbeat import Heartbeat, Timing
 from rholoc.worker.job_folders import JobFolders
 from rholoc.worker.job_runner import JobRunner
 from rholoc.worker.pipeline import MappingPipeline, Pipeline
 from rholoc.worker.running_jobs import RunningJobs
 from rholoc.worker.setup import WorkerSetup
-from rholoc.worker.timing import Timing
 
 _log = logging.getLogger("rholoc.worker")
 

@@ -7,8 +7,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from rholoc.library import MapLibrary, Stores
-from rholoc.service.access.keys import KeyStore, Scope
+import pytest
+from typer.testing import CliRunner, Result
+
+from rholoc.cli import app
+from rholoc.errors import Conflict, NotFound
+from rholoc.library.maps import MapLibrary
+from rholoc.library.stores import Stores
+from rholoc.service.access.audit import AuditLog, Change
+from rholoc.service.access.keys import KeyLimits, KeyStore, Scope
+from rholoc.storage.database import open_database
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -57,3 +65,65 @@ def test_what_servers_share_is_backed_up_and_restored_as_well(
             shared.refresh()
             assert shared.library.names() == ["hall"]
         shared.close()
+
+
+CHANGE = Change(1.0, "alice", "PUT", "/v1/maps/hall", 200, "", "id")
+
+
+def test_the_command_shows_them(command: Callable[..., tuple[int, str, str]], tmp_path: Path) -> None:
+    assert "Nothing was changed" in command("audit", "--data", tmp_path)[2]
+    engine = open_database(tmp_path)
+    AuditLog(engine).note(replace(CHANGE, job="a" * 32))
+    AuditLog(engine).note(replace(CHANGE, path="/v1/maps/room"))
+    engine.dispose()
+    status, shown, _ = command("audit", "--data", tmp_path, "--map", "hall")
+    assert status == 0
+    assert "alice: PUT /v1/maps/hall, job aaaa" in shown
+    assert "room" not in shown
+    assert '"who": "alice"' in command("audit", "--data", tmp_path, "--json")[1]
+
+
+def run(folder: Path, *arguments: str) -> Result:
+    return CliRunner().invoke(app, ["key", *arguments, "--data", str(folder)])
+
+
+def test_a_key_is_printed_alone_and_works_until_it_is_revoked(tmp_path):
+    secret = run(tmp_path, "create", "robot", "--scope", "map", "--expires", "1").stdout.strip()
+    key = KeyStore(tmp_path).find(secret)
+    assert (key.name, key.scope, key.expires - key.created) == ("robot", Scope.MAP, 24 * 3600)
+    assert run(tmp_path, "revoke", "robot").exit_code == 0
+    assert KeyStore(tmp_path).find(secret) is None
+
+
+def test_keys_are_listed_without_their_secrets(tmp_path):
+    secret = run(tmp_path, "create", "[bold]robot").stdout.strip()
+    assert "[bold]robot: localize" in run(tmp_path, "list").stdout
+    listed = run(tmp_path, "list", "--json").stdout
+    (key,) = json.loads(listed)
+    assert (key["name"], key["scope"], key["expires"]) == ("[bold]robot", "localize", None)
+    assert secret not in listed
+
+
+def test_limits_are_set_changed_and_lifted(tmp_path):
+    run(tmp_path, "create", "robot", "--requests-per-s", "5", "--burst", "20", "--stored-bytes", "1000")
+    (key,) = KeyStore(tmp_path).keys()
+    assert key.limits == KeyLimits(5.0, 20, None, 1000, None)
+    assert "5 requests a second, 20 at once, 1000 bytes" in run(tmp_path, "list").stdout
+    assert run(tmp_path, "limit", "robot", "--maps", "3", "--jobs", "0").exit_code == 0
+    (listed,) = json.loads(run(tmp_path, "list", "--json").stdout)
+    assert (listed["limits"]["maps"], listed["limits"]["jobs"], listed["limits"]["burst"]) == (3, 0, None)
+    run(tmp_path, "limit", "robot")
+    assert KeyStore(tmp_path).named("robot").limits == KeyLimits()
+    assert run(tmp_path, "limit", "robot", "--burst", "0").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind"), [(("create", "a"), Conflict), (("revoke", "b"), NotFound), (("limit", "b"), NotFound)]
+)
+def test_what_cannot_be_done_is_said(tmp_path, arguments, kind):
+    run(tmp_path, "create", "a")
+    assert isinstance(run(tmp_path, *arguments).exception, kind)
+
+
+def test_a_scope_that_there_is_not_is_wrong_usage(tmp_path):
+    assert run(tmp_path, "create", "a", "--scope", "all").exit_code == 2

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from rholoc.library import MapLibrary, SiteLibrary
+from rholoc.library.maps import MapLibrary
+from rholoc.library.sites import SiteLibrary
 from rholoc.maps import Site, SiteMap
 from rholoc.service import Settings
 from rholoc.service.operate import doctor as module

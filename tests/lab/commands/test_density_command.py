@@ -1,4 +1,4 @@
-"""``rholoc map density``: what it draws can be read, and what it cannot draw it says."""
+"""``rholoc map density``: what it draws can be read, and what it cannot draw it says; ``rholoc paper``."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ import pytest
 
 from rholoc.density import DensityKind
 from rholoc.mapping.build.density_fitting import fit_densities
-from rholoc.maps import Map, load_map, save_map
+from rholoc.maps import Map, load_map, observations_csv, read_trajectory_csv, save_map
 from rholoc.paper.landscape import Grid, Look, over_headings, over_picture, over_positions, seen_from
+from rholoc.paper.observation_table import observation_table
+from rholoc.recordings import CameraFile, write_camera_json
+from rholoc.simulation import Light, simulate_recording
 
 Run = Callable[..., tuple[int, str, str]]
 SHIPPED = Path(__file__).parents[3] / "maps"
@@ -151,3 +154,72 @@ def test_what_cannot_be_drawn_is_said(rholoc: Run, file: Path, arguments: tuple[
 def test_a_feature_or_a_picture_has_to_be_named(rholoc: Run, file: Path) -> None:
     assert rholoc("density", file)[0] == 2
     assert rholoc("density", file, "--feature", "0", "--picture", "x.jpg")[0] == 2
+
+
+@pytest.fixture
+def table(point_room: Any, tmp_path: Path) -> Path:
+    path = tmp_path / "walk.csv"
+    map_ = point_room.map_of(point_room.walk(60)[:12], "walk")
+    path.write_text("".join(observations_csv(observation_table(map_))), encoding="ascii")
+    return path
+
+
+@pytest.mark.slow
+def test_the_whole_flow_on_a_recording(command: Run, tmp_path: Path) -> None:
+    walk = tmp_path / "walk"
+    simulate_recording(walk, light=Light.ARTIFICIAL, seconds=8.0, fps=6)
+    (walk / "truth.csv").rename(walk / "poses.csv")
+    truth = read_trajectory_csv(walk / "poses.csv")
+    lines = [
+        " ".join(f"{value:.6f}" for value in (*position, *quaternion))
+        for position, quaternion in zip(truth.positions, truth.quaternions_xyzw, strict=True)
+    ]
+    text = "\n".join(f"{frame} {line}" for frame, line in zip(truth.frames, lines, strict=True))
+    (walk / "poses.txt").write_text(text, encoding="utf-8")
+    out = tmp_path / "walk.csv"
+    status, printed, errors = command(
+        "paper", "observations", walk, "-o", out, "--poses", "given", "--features", "lab3", "--json"
+    )
+    assert status == 0, errors
+    figures = json.loads(printed)
+    assert out.read_text().startswith("timestamp,descriptor,u,v,x,y,z,hx,hy,hz,roll\n")
+    assert {line.split(",")[1][:2] for line in out.read_text().splitlines()[1:]} == {"00", "01", "02"}
+    assert figures["observations"] == len(out.read_text().splitlines()) - 1
+    status, printed, errors = command("paper", "fit", out, "-o", tmp_path / "walk.rho", "--no-report", "--json")
+    assert status == 0, errors
+    fit = json.loads(printed)
+    assert fit["with_a_peak"] > 0.9
+    assert load_map(tmp_path / "walk.rho").info.features == "lab3"
+    trajectory = tmp_path / "trajectory.csv"
+    arguments = ("paper", "localize", tmp_path / "walk.rho", walk, "-o", trajectory, "--follow", "--json")
+    status, printed, errors = command(*arguments)
+    assert status == 0, errors
+    assert json.loads(printed)["with_a_pose"] == len(read_trajectory_csv(trajectory)) > 10
+
+
+def test_a_table_needs_its_camera(command: Run, table: Path) -> None:
+    out = table.with_name("map.rho")
+    status, _, errors = command("paper", "fit", table, "-o", out)
+    assert status == 1
+    assert "is not known" in errors
+    status, _, errors = command("paper", "fit", table, "-o", out, "--camera", "520,520,319.5,239.5", "--no-report")
+    assert status == 0, errors
+    assert (load_map(out).info.camera.width, load_map(out).info.camera.height) == (640, 480)
+    arguments = ("--camera", "520,520,319.5,239.5", "--size", "huge")
+    status, _, errors = command("paper", "fit", table, "-o", out, *arguments)
+    assert status == 1
+    assert "'huge' is not an image size" in errors
+
+
+def test_the_camera_may_stand_beside_the_table(command: Run, table: Path, point_room: Any) -> None:
+    write_camera_json(table.with_name("walk.camera.json"), CameraFile(point_room.camera))
+    arguments = ("paper", "fit", table, "-o", table.with_name("map.rho"), "--seen-only", "--no-report", "--json")
+    status, printed, errors = command(*arguments)
+    assert status == 0, errors
+    assert json.loads(printed)["density"] == "observed"
+
+
+def test_a_missing_table_is_one_line(command: Run, tmp_path: Path) -> None:
+    status, _, errors = command("paper", "fit", tmp_path / "no.csv", "-o", tmp_path / "m.rho", "--camera", "5,5,3,3")
+    assert status == 1
+    assert "Traceback" not in errors

@@ -63,7 +63,7 @@ def evaluate_track(
     from rholoc.localization import localizer_of
     from rholoc.maps import load_map
     from rholoc.recordings import read_recording
-    from rholoc.tracking import Motion
+    from rholoc.tracking.moments import Motion
     from rholoc_lab.evaluation.tracking import drifting_odometry, run_tracker
 
     localizer = localizer_of(load_map(map_file))

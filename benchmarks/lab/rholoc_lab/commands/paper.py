@@ -9,7 +9,7 @@ import typer
 
 from rholoc.cli import options
 from rholoc.cli.console import frame_progress, print_figures, print_json, print_notice, stage_progress
-from rholoc.cli.targets import check_target
+from rholoc.cli.options import check_target
 from rholoc.errors import InvalidCamera
 
 if TYPE_CHECKING:

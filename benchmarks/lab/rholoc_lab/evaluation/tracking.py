@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import AnyLocalizer, Localization, Query
 from rholoc.recordings import Recording
-from rholoc.tracking import Answered, Motion, Tally, film_times, follow, recorded_moments
+from rholoc.tracking.follow import Answered, follow
+from rholoc.tracking.moments import Motion, film_times, recorded_moments
+from rholoc.tracking.users import Tally
 from rholoc_client.tracking import Tracked, TrackOptions, TrackStatus
 from rholoc_client.tracking.rigid import inverse
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from rholoc.features import FeatureSet
 from rholoc.features.matching import DescriptorIndex
-from rholoc.features.vlad import Vlad
+from rholoc.features.picture_vectors import Vlad
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.localization.index.map_index import MapIndex
 from rholoc_lab.evaluation.pnp_baselines import RansacOptions, Solver, solve

@@ -12,7 +12,7 @@ import typer
 from rholoc.cli import options
 from rholoc.cli.console import print_figures, print_json, stage_progress
 from rholoc.cli.maps.page import print_map
-from rholoc.cli.targets import check_target
+from rholoc.cli.options import check_target
 
 if TYPE_CHECKING:
     from rholoc.maps import Map
@@ -147,7 +147,8 @@ def learn(
 
     The map before is kept, as a server keeps it, and can be restored.
     """
-    from rholoc.library import MapLibrary, QueryStore
+    from rholoc.library.maps import MapLibrary
+    from rholoc.library.queries import QueryStore
     from rholoc.mapping.learn.from_queries import learn_from_queries
     from rholoc.maps import load_map
     from rholoc.storage import ObjectStorage
@@ -167,7 +168,7 @@ def queries(
     as_json: options.Json = False,
 ) -> None:
     """Show how many queries a server has kept for a map to learn from; or delete them."""
-    from rholoc.library import QueryStore
+    from rholoc.library.queries import QueryStore
     from rholoc.maps import load_map
     from rholoc.storage import ObjectStorage
 
@@ -212,7 +213,7 @@ def forget(
     as_json: options.Json = False,
 ) -> None:
     """Make a map forget what it learned from a recording."""
-    from rholoc.mapping.edit.forgetting import forget_recording
+    from rholoc.mapping.edit.sources import forget_recording
     from rholoc.maps import load_map
 
     save_and_print(forget_recording(load_map(map_file), recording), out or map_file, as_json)

@@ -269,8 +269,7 @@ def earth(
     """Place the map on Earth by two points or more, or by one and a heading; its frame stays."""
     import numpy as np
 
-    from rholoc.geometry.earth import EarthPlace
-    from rholoc.geometry.grids import places_in
+    from rholoc.geometry.earth import EarthPlace, places_in
     from rholoc.mapping.edit.correcting import set_earth
 
     sides = [one.partition("=") for one in point]

@@ -22,7 +22,7 @@ def list_maps(
     as_json: options.Json = False,
 ) -> None:
     """Show the maps of a folder, whether they are to be trusted, and how far they expect to be off."""
-    from rholoc.library import MapLibrary
+    from rholoc.library.maps import MapLibrary
     from rholoc.maps import expected_error_m, trust_of
 
     folder = maps or Path(os.environ.get(options.MAPS_VARIABLE, options.DEFAULT_MAPS))

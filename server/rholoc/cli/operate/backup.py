@@ -14,9 +14,13 @@ from rholoc.cli.operate.serve import Data, Maps, service_settings
 from rholoc.cli.options import Json
 
 if TYPE_CHECKING:
-    from rholoc.library import Stores
+    from rholoc.library.stores import Stores
     from rholoc.service import Settings
     from rholoc.service.operate.backup import Manifest
+from dataclasses import asdict
+
+from rholoc.cli.console import fraction_progress, output
+from rholoc.errors import InvalidInput
 
 _MB = 1e6
 
@@ -80,3 +84,37 @@ def _say(done: str, manifest: Manifest, as_json: bool) -> None:
         return
     counts = ", ".join(f"{count} {what}" for what, count in figures.items() if what != "size_bytes")
     print_notice(f"{done}: {counts}; {figures['size_bytes'] / _MB:.1f} MB.")
+
+
+storage_app = typer.Typer(help="Bring what a server has into a storage that several share.", no_args_is_help=True)
+
+
+@storage_app.callback()
+def _group() -> None:
+    pass
+
+
+@storage_app.command("import")
+def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) -> None:
+    """Copy maps, cameras, sites, keys and recordings from this server's folders into RHOLOC_STORAGE_URL."""
+    from rholoc.library.data_import import import_data
+
+    settings = service_settings(maps_dir=maps, data_dir=data)
+    stores = settings.stores()
+    if not stores.are_shared:
+        raise InvalidInput("RHOLOC_STORAGE_URL is not set.", "Set it to the storage that the servers share.")
+    stores.open()
+    try:
+        with fraction_progress("importing") as advance:
+            moved = import_data(settings.maps_dir, settings.data_dir, stores, advance)
+    finally:
+        stores.close()
+    if as_json:
+        print_json(asdict(moved))
+        return
+    for what in moved.left:
+        print_notice(f"Left, for the storage has it already: {what}")
+    for what in moved.unreadable:
+        print_notice(f"Left, for its file is damaged: {what}")
+    counts = ", ".join(f"{count} {kind}" for kind, count in asdict(moved).items() if kind not in ("left", "unreadable"))
+    output.print(f"Imported {counts}. The folders stay as they are.", markup=False, soft_wrap=True)

@@ -15,7 +15,8 @@ from rholoc.cli.operate.serve import Data, service_settings
 from rholoc.cli.options import Json, choice
 
 if TYPE_CHECKING:
-    from rholoc.jobs import Job, JobQueue
+    from rholoc.jobs.job import Job
+    from rholoc.jobs.queue import JobQueue
     from rholoc.service import Settings
 
 app = typer.Typer(help="Show the mapping jobs of a server, and say how soon their turn comes.", no_args_is_help=True)
@@ -47,7 +48,7 @@ def prioritize(
     data: Data = None,
 ) -> None:
     """Change the priority of a job that waits for a worker."""
-    from rholoc.jobs import JobPriority
+    from rholoc.jobs.job import JobPriority
 
     wanted = choice(JobPriority, priority, "The priority")
     with open_queue(service_settings(data_dir=data)) as queue:
@@ -58,7 +59,7 @@ def prioritize(
 @contextmanager
 def open_queue(settings: Settings) -> Iterator[JobQueue]:
     """The queue of a server, connected. Raises StorageUnavailable, StorageFull, InvalidInput, Conflict."""
-    from rholoc.jobs import JobQueue
+    from rholoc.jobs.queue import JobQueue
 
     queue = JobQueue(settings.stores().recordings)
     try:

@@ -1,4 +1,4 @@
-"""``rholoc key``: who may use a server that others can reach."""
+"""``rholoc key``: who may use a server that others can reach; ``rholoc audit``: who changed what on it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rholoc.cli.options import Json, choice
 
 if TYPE_CHECKING:
     from rholoc.service.access.keys import KeyLimits, KeyStore
+
 
 _DAY_S = 24 * 3600.0
 
@@ -135,3 +136,28 @@ def _limited(limits: KeyLimits) -> str:
 
 def _day(seconds: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
+
+
+def audit(
+    map_name: Annotated[str | None, typer.Option("--map", metavar="NAME", help="Changes of this map alone.")] = None,
+    limit: Annotated[int, typer.Option(min=1, help="How many at most, the newest first.")] = 100,
+    data: Data = None,
+    as_json: Json = False,
+) -> None:
+    """Show who changed what over HTTP: maps, sites, cameras, recordings, jobs, keys."""
+    from rholoc.service.access.audit import AuditLog
+    from rholoc.storage.database import open_database
+
+    settings = service_settings(data_dir=data)
+    engine = open_database(settings.data_dir, settings.jobs_database)
+    changes = AuditLog(engine).changes(limit, map_name)
+    engine.dispose()
+    if as_json:
+        print_json([asdict(change) for change in changes])
+        return
+    if not changes:
+        print_notice("Nothing was changed over HTTP.")
+    for change in changes:
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(change.time))
+        job = f", job {change.job}" if change.job else ""
+        output.print(f"{when}  {change.who}: {change.method} {change.path}{job}", markup=False, soft_wrap=True)

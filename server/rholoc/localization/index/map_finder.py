@@ -45,7 +45,7 @@ class _FileState(Protocol):
 
 
 class MapFiles(Protocol):
-    """Maps by name, as far as they are read here. :class:`rholoc.library.MapLibrary` is one."""
+    """Maps by name, as far as they are read here. :class:`rholoc.library.maps.MapLibrary` is one."""
 
     def names(self) -> list[str]:
         """The names of all maps, sorted."""

@@ -1,4 +1,4 @@
-"""Maps as sums: join another map in the same frame, or take a recording out again.
+"""Maps as sums: join another map in the same frame, or take a recording out again (forget it).
 
 The result does not depend on the order of learning: A joined with B has the same landmarks as B joined with A and as a
 map built from both, and a map without a recording has the landmarks of a map that never had it.
@@ -11,8 +11,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import BoolArray, IntArray
 from rholoc.mapping.build.assembly import DESCRIPTORS_PER_FEATURE
+from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.stored_observations import (
     keep_features,
     keep_view_rows,
@@ -20,7 +22,9 @@ from rholoc.mapping.build.stored_observations import (
     solve_landmarks,
     with_landmarks,
 )
-from rholoc.maps import Cloud, Map, MapDescriptors, MapLandmarks, MapObservations, MapViews, check_memory
+from rholoc.mapping.edit.versions import as_learned
+from rholoc.maps import Cloud, Map, MapDescriptors, MapInfo, MapLandmarks, MapObservations, MapViews, check_memory
+from rholoc.reports import LearningReport
 
 _Sourced = TypeVar("_Sourced", MapDescriptors, MapViews)
 
@@ -159,3 +163,30 @@ def _with_patches(a: Map, b: Map, same: IntArray) -> MapLandmarks:
     further[further] = np.isnan(patches[same[further], 0])
     patches[same[further]] = b.landmarks.patches[further]
     return replace(a.landmarks, patches=patches)
+
+
+def forget_recording(map_: Map, recording: str) -> Map:
+    """Next version of the map without what it learned from ``recording``, given by id or by an unambiguous name.
+
+    Raises:
+        InvalidInput: the map does not remember its observations, never learned the recording, or learned several of
+            that name; lists those that it learned.
+        Conflict: it learned nothing else.
+    """
+    check_memory(map_, "The map")
+    row = _source_row(map_.info, recording)
+    if len(map_.info.sources) == 1:
+        raise Conflict(f"{recording} is the only recording in the map.", "Delete the map instead.")
+    after = without_source(ray_form(map_), row)
+    return as_learned(map_, after, LearningReport(map_.info.version + 1, forgotten=map_.info.sources[row].id))
+
+
+def _source_row(info: MapInfo, recording: str) -> int:
+    rows = [row for row, source in enumerate(info.sources) if source.id == recording]
+    rows = rows or [row for row, source in enumerate(info.sources) if source.name == recording]
+    sources = ", ".join(f"{source.name} ({source.id})" for source in info.sources)
+    if not rows:
+        raise InvalidInput(f"The map does not contain {recording}.", f"It contains: {sources}.")
+    if len(rows) > 1:
+        raise InvalidInput(f"The map contains {len(rows)} recordings named {recording}.", f"Give the id: {sources}.")
+    return rows[0]

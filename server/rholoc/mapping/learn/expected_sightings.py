@@ -1,4 +1,10 @@
-"""Expected sightings: which landmarks cameras at given poses should have seen, and which of them they saw."""
+"""Expected sightings: which landmarks cameras at given poses should have seen, and which of them they saw.
+
+Furniture that was moved is as rigid as the room: a picture that shows little else is localized by it, confidently and
+wrongly. Cameras that are localized by other landmarks and look at its old place miss it. The majority agrees on what
+stayed, so cameras that rely on landmarks missed by the others are dropped, the most contradicted first. Landmarks that
+many cameras should have seen and did not have vanished.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +28,12 @@ _HIDING_PX, _HIDING_SHARE = 40.0, 0.8  # what is seen so close in the picture, a
 _MIN_SEEN = 12  # landmarks, by a camera that is to say what is missing
 GONE_NATS = 4.0  # of evidence that a landmark is gone
 _ROUNDS = 2  # how well a camera sees shows in what is there; what is there, in what cameras see
+_TELLING_NATS = 1.0  # by which a landmark is likelier there than gone, or gone than there
+_MAX_CONTRADICTED = 0.2  # of the landmarks that a camera rests on; what noise brings about is less than that
+_MISPLACED = 0.3  # of the cameras that look at a place, so many may be misled by what moved
+_MIN_TELLING = 10  # landmarks that others know of: among fewer, each counts as one of so many
+_MIN_MISSES = 6
+_MIN_OCCASIONS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,3 +173,39 @@ def _hidden(index: MapIndex, one: Looked, landmarks: IntArray, seen: BoolArray) 
     nearest = np.full(len(landmarks), np.inf)
     np.minimum.at(nearest, near["i"], depth[seen][near["j"]])
     return np.asarray(nearest < _HIDING_SHARE * depth)
+
+
+def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
+    """Mask (C,) of cameras that are not contradicted by the ``speaking`` (C,) cameras that agree with each other.
+
+    A camera is contradicted if others miss more than a fifth of the landmarks that it sees.
+    """
+    believed = speaking.copy()
+    while True:
+        contradicted = _contradicted(sights, believed)
+        doubtful = believed & (contradicted > _MAX_CONTRADICTED)
+        if not doubtful.any():
+            return contradicted <= _MAX_CONTRADICTED
+        believed[np.argmax(np.where(doubtful, contradicted, 0.0))] = False
+
+
+def _contradicted(sights: Sights, believed: BoolArray) -> FloatArray:
+    """Share (C,) of the landmarks seen by each camera that the ``believed`` (C,) other cameras miss by over 1 nat."""
+    nats = sights.evidence(believed, _MISPLACED)
+    of_others = sights.sums(nats, believed)[sights.landmarks] - nats * believed[sights.cameras]
+    missed = np.bincount(sights.cameras, sights.seen & (of_others < -_TELLING_NATS), sights.camera_count)
+    known = np.bincount(sights.cameras, sights.seen & (np.abs(of_others) > _TELLING_NATS), sights.camera_count)
+    return np.asarray(missed / np.maximum(known, _MIN_TELLING))
+
+
+def vanished(sights: Sights) -> BoolArray:
+    """Mask (F,) of landmarks that are gone.
+
+    Their absence explains the sightings better by ``GONE_NATS``, with at least six misses on at least two occasions.
+    """
+    everyone = np.ones(sights.camera_count, dtype=bool)
+    nats = sights.sums(sights.evidence(everyone), everyone)
+    pairs = np.column_stack([sights.landmarks, sights.occasions[sights.cameras]])[~sights.seen]
+    misses = np.bincount(pairs[:, 0], minlength=sights.landmark_count)
+    occasions = np.bincount(np.unique(pairs, axis=0)[:, 0], minlength=sights.landmark_count)
+    return (nats <= -GONE_NATS) & (misses >= _MIN_MISSES) & (occasions >= _MIN_OCCASIONS)

@@ -23,12 +23,10 @@ from rholoc.mapping.edit.cutting import keep_views
 from rholoc.mapping.edit.sources import join, with_sources_once
 from rholoc.mapping.edit.versions import as_learned
 from rholoc.mapping.learn.answered_query import AnsweredQuery
-from rholoc.mapping.learn.camera_agreement import agreeing
-from rholoc.mapping.learn.expected_sightings import Looked, Sights
+from rholoc.mapping.learn.expected_sightings import Looked, Sights, agreeing, vanished
 from rholoc.mapping.learn.merging import remembered_frames
 from rholoc.mapping.learn.recognition import recognize, seen_landmarks
 from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED
-from rholoc.mapping.learn.vanished_landmarks import vanished
 from rholoc.maps import Map, MapInfo, Source, check_memory
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.reports import LearningReport, QueriesReport
@@ -68,9 +66,9 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
     """The next version of a map: with views and landmarks of what was seen often, without what is no longer seen.
 
     Every query is first localized anew, without a prior. Only confident queries teach, and only if other cameras see
-    the same landmarks (:func:`rholoc.mapping.learn.camera_agreement.agreeing`). A landmark is added once it was seen
+    the same landmarks (:func:`rholoc.mapping.learn.expected_sightings.agreeing`). A landmark is added once it was seen
     from several places on several occasions. It is forgotten once many queries should have seen it and did not
-    (:func:`rholoc.mapping.learn.vanished_landmarks.vanished`). Then all queries are localized in the new map, the
+    (:func:`rholoc.mapping.learn.expected_sightings.vanished`). Then all queries are localized in the new map, the
     doubtful ones too, and teach again. A fifth of the queries is held back: these queries, whole and by halves, and
     the views that the map remembers must be localized as well as before. What a map can learn this way is bounded by
     what it was built from.

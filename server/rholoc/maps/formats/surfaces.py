@@ -13,8 +13,7 @@ from scipy.spatial import ConvexHull
 
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.maps.formats.ply_and_vtp import landmark_sigmas
-from rholoc.maps.formats.vtp import Cells, Owner, data_array, piece, polydata
+from rholoc.maps.formats.ply_and_vtp import Cells, Owner, data_array, landmark_sigmas, piece, polydata
 from rholoc.maps.map import Map
 
 SIGMAS = 3.0

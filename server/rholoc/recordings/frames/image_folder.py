@@ -15,7 +15,7 @@ from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray
 from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES, exif_focal_px, image_size, read_image
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures, common_camera
 from rholoc.recordings.frames.video import check_frame_size
-from rholoc.recordings.tables.frames_table import read_frames_csv
+from rholoc.recordings.tables.own_tables import read_frames_csv
 
 _SUBFOLDERS = (".", "frames", "images")
 _LAST_DIGITS = re.compile(r"(\d+)\D*$")

@@ -1,4 +1,4 @@
-"""Frames that are already in memory."""
+"""Frames without files: pictures in memory, and times without pictures."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rholoc.errors import InvalidRecording
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 
 
@@ -46,3 +47,30 @@ class MemoryFrames:
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
         """Iterate over the pictures of the given rows."""
         return (self.pictures[row] for row in rows)
+
+
+@dataclass(frozen=True, eq=False)
+class MissingImages:
+    """The times and numbers (N,) of frames without images, see :class:`rholoc.recordings.FrameSource`."""
+
+    times: FloatArray
+    numbers: IntArray
+
+    @property
+    def timed(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(0, 0): unknown."""
+        return (0, 0)
+
+    def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
+        """Raise InvalidRecording.
+
+        Raises:
+            InvalidRecording: always, at the first step of the iterator.
+        """
+        raise InvalidRecording("The recording has times of frames, but no images.", "Add its video.")
+        yield  # the protocol's images are an iterator

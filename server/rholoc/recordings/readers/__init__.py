@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rholoc.errors import InvalidRecording
-from rholoc.recordings.frames.steady_frames import with_logged_intrinsics
+from rholoc.recordings.frames.unified_pictures import with_logged_intrinsics
 from rholoc.recordings.readers import bag, own
 from rholoc.recordings.readers._unused import with_unused_files
 from rholoc.recordings.readers.apps import (
@@ -28,7 +28,7 @@ from rholoc.recordings.readers.apps.scanning_apps import APPS
 from rholoc.recordings.readers.datasets import advio, euroc, seven_scenes, tum_rgbd
 from rholoc.recordings.readers.models import colmap, kapture, metashape, nerfstudio
 from rholoc.recordings.recording import Recording, RecordingFormat
-from rholoc.recordings.tables.lengths import read_lengths_csv
+from rholoc.recordings.tables.own_tables import read_lengths_csv
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 
 

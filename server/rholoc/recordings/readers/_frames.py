@@ -1,8 +1,8 @@
-"""Frames for the readers: videos with tables of times, images in lists, files by name."""
+"""Frames for the readers: videos with tables of times, images in lists, files by name, pictures of a rig."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from rholoc.recordings.frames.image_folder import ImageFolderFrames, image_frame
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES, VideoFrames, read_video
 from rholoc.recordings.imu_normalisation import advancing_rows
-from rholoc.recordings.recording import FrameSource
+from rholoc.recordings.recording import FrameSource, Mounted
 from rholoc.reports import RecordingWarning, WarningKind
 
 MAX_FRAME_COUNT_DIFFERENCE = 2  # frames lost at the end of the video or of its table
@@ -164,3 +164,27 @@ def listed_file(folder: Path, name: str) -> Path:
 
 def _chosen(frames: VideoFrames, rows: IntArray) -> FrameSource:
     return frames if len(rows) == len(frames.times) else SelectedFrames(frames, rows)
+
+
+def mounted_frames(
+    timed: TimedFrames, moments: Sequence[Hashable], T_rig_cameras: Sequence[FloatArray | None]
+) -> tuple[Mounted, ...]:
+    """Pairs of each frame of a moment with the moment's first one.
+
+    Args:
+        timed: frames, whose ``rows`` are places in the lists below.
+        moments: of each picture listed; equal for pictures of one rig and moment.
+        T_rig_cameras: (4, 4) mounting of each picture's camera; None for cameras that are not on a rig.
+    """
+    first: dict[Hashable, tuple[int, FloatArray]] = {}
+    found = []
+    for number, row in zip(timed.frames.numbers.tolist(), timed.rows.tolist(), strict=True):
+        T = T_rig_cameras[row]
+        if T is None:
+            continue
+        if moments[row] in first:
+            other, T_other = first[moments[row]]
+            found.append(Mounted(other, number, np.linalg.inv(T_other) @ T))
+        else:
+            first[moments[row]] = number, T
+    return tuple(found)

@@ -10,8 +10,7 @@ from pathlib import Path, PurePath
 from rholoc.recordings.frame_slice import SelectedFrames
 from rholoc.recordings.frames.bag import BagFrames
 from rholoc.recordings.frames.image_folder import ImageFolderFrames
-from rholoc.recordings.frames.steady_frames import SteadyFrames
-from rholoc.recordings.frames.unified_pictures import UnifiedPictures
+from rholoc.recordings.frames.unified_pictures import SteadyFrames, UnifiedPictures
 from rholoc.recordings.frames.video import VideoFrames
 from rholoc.recordings.recording import FrameSource, Recording
 from rholoc.reports import RecordingWarning, WarningKind

@@ -23,9 +23,7 @@ from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import find_video, timed_video
 from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat
-from rholoc.recordings.tables.frames_table import read_frame_numbers
-from rholoc.recordings.tables.imu_table import read_imu_rows
-from rholoc.recordings.tables.odometry_table import read_odometry_csv
+from rholoc.recordings.tables.own_tables import read_frame_numbers, read_imu_rows, read_odometry_csv
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.reports import RecordingWarning

@@ -13,8 +13,7 @@ import numpy as np
 
 from rholoc.errors import InvalidWaypoints
 from rholoc.geometry import FloatArray, IntArray
-from rholoc.geometry.earth import EarthPlace, enu_of
-from rholoc.geometry.grids import places_in
+from rholoc.geometry.earth import EarthPlace, enu_of, places_in
 from rholoc.recordings.recording import Waypoint
 from rholoc.recordings.tables.csv_table import parse_number, read_rows, require_columns, shortened
 

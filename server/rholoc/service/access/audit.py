@@ -16,6 +16,7 @@ from rholoc.errors import RholocError
 from rholoc.service.access.keys import Scope as KeyScope
 from rholoc.service.access.scopes import found_route, request_key
 from rholoc.service.threads.storage import StorageLanes
+from rholoc.storage.database import read_rows
 from rholoc.storage.tables import changes_table
 
 _ROWS = 100_000  # of the table
@@ -76,8 +77,7 @@ class AuditLog:
         if map_name is not None:
             path, of_map = changes_table.c.path, f"{_MAPS}{map_name}"
             wanted = wanted.where(sa.or_(path == of_map, path.startswith(f"{of_map}/", autoescape=True)))
-        with self._engine.connect() as connection:
-            return [Change(**row) for row in connection.execute(wanted).mappings()]
+        return [Change(**row) for row in read_rows(self._engine, wanted)]
 
 
 class Audited:

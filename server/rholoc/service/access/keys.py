@@ -14,7 +14,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from rholoc.errors import Busy, Conflict, InvalidName, NotFound
-from rholoc.library import Documents, FolderDocuments
+from rholoc.library.folder_documents import Documents, FolderDocuments
 from rholoc.service.errors import QuotaExceeded
 
 HANDED_PREFIX = "handed-"  # of the names of handed-on keys

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from rholoc.errors import UnknownMap, UnknownRecording
 from rholoc.jobs import JobQueue, UploadStore
-from rholoc.library import MapLibrary, RecordingStore
+from rholoc.library.maps import MapLibrary
+from rholoc.library.recordings import RecordingStore
 from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.errors import QuotaExceeded
 from rholoc.storage.holdings_table import Holding, Holdings, Kind

@@ -10,7 +10,8 @@ from typing import TypeVar
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import DeadlineExceeded, RholocError, StorageUnavailable
-from rholoc.library import MapLibrary, SiteLibrary
+from rholoc.library.maps import MapLibrary
+from rholoc.library.sites import SiteLibrary
 from rholoc.localization import AnyLocalizer, MapFinder
 from rholoc.service.caller import ASKER
 from rholoc.service.frames.answers import LocalizationOut, PlacesOut, late_answer

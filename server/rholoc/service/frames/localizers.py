@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Protocol
 
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.localization import AnyLocalizer, localizer_of
 from rholoc.maps import Map, check_usable
 

@@ -1,12 +1,19 @@
-"""Choice of maps for a frame: the named ones, or of many the most similar ones."""
+"""Choice of maps for a frame, the named ones or of many the most similar ones, and of the best of their answers."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
+import structlog
+
+from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
-from rholoc.localization import MapFinder
+from rholoc.localization import AnyLocalizer, MapFinder
+from rholoc.service.frames.localizers import LocalizerSource, MapNotHereError
+from rholoc.service.http.stopwatch import Stopwatch
 
 MAX_ASKED = 5
 """Maps that a frame is localized in; of more, the index over all views chooses."""
@@ -104,3 +111,84 @@ class Candidates:
         if recognized < CONCLUSIVE or not self.scores:
             return False
         return all(score < _RIVAL_SHARE * self.scores[best] for score in self.scores[asked:])
+
+
+T = TypeVar("T")
+_log = structlog.get_logger("rholoc.service")
+
+
+def choose_candidates(maps: MapChoice, features_by: Callable[[Extractor], FeatureSet], clock: Stopwatch) -> Candidates:
+    """Candidate maps for a frame: of more than can be asked, the likeliest first, if they can be ranked; else all.
+
+    The time of ranking, without feature extraction, is added to the clock's stage "choose".
+    """
+    before_ms, start_s = clock.worked_ms, time.perf_counter()
+    found = maps.candidates(features_by)
+    if found.are_ranked:
+        spent_ms = 1000 * (time.perf_counter() - start_s) - (clock.worked_ms - before_ms)
+        clock.stages_ms["choose"] = clock.stages_ms.get("choose", 0.0) + spent_ms
+    return found
+
+
+def best_map(
+    maps: Candidates,
+    localizers: LocalizerSource,
+    localize: Callable[[AnyLocalizer], T],
+    rank: Callable[[T], tuple[bool, float]],
+    clock: Stopwatch,
+) -> tuple[str, AnyLocalizer, T]:
+    """Name, localizer and answer of the map with the highest rank: whether there is a pose, and its probability.
+
+    Maps are asked in order, until the rest are too unlikely (:meth:`Candidates.is_settled`).
+
+    Raises:
+        InvalidCamera, InvalidDescriptors: the frame fits none of the maps.
+        RholocError: a map cannot be used; where maps may be passed over, only where none can.
+        DeadlineExceeded, MapNotHereError: at once.
+    """
+    best: tuple[str, AnyLocalizer, T] | None = None
+
+    def ask(name: str, localizer: AnyLocalizer) -> bool:
+        nonlocal best
+        found = localize(localizer)
+        if best is None or rank(found) > rank(best[2]):
+            best = (name, localizer, found)
+        is_localized, recognized = rank(best[2])
+        asked = maps.names.index(name) + 1
+        return is_localized and maps.is_settled(asked, maps.names.index(best[0]), recognized)
+
+    each_map(maps, localizers, ask, clock)
+    assert best is not None
+    return best
+
+
+def each_map(
+    maps: Candidates, localizers: LocalizerSource, ask: Callable[[str, AnyLocalizer], bool | None], clock: Stopwatch
+) -> None:
+    """Call ``ask`` for maps one after another until it returns True; skips maps that do not fit the frame.
+
+    Raises:
+        InvalidCamera, InvalidDescriptors: the frame fits none of the maps. DeadlineExceeded, MapNotHereError: at once.
+        RholocError: a map cannot be used; where maps may be passed over, only where none can.
+    """
+    asked = 0
+    refused: Exception | None = None
+    for name in maps.names:
+        try:
+            with clock.stage("load"):
+                localizer = localizers.get(name)
+            enough = ask(name, localizer)
+            asked += 1
+            if enough:
+                return
+        except (InvalidCamera, InvalidDescriptors) as error:
+            refused = refused or error
+        except (DeadlineExceeded, MapNotHereError):
+            raise
+        except Exception as error:
+            if not maps.passing_over:
+                raise
+            _log.warning("map_passed_over", map=name, error=repr(error)[:200])
+            refused = refused or error
+    if not asked and refused is not None:
+        raise refused

@@ -23,14 +23,15 @@ from rholoc.localization import (
     localize_together,
 )
 from rholoc.service.frames.answers import FramePoseOut, LocalizationOut, PoseOut, answer_of, pose_out, too_late
-from rholoc.service.frames.best_map import best_map, choose_candidates
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.localizers import LocalizerSource
-from rholoc.service.frames.map_choice import MapChoice
+from rholoc.service.frames.map_choice import MapChoice, best_map, choose_candidates
 from rholoc.service.frames.queries import Frame, camera_for, direction, finite, gravity_of, max_sigmas
 from rholoc.service.frames.requests import FrameIn, FramesQuery, LocalizeOptions
 from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.service.settings import Settings
+
+_UNIT_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +165,6 @@ def _localize(
     for stage, duration_ms in answer.first.timings_ms.items():
         clock.stages_ms[stage] = clock.stages_ms.get(stage, 0.0) + duration_ms
     return answer
-
-
-_UNIT_TOLERANCE = 1e-2
 
 
 def _relative_pose(number: int, one: FrameIn) -> np.ndarray:

@@ -15,11 +15,10 @@ from rholoc.localization import (
     likeliest_views,
 )
 from rholoc.service.frames.answers import LocalizationOut, PlaceOut, PlacesOut, answer_of, pose_out, too_late
-from rholoc.service.frames.best_map import best_map, choose_candidates, each_map
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.kept.learning import Lesson, Listener
 from rholoc.service.frames.localizers import LocalizerSource
-from rholoc.service.frames.map_choice import CONCLUSIVE, Candidates, MapChoice
+from rholoc.service.frames.map_choice import CONCLUSIVE, Candidates, MapChoice, best_map, choose_candidates, each_map
 from rholoc.service.frames.queries import Frame, camera_for, gravity_of, max_sigmas, prior_of
 from rholoc.service.http.stopwatch import Stopwatch, frame_deadline_s
 from rholoc.service.settings import Settings

@@ -8,7 +8,7 @@ import numpy as np
 
 from rholoc.errors import InvalidInput, NotFound
 from rholoc.geometry import FloatArray, Pose
-from rholoc.library import SiteLibrary
+from rholoc.library.sites import SiteLibrary
 from rholoc.mapping.sites.poses import pose_in_site
 from rholoc.maps import Site, SiteMap, SiteOnEarth
 from rholoc.service.frames.answers import EarthOut, LocalizationOut, SitePoseOut

@@ -1,4 +1,4 @@
-"""The service's metrics for Prometheus."""
+"""The service's metrics for Prometheus, and the traces of requests (W3C ``traceparent``)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ import structlog
 from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
+from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rholoc.service.access.scopes import found_route
+from rholoc import telemetry
+from rholoc.service.access.guard import API_PATHS
+from rholoc.service.access.scopes import found_route, request_key
 
 _log = structlog.get_logger("rholoc.service")
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
@@ -21,6 +24,7 @@ _KEPT_S = 0.5
 _MAX_MAPS = 200  # with their own counters, one for each outcome
 _OTHER_MAPS = "other maps"  # not a valid map name
 _SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 60.0)
+_FAILED = 500  # statuses from here on
 
 
 class Metrics:
@@ -127,3 +131,49 @@ class Metered:
                 self._metrics.request("other", "other", status, duration_s)
             else:
                 self._metrics.request(method, route.path, status, duration_s)
+
+
+class Traced:
+    """ASGI middleware that traces requests to routes that need a key, so neither the page nor probes.
+
+    Args:
+        app: the next application.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if not telemetry.is_on() or scope["type"] != "http" or not scope["path"].startswith(API_PATHS):
+            await self._app(scope, receive, send)
+            return
+        method = scope["method"]
+        with telemetry.request_span(method, Headers(scope=scope)) as marks:
+            status = 0
+
+            async def send_noting_status(message: Message) -> None:
+                nonlocal status
+                if message["type"] == "http.response.start":
+                    status = message["status"]
+                await send(message)
+
+            try:
+                await self._app(scope, receive, send_noting_status)
+            finally:
+                route, key = found_route(scope), request_key(scope)
+                if route is not None:
+                    marks.rename(f"{method} {route.path}")
+                    marks.set({"http.route": route.path})
+                if key is not None:
+                    marks.set({"rholoc.key": key.name})
+                marks.set(
+                    {
+                        "http.request.method": method,
+                        "http.response.status_code": status,
+                        "url.path": scope["path"],
+                        "rholoc.request_id": scope.get("state", {}).get("request_id", ""),
+                    }
+                )
+                if status >= _FAILED:
+                    marks.fail(f"answered with {status}")

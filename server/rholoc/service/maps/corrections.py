@@ -9,11 +9,12 @@ from pydantic import Field
 
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import FloatArray
-from rholoc.geometry.earth import EarthPlace
-from rholoc.geometry.grids import places_in
+from rholoc.geometry.earth import EarthPlace, places_in
 from rholoc.mapping.edit import correcting
 from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint
 from rholoc.service.http.models import Number, RequestModel, Vector2, Vector3
+
+_FARTHEST_M = 1e6  # coordinates beyond it are refused
 
 
 class _CorrectionIn(RequestModel):
@@ -162,9 +163,6 @@ CorrectionIn = Annotated[
     OriginIn | NorthIn | WallIn | UpIn | ScaleIn | PlanIn | RegionIn | WalkIn | NamesIn | EarthIn | LabelsIn,
     Field(discriminator="kind"),
 ]
-
-
-_FARTHEST_M = 1e6  # coordinates beyond it are refused
 
 
 def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from rholoc.errors import RholocError, UnknownMap
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.mapping.edit.frame_from_people import levelled
 from rholoc.maps import (
     Correction,

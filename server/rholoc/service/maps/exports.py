@@ -17,7 +17,7 @@ from starlette.types import Receive, Scope, Send
 from rholoc.errors import Busy, DeadlineExceeded, InvalidInput, InvalidMap
 from rholoc.exports import ExportFormat
 from rholoc.exports.process import REFUSED
-from rholoc.processes import AsyncProgram
+from rholoc.processes.async_program import AsyncProgram
 
 SHORT_NUMBERS = 4_000_000  # a few seconds' work, less than the start of a process on a busy machine
 _NUMBERS_PER_SURFACE = 40_000

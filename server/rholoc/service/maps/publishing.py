@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.errors import Conflict, InvalidInput, InvalidMap, NotInstalled, RholocError, TooLarge
 from rholoc.features import get_extractor
-from rholoc.library import MapLibrary
+from rholoc.library.maps import MapLibrary
 from rholoc.localization import localizer_of
 from rholoc.maps import Map, check_usable, is_coefficient_table, read_coefficient_table
 from rholoc.service.maps.descriptions import MapReportOut, detail_of

@@ -15,10 +15,10 @@ from pathlib import Path
 
 from rholoc import __version__
 from rholoc.errors import Busy, InvalidMap, RholocError, StorageFull
-from rholoc.library import MapLibrary
 from rholoc.library.map_catalogue import MapFile
+from rholoc.library.maps import MapLibrary
 from rholoc.pictures.rendering import Rendering
-from rholoc.processes import AsyncProgram
+from rholoc.processes.async_program import AsyncProgram
 from rholoc.service.threads.storage import StorageLanes
 
 _IDLE_S = 120.0  # then the process ends and frees its memory

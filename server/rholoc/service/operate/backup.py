@@ -23,10 +23,12 @@ from uuid import uuid4
 from rholoc import __version__
 from rholoc.disk import reporting_full_disk, sync_folder, temporary_folder
 from rholoc.errors import Conflict, InvalidInput, MissingObject, UnknownRecording
-from rholoc.library import FolderDocuments, ImportedData, MapLibrary, RecordingStore, Stores, import_data
+from rholoc.library.data_import import ImportedData, import_data
+from rholoc.library.folder_documents import FolderDocuments
 from rholoc.library.map_folder import place_of
-from rholoc.library.recordings import ENTRY_FILE
-from rholoc.library.stores import CAMERAS, KEYS, SITES, documents_folder
+from rholoc.library.maps import MapLibrary
+from rholoc.library.recordings import ENTRY_FILE, RecordingStore
+from rholoc.library.stores import CAMERAS, KEYS, SITES, Stores, documents_folder
 
 _FORMAT, _FORMAT_VERSION = "rholoc-backup", 1
 _MANIFEST = "manifest.json"

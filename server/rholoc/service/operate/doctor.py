@@ -16,10 +16,10 @@ from packaging.requirements import InvalidRequirement, Requirement
 
 from rholoc.errors import InvalidMap, InvalidRecording, RholocError
 from rholoc.jobs import JobQueue
-from rholoc.library import SiteLibrary, Stores
-from rholoc.library.stores import SITES
+from rholoc.library.sites import SiteLibrary
+from rholoc.library.stores import SITES, Stores
 from rholoc.pictures.style import missing_fonts
-from rholoc.processes import machine_memory_bytes
+from rholoc.processes.limits import machine_memory_bytes
 from rholoc.recordings.frames.video import read_video
 from rholoc.service.access.keys import KeyStore
 from rholoc.service.settings import KeyPolicy, Settings, keys_needed

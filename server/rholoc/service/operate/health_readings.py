@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 
 from rholoc.errors import StorageUnavailable
 from rholoc.jobs import JobQueue
-from rholoc.library import Stores
+from rholoc.library.stores import Stores
 from rholoc.service.settings import Settings
 from rholoc.storage import ObjectStorage
 

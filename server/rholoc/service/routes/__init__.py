@@ -14,13 +14,13 @@ from rholoc.service.routes import (
     sites,
     uploads,
 )
-from rholoc.service.routes.frames import geopose, localize, track
+from rholoc.service.routes.frames import geopose, localize, track_stream
 from rholoc.service.routes.maps import contents, editing, library
 
 _RESOURCES = (
     localize,
     geopose,
-    track,
+    track_stream,
     library,
     contents,
     editing,

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from rholoc.errors import InvalidCamera, InvalidInput, InvalidName, RholocError, StorageFull, UnknownCamera
 from rholoc.geometry import Camera, Lens
-from rholoc.library import CameraProfile
+from rholoc.library.cameras import CameraProfile
 from rholoc.service.access.scopes import NEEDS_MAP, NEEDS_READ
 from rholoc.service.http.models import AnswerModel, Number, RequestModel, SizePx
 from rholoc.service.http.openapi import declared

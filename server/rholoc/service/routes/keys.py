@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import time
 from dataclasses import asdict
 from typing import Any
 
-import segno
 from fastapi import APIRouter, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
@@ -18,6 +16,7 @@ from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, for
 from rholoc.service.errors import QuotaExceeded
 from rholoc.service.http.models import AnswerModel, Number, RequestModel
 from rholoc.service.http.openapi import declared
+from rholoc.service.qr_code import qr_svg
 from rholoc.service.state import Service, State
 
 
@@ -178,7 +177,7 @@ async def revoke_key(name: str, service: Service) -> None:
 )
 async def draw_qr(wanted: QrIn) -> Response:
     """A QR code of a text, for links that a phone is to open; in black on white, whatever the page's colours are."""
-    return Response(await run_in_threadpool(_svg, wanted.text), media_type=_SVG)
+    return Response(await run_in_threadpool(qr_svg, wanted.text), media_type=_SVG)
 
 
 async def _detail(service: State, name: str) -> KeyDetail:
@@ -200,14 +199,3 @@ def _fields(key: ApiKey, service: State) -> dict[str, Any]:
 
 def _limits(wanted: KeyLimitsIn) -> KeyLimits:
     return KeyLimits(**wanted.model_dump())
-
-
-def _svg(text: str) -> bytes:
-    out = io.BytesIO()
-    try:
-        segno.make(text, error="m", micro=False).save(
-            out, kind="svg", border=4, light="white", dark="black", svgns=True
-        )
-    except ValueError as error:
-        raise InvalidInput("The text does not fit into a QR code.", "Send a shorter one.") from error
-    return out.getvalue()

@@ -21,7 +21,8 @@ from rholoc.errors import (
     UnknownRecording,
 )
 from rholoc.jobs import JobOptions
-from rholoc.library import PendingRecording, RecordedWaypoint, corrected_waypoints, read_notes, read_thumbnail
+from rholoc.library.recording_notes import RecordedWaypoint, corrected_waypoints, read_notes, read_thumbnail
+from rholoc.library.recordings import PendingRecording
 from rholoc.recordings import (
     START_BYTES,
     ZIP_SUFFIXES,

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from rholoc.features import FeatureSet
-from rholoc.features.vlad import Vlad
+from rholoc.features.picture_vectors import Vlad
 from rholoc.geometry import FloatArray, IntArray
 
 Pair = tuple[int, int]
@@ -28,8 +28,8 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
     """Sorted pairs of each keyframe with the ``each`` most similar ones at least ``apart`` in the sequence; none
     without features.
 
-    Retrieval by VLAD (:mod:`rholoc.features.vlad`), trained on these keyframes' descriptors. Skips the neighbours of a
-    chosen pair, so that one place does not take all.
+    Retrieval by VLAD (:mod:`rholoc.features.picture_vectors`), trained on these keyframes' descriptors. Skips the
+    neighbours of a chosen pair, so that one place does not take all.
     """
     vectors = _vectors(features)
     if not vectors.any():

@@ -17,7 +17,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rholoc.geometry import FloatArray
-from rholoc.recordings.frames.missing_images import MissingImages
+from rholoc.recordings.frames.memory_frames import MissingImages
 from rholoc.recordings.imu_normalisation import (
     ImuConvention,
     Samples,

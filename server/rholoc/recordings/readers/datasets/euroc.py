@@ -26,8 +26,7 @@ from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._camera_models import unsupported
-from rholoc.recordings.readers._frames import listed_file, timed_images, untimed_images
-from rholoc.recordings.readers._rigs import mounted_frames
+from rholoc.recordings.readers._frames import listed_file, mounted_frames, timed_images, untimed_images
 from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text, shortened
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table

@@ -27,8 +27,7 @@ from rholoc.errors import InvalidCamera, InvalidInput, InvalidRecording, Invalid
 from rholoc.geometry import Camera, FloatArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
-from rholoc.recordings.readers._frames import TimedFrames, listed_file, timed_images, untimed_images
-from rholoc.recordings.readers._rigs import mounted_frames
+from rholoc.recordings.readers._frames import TimedFrames, listed_file, mounted_frames, timed_images, untimed_images
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
 from rholoc.recordings.tables.csv_table import read_text

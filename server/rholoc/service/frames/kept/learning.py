@@ -16,7 +16,8 @@ import structlog
 from rholoc.errors import RholocError
 from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import Camera
-from rholoc.library import Documents, QueryStore
+from rholoc.library.folder_documents import Documents
+from rholoc.library.queries import QueryStore
 from rholoc.localization import Localization
 from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.service.access.keys import HANDED_PREFIX

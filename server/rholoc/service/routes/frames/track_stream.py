@@ -4,29 +4,34 @@ from __future__ import annotations
 
 import asyncio
 import time
+import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import cv2
 import numpy as np
+import structlog
+from fastapi import APIRouter
 from pydantic import BaseModel
 from pydantic_core import from_json
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from rholoc.errors import Busy, DeadlineExceeded, InvalidInput
+from rholoc.errors import Busy, DeadlineExceeded, InvalidInput, RholocError
 from rholoc.geometry import Camera
 from rholoc.localization import AnyLocalizer
 from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image
-from rholoc.service.errors import InvalidRequest, RequestTimeout
+from rholoc.service.access.open_streams import StreamKind
+from rholoc.service.access.scopes import STREAM_NEEDS_LOCALIZE, STREAM_PROTOCOL
+from rholoc.service.errors import Internal, InvalidRequest, RequestTimeout, as_rholoc_error, error_body
 from rholoc.service.frames.answers import LocalizationOut, PoseOut
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame, camera_for, effort_of
 from rholoc.service.frames.requests import LocalizeOptions, PriorIn
 from rholoc.service.http.json_bodies import JsonLimits, check_json
 from rholoc.service.http.stopwatch import Stopwatch
-from rholoc.service.routes.frames.track_messages import Begin, Begun, FrameMessage, TrackedOut
+from rholoc.service.routes.frames.track_messages import Begin, Begun, FrameMessage, StreamError, TrackedOut
 from rholoc.service.state import State
 from rholoc.trajectory import Scale
 from rholoc_client import Camera as ClientCamera
@@ -39,6 +44,8 @@ from rholoc_client.tracking.rigid import FloatArray, from_quaternion
 _FRAMES_PER_S = 100.0  # messages are read no faster
 _BURST = 30
 _FOLLOWED_PIXELS = 1_000_000  # larger pictures are localized, but not followed from frame to frame
+_ENDED_BY_ERROR = 1008  # a WebSocket's "policy violation": what was sent cannot be used
+_ENDED_BY_FAILURE = 1011
 
 
 @dataclass
@@ -258,3 +265,38 @@ def _as_service_errors() -> Iterator[None]:
         yield
     except InvalidTrack as error:
         raise InvalidInput(str(error), "Send frames and readings in the order of their times.") from error
+
+
+router = APIRouter(prefix="/v1", tags=["localization"])
+
+_log = structlog.get_logger("rholoc.service")
+
+
+@router.websocket("/maps/{map_name}/track", dependencies=[STREAM_NEEDS_LOCALIZE])
+async def track(socket: WebSocket, map_name: str) -> None:
+    """Frames, odometry and IMU readings come in; poses go out. See the README of the service for the messages."""
+    service: State = socket.app.state.rholoc
+    offered = socket.scope.get("subprotocols") or []
+    await socket.accept(STREAM_PROTOCOL if STREAM_PROTOCOL in offered else None)
+    request_id = uuid.uuid4().hex
+
+    try:
+        await service.frames.check_known([map_name])
+        async with service.streams.serving(service.streams.admit(StreamKind.FRAMES, socket.scope)):
+            await Stream(socket, map_name, service).run()
+    except WebSocketDisconnect:
+        return
+    except Exception as error:
+        known = as_rholoc_error(error)
+        if known is None:
+            _log.exception("internal_error", request_id=request_id, path=socket.url.path)
+            known = Internal("The service failed.", f"Its log has the details under the request id {request_id}.")
+        await _end(socket, known, request_id)
+
+
+async def _end(socket: WebSocket, error: RholocError, request_id: str) -> None:
+    """Send the error with the request's id, and close the WebSocket; does nothing if the client has left."""
+    code = _ENDED_BY_FAILURE if isinstance(error, Internal) else _ENDED_BY_ERROR
+    with suppress(RuntimeError, WebSocketDisconnect):  # the client has left
+        await socket.send_text(StreamError.model_validate(error_body(error, request_id)).model_dump_json())
+        await socket.close(code, error.code)

@@ -21,7 +21,7 @@ from rholoc.errors import (
 )
 from rholoc.jobs import JobKind, JobOptions, JobPriority
 from rholoc.mapping.edit.correcting import set_names
-from rholoc.mapping.edit.forgetting import forget_recording
+from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import MAX_PLAN_BYTES, Map, check_map_name, check_memory
 from rholoc.maps.floor_plan import ARCHIVE, GEOJSON, MEDIA_TYPES
