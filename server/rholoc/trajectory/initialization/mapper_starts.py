@@ -24,6 +24,7 @@ _THREADS = 2
 _CAMERA = 1
 _TRACKS_PER_PICTURE = 300  # more take the global mapper's time, and place no more pictures
 _SECONDS = 20  # and one more a picture: the incremental mapper once tried first pairs of 28 pictures for five minutes
+_FIRST_PAIR, _FIRST_ANGLE_DEG = 50, 8.0  # matches and parallax; else searched for twice in vain where steps are small
 _GROWTH = 1.3  # of an incremental model, after which all of it is adjusted again
 _TOLERANCE = 1e-5  # relative, of the cost
 _CENTRE_SHIFT = 0.5  # COLMAP's pixel (0.5, 0.5) is the centre of the top-left one
@@ -202,6 +203,7 @@ def _incremental_options(is_known: bool, pictures: int) -> pycolmap.IncrementalP
     options.max_runtime_seconds = _SECONDS + pictures
     options.ba_refine_focal_length = options.ba_refine_extra_params = not is_known
     options.extract_colors = False
+    options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = _FIRST_PAIR, _FIRST_ANGLE_DEG
     options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWTH
     options.ba_global_max_refinements, options.ba_local_max_refinements = 2, 1  # first poses need not be exact
     options.ba_global_function_tolerance = options.ba_local_function_tolerance = _TOLERANCE
