@@ -2,7 +2,7 @@
 
     python benchmarks/placed.py [redkitchen corridor_lidar/scan splat_desk euroc_v101 bedroom_night android_livingroom
         room building] [--as walk set shuffled 2hz 1hz 0.5hz half mixed] [--methods rholoc incremental global] [--hz 6]
-        [--seconds 120] [--most 300] [--cache DIR] [--timeout 1800] [--json FILE] [--write]
+        [--seconds 120] [--most 300] [--cache DIR] [--kept] [--timeout 1800] [--json FILE] [--write]
 
 ``--as``: as they are (``walk``: video and IMU, ``--hz`` pictures a second for pycolmap), or a folder of pictures
 without IMU, poses and depth. Without times: two pictures a second (``set``), the same in any order and without
@@ -18,8 +18,8 @@ the same matches, whose time counts for the first one. rholoc: default options.
 For each: pictures placed of those given, wall-clock seconds and processor seconds (of all cores) a picture; where there
 is truth, centimetres after a similarity alignment and the error that rholoc expects, in the same unit. The last lines
 judge rholoc beside the better of pycolmap's mappers. With ``--write`` the judgements go to
-benchmarks/results/placed.json. ``--cache`` keeps
-simulated walks and pycolmap's answers.
+benchmarks/results/placed.json. ``--cache`` keeps simulated walks and pycolmap's answers; with ``--kept`` rholoc's
+answers there count, too, so that sets measured one after the other are judged together.
 """
 
 from __future__ import annotations
@@ -228,9 +228,9 @@ def _work(name: str, kind: str, method: str, options: argparse.Namespace, cache:
 
 
 def answer_of(name: str, kind: str, method: str, options: argparse.Namespace, cache: Path) -> dict[str, Any]:
-    """A method's answer; pycolmap's is kept in the cache."""
+    """A method's answer; pycolmap's is kept in the cache, rholoc's counts from there if asked for."""
     kept = cache / f"{name.replace('/', '-')}-{kind}-{method}.pickle"
-    if method != "rholoc" and kept.exists():
+    if (options.kept or method != "rholoc") and kept.exists():
         return dict(pickle.loads(kept.read_bytes()))
     spawn = multiprocessing.get_context("spawn")
     answers = spawn.Queue()
@@ -334,6 +334,7 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=300, help="pictures of a set")
     parser.add_argument("--timeout", type=float, default=1800.0, help="seconds that one of them may take")
     parser.add_argument("--cache", type=Path, help="where simulated walks and pycolmap's answers are kept")
+    parser.add_argument("--kept", action="store_true", help="take rholoc's answers from the cache, too")
     parser.add_argument("--json", type=Path, help="where the table goes as JSON, too")
     parser.add_argument("--write", action="store_true", help="write benchmarks/results/placed.json")
     options = parser.parse_args()

@@ -11,7 +11,7 @@ from synthetic_walk import followed
 from rholoc.geometry import Camera, FloatArray, Lens, pose_matrix, rotation_angles, umeyama
 from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.initialization.global_positioning import global_positions
-from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
+from rholoc.trajectory.initialization.mapper_starts import Mapper, PycolmapStarts
 from rholoc.trajectory.optimization.adjustment import Problem, State, adjust, residuals_px
 from rholoc.trajectory.reconstruction import Sights, reconstruct
 from rholoc.trajectory.visual.matching import match_pictures
@@ -105,7 +105,8 @@ def test_pycolmaps_mappers_place_all(camera: Camera, mapper: Mapper) -> None:
     rays = [camera.rays(one.pixels) for one in features]
     pairs, _ = match_pictures(features, rays, camera.focal)
     pixels = [one.pixels.astype(np.float64) for one in features]
-    piece = largest_piece(mapper, camera, True, pixels, pairs)
+    with PycolmapStarts(camera, True, pixels, pairs) as starts:
+        piece = starts.largest_piece(mapper)
     assert piece is not None
     assert len(piece.members) == COUNT
     assert off(piece.T_world_camera[:, :3, 3], T[:, :3, 3]) < 0.02

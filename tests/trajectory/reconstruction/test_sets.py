@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -79,7 +80,9 @@ def taken(
     covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
     evidence: Any = type("Evidence", (), {"observations": lambda *_: None, "sequential": []})()
-    sights: Any = type("Sights", (), {"depth": None, "rows": np.arange(COUNT), "is_film": False})()
+    seen = {"depth": None, "rows": np.arange(COUNT), "is_film": False, "camera": None, "features": []}
+    sights: Any = type("Sights", (), seen)()
+    monkeypatch.setattr(from_pictures, "PycolmapStarts", MagicMock())
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "_agreement", compared)
     monkeypatch.setattr(from_pictures, "_comparison", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3]))

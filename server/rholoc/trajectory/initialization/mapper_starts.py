@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pycolmap
@@ -22,6 +24,7 @@ _THREADS = 2
 _CAMERA = 1
 _TRACKS_PER_PICTURE = 300  # more take the global mapper's time, and place no more pictures
 _SECONDS = 20  # and one more a picture: the incremental mapper once tried first pairs of 28 pictures for five minutes
+_FIRST_PAIR, _FIRST_ANGLE_DEG = 50, 8.0  # matches and parallax; else searched for twice in vain where steps are small
 _GROWTH = 1.3  # of an incremental model, after which all of it is adjusted again
 _TOLERANCE = 1e-5  # relative, of the cost
 _CENTRE_SHIFT = 0.5  # COLMAP's pixel (0.5, 0.5) is the centre of the top-left one
@@ -53,28 +56,82 @@ class Piece:
     camera: Camera
 
 
-def largest_piece(
-    mapper: Mapper, camera: Camera, is_known: bool, pixels: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
-) -> Piece | None:
-    """Largest model of a pycolmap mapper; None if it has fewer than three pictures.
+class PycolmapStarts:
+    """pycolmap's mappers on the verified matches of K pictures, which are written to a database once.
 
-    Args:
-        mapper: ``GLOBAL`` or ``INCREMENTAL``.
-        camera: of all pictures.
-        is_known: whether to hold the intrinsics; otherwise they are refined.
-        pixels: features of each of K pictures, (F, 2).
-        pairs: verified matches.
+    A context manager: the database exists, and threads compute, within it.
     """
-    pycolmap.logging.minloglevel = 3  # a failure shows in the result
-    with tempfile.TemporaryDirectory(prefix="rholoc-mapper-") as name:
-        folder = Path(name)
-        database = folder / "pictures.db"
-        model, places = _model(camera, pixels) if is_known else _guessed_model(camera, pixels)
-        _write(database, model, places, pairs)
-        found = _run(mapper, database, folder, is_known, len(pixels))
-    if not found:
-        return None
-    return _piece(mapper, max(found, key=lambda one: one.num_reg_images()), camera, is_known)
+
+    def __init__(
+        self, camera: Camera, is_known: bool, pixels: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
+    ) -> None:
+        """Take the measurements; nothing is computed yet.
+
+        Args:
+            camera: of all pictures.
+            is_known: whether to hold the intrinsics; otherwise they are refined.
+            pixels: features of each of K pictures, (F, 2).
+            pairs: verified matches.
+        """
+        self._camera, self._is_known = camera, is_known
+        self._pixels, self._pairs = pixels, pairs
+        self._folder = tempfile.TemporaryDirectory(prefix="rholoc-mapper-")
+        self._pool = ThreadPoolExecutor(_THREADS)
+        self._begun: dict[Mapper, Future[Piece | None]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown()
+        self._folder.cleanup()
+
+    def begin(self, mapper: Mapper) -> None:
+        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread; the first call writes the database before."""
+        pycolmap.logging.minloglevel = 3  # a failure shows in the result
+        if not self._begun:
+            self._write()
+        self._begun[mapper] = self._pool.submit(self._largest_piece, mapper)
+
+    def largest_piece(self, mapper: Mapper) -> Piece | None:
+        """Largest model of a mapper, begun or not; None if it has fewer than three pictures."""
+        if mapper not in self._begun:
+            self.begin(mapper)
+        return self._begun[mapper].result()
+
+    @property
+    def _database(self) -> Path:
+        return Path(self._folder.name) / "pictures.db"
+
+    def _largest_piece(self, mapper: Mapper) -> Piece | None:
+        found = _run(mapper, self._database, self._is_known, len(self._pixels))
+        if not found:
+            return None
+        return _piece(mapper, max(found, key=lambda one: one.num_reg_images()), self._camera, self._is_known)
+
+    def _write(self) -> None:
+        """Write pictures, features and verified matches to a new pycolmap database; estimates each pair's two-view
+        geometry.
+        """
+        kind = _model if self._is_known else _guessed_model
+        model, places = kind(self._camera, self._pixels)
+        database = pycolmap.Database.open(str(self._database))
+        try:
+            ids = _write_pictures(database, model, places)
+            options = pycolmap.TwoViewGeometryOptions()
+            options.compute_relative_pose = True
+            options.ransac.random_seed = _SEED
+
+            def geometry(pair: VerifiedPair) -> pycolmap.TwoViewGeometry:
+                seen = places[pair.first], model, places[pair.second], pair.matches.astype(np.uint32)
+                return pycolmap.estimate_two_view_geometry(model, *seen, options)
+
+            for pair, found in zip(self._pairs, self._pool.map(geometry, self._pairs), strict=True):
+                first, second = ids[pair.first], ids[pair.second]
+                database.write_matches(first, second, pair.matches.astype(np.uint32))
+                database.write_two_view_geometry(first, second, found)
+        finally:
+            database.close()
 
 
 def _model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camera, list[FloatArray]]:
@@ -102,43 +159,28 @@ def _pycolmap_camera(camera: Camera, kind: str, params: list[float]) -> pycolmap
     return model
 
 
-def _write(path: Path, model: pycolmap.Camera, places: Sequence[FloatArray], pairs: Sequence[VerifiedPair]) -> None:
-    """Write pictures, features and verified matches to a new pycolmap database; estimates each pair's two-view
-    geometry.
-    """
-    database = pycolmap.Database.open(str(path))
-    try:
-        camera_id = database.write_camera(model)
-        sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
-        rig = pycolmap.Rig()
-        rig.add_ref_sensor(sensor)
-        rig_id = database.write_rig(rig)
-        ids = []
-        for k, some in enumerate(places):
-            ids.append(database.write_image(pycolmap.Image(name=_name(k), camera_id=camera_id)))
-            frame = pycolmap.Frame()
-            frame.rig_id = rig_id
-            frame.add_data_id(pycolmap.data_t(sensor, ids[-1]))
-            database.write_frame(frame)
-            database.write_keypoints(ids[-1], some.astype(np.float32))
-        options = pycolmap.TwoViewGeometryOptions()
-        options.compute_relative_pose = True
-        options.ransac.random_seed = _SEED
-        for pair in pairs:
-            matches = pair.matches.astype(np.uint32)
-            geometry = pycolmap.estimate_two_view_geometry(
-                model, places[pair.first], model, places[pair.second], matches, options
-            )
-            database.write_matches(ids[pair.first], ids[pair.second], matches)
-            database.write_two_view_geometry(ids[pair.first], ids[pair.second], geometry)
-    finally:
-        database.close()
+def _write_pictures(database: pycolmap.Database, model: pycolmap.Camera, places: Sequence[FloatArray]) -> list[int]:
+    """Write a camera and its pictures' features; returns the pictures' ids."""
+    camera_id = database.write_camera(model)
+    sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
+    rig = pycolmap.Rig()
+    rig.add_ref_sensor(sensor)
+    rig_id = database.write_rig(rig)
+    ids = []
+    for k, some in enumerate(places):
+        ids.append(database.write_image(pycolmap.Image(name=_name(k), camera_id=camera_id)))
+        frame = pycolmap.Frame()
+        frame.rig_id = rig_id
+        frame.add_data_id(pycolmap.data_t(sensor, ids[-1]))
+        database.write_frame(frame)
+        database.write_keypoints(ids[-1], some.astype(np.float32))
+    return ids
 
 
-def _run(mapper: Mapper, database: Path, folder: Path, is_known: bool, pictures: int) -> list[pycolmap.Reconstruction]:
-    output = folder / "models"
+def _run(mapper: Mapper, database: Path, is_known: bool, pictures: int) -> list[pycolmap.Reconstruction]:
+    output = database.parent / mapper
     output.mkdir()
-    arguments = str(database), str(folder), str(output)
+    arguments = str(database), str(database.parent), str(output)
     try:
         if mapper is Mapper.GLOBAL:
             return list(pycolmap.global_mapping(*arguments, _global_options(is_known)).values())
@@ -161,6 +203,7 @@ def _incremental_options(is_known: bool, pictures: int) -> pycolmap.IncrementalP
     options.max_runtime_seconds = _SECONDS + pictures
     options.ba_refine_focal_length = options.ba_refine_extra_params = not is_known
     options.extract_colors = False
+    options.mapper.init_min_num_inliers, options.mapper.init_min_tri_angle = _FIRST_PAIR, _FIRST_ANGLE_DEG
     options.ba_global_frames_ratio = options.ba_global_points_ratio = _GROWTH
     options.ba_global_max_refinements, options.ba_local_max_refinements = 2, 1  # first poses need not be exact
     options.ba_global_function_tolerance = options.ba_local_function_tolerance = _TOLERANCE

@@ -16,7 +16,7 @@ from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.initialization.global_positioning import global_positions
-from rholoc.trajectory.initialization.mapper_starts import Mapper, largest_piece
+from rholoc.trajectory.initialization.mapper_starts import Mapper, PycolmapStarts
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import ANY, GUESSED, Adjusted, Problem, State, adjust
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
@@ -134,16 +134,21 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
         MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
             hardly overlap.
     """
-    whole, count = walk.observations(), len(walk.sights.rows)
+    sights, count = walk.sights, len(walk.sights.rows)
+    whole = walk.observations()
+    pixels = [features.pixels.astype(np.float64) for features in sights.features]
     parts: list[_Part] = []
-    for number, mapper in enumerate(Mapper):
-        span = 0.45 + 0.07 * number, 0.52 + 0.07 * number
-        part = _placed_by(mapper, walk, whole, progress, span)
-        if part is None:
-            continue
-        parts.append(part)
-        if _confirmed(part, parts) >= _ALL * count:
-            break
+    with PycolmapStarts(walk.camera, sights.camera is not None, pixels, walk.evidence.sequential) as starts:
+        for number, mapper in enumerate(Mapper):
+            if mapper is Mapper.OWN and not parts:  # which another one has to confirm
+                starts.begin(Mapper.INCREMENTAL)
+            span = 0.45 + 0.07 * number, 0.52 + 0.07 * number
+            part = _placed_by(mapper, walk, whole, starts, progress, span)
+            if part is None:
+                continue
+            parts.append(part)
+            if _confirmed(part, parts) >= _ALL * count:
+                break
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
     best = _most_confirmed(parts, count)
@@ -196,10 +201,15 @@ class _Part:
 
 
 def _placed_by(
-    mapper: Mapper, walk: Pictured, whole: Observations, progress: AdjustmentProgress, span: tuple[float, float]
+    mapper: Mapper,
+    walk: Pictured,
+    whole: Observations,
+    starts: PycolmapStarts,
+    progress: AdjustmentProgress,
+    span: tuple[float, float],
 ) -> _Part | None:
     """The part that a mapper places, adjusted; None if it places none or fails. ``whole`` are the sightings of all
-    pictures, ``span`` the fractions of progress.
+    pictures, ``starts`` gives pycolmap's first poses, ``span`` the fractions of progress.
     """
     sights, camera, sequential = walk.sights, walk.camera, walk.evidence.sequential
     try:
@@ -212,8 +222,7 @@ def _placed_by(
         elif mapper is Mapper.OWN:
             start = _own_start(walk, whole)
         else:
-            pixels = [features.pixels.astype(np.float64) for features in sights.features]
-            piece = largest_piece(mapper, camera, sights.camera is not None, pixels, sequential)
+            piece = starts.largest_piece(mapper)
             if piece is None:
                 return None
             start = State(piece.T_world_camera, np.zeros((0, 3)), piece.camera), piece.members

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro
 from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.two_view import UNIT_CAMERA, relative_pose
 
+_THREADS = 2
 _FOCALS = np.arange(0.6, 1.31, 0.1)  # times the longer side of the image: phones and webcams have 0.7 to 1.25
 _FINE = np.array([-0.05, 0.05])
 _USUAL_FOCAL = 0.85
@@ -135,7 +137,9 @@ def camera_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tu
     if not thinned:
         return None
     cameras = [replace(centred_camera(size, share * max(size)), distortion=k) for share in _SHARES for k in _BARRELS]
-    misfits = {camera: _epipolar_misfit(camera, camera, thinned[:_COMPARED_PAIRS]) for camera in cameras}
+    with ThreadPoolExecutor(_THREADS) as pool:
+        found = pool.map(lambda camera: _epipolar_misfit(camera, camera, thinned[:_COMPARED_PAIRS]), cameras)
+        misfits = dict(zip(cameras, found, strict=True))
     fittest = min(cameras, key=misfits.__getitem__)
     straight = min(misfits[camera] for camera in cameras if not any(camera.distortion))
     if misfits[fittest] < _MUCH_BETTER * straight:
@@ -153,7 +157,8 @@ def focal_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]]) -> float 
     Args:
         matched: places (M, 2) of a pair's matches in either picture, relative to the principal point [px].
     """
-    found = [_shared_focal(a, b)[0] for a, b in _best_matched(matched)]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        found = [focal for focal, _ in pool.map(lambda pair: _shared_focal(*pair), _best_matched(matched))]
     if not found:
         return None
     low, middle, high = np.quantile(found, (0.25, 0.5, 0.75))

@@ -149,13 +149,16 @@ def match_pictures(
 
 def with_poses_anew(pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray], focal_px: float) -> list[VerifiedPair]:
     """Pairs with their relative poses by other rays, such as of a better focal length, and the inliers of these."""
-    found = []
-    for pair in pairs:
+
+    def anew(pair: VerifiedPair) -> VerifiedPair | None:
         first, second = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
         view = relative_pose(first, second, _TOLERANCE_PX / focal_px)
-        if view.inliers.sum() >= _MIN_SEQUENTIAL:
-            found.append(VerifiedPair(pair.first, pair.second, pair.matches[view.inliers], view.R_second_first))
-    return found
+        if view.inliers.sum() < _MIN_SEQUENTIAL:
+            return None
+        return VerifiedPair(pair.first, pair.second, pair.matches[view.inliers], view.R_second_first)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return [pair for pair in pool.map(anew, pairs) if pair is not None]
 
 
 def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
