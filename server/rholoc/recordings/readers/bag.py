@@ -71,7 +71,7 @@ def read(folder: Path, topics: Sequence[str] = ()) -> Recording:
             f"The folder {folder.name} contains several bags: {', '.join(one.name for one in bags[:_MAX_NAMED])}.",
             "Give one of them.",
         )
-    return replace(read_bag(bags[0], topics), name=folder.resolve().name, path=folder)
+    return read_bag(bags[0], topics)
 
 
 def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
@@ -95,11 +95,11 @@ def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
         imu, imu_warnings = _imu(reader, found, mounted, frame_id)
         poses, pose_warnings = _poses(reader, found, mounted, frame_id, frames)
     return Recording(
-        name=path.stem,
-        path=path,
-        frames=frames,
-        camera=camera,
-        imu=imu,
+        frames,
+        path.stem,
+        path,
+        camera,
+        imu,
         poses=poses,
         format=RecordingFormat.BAG,
         warnings=(*warnings, *camera_warnings, *imu_warnings, *pose_warnings),

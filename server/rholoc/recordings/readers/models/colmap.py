@@ -25,7 +25,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
-from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning, WarningKind
@@ -104,12 +104,9 @@ def read(folder: Path) -> Recording:
     timed = untimed_images([listed_file(source, image.name) for image in images], cameras)
     T_camera_map = poses_from_rows(np.array([images[row].pose for row in timed.rows]), "the model's images")
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         camera=timed.camera,
         poses=GivenPoses(np.ones(len(timed.rows), dtype=np.bool_), np.linalg.inv(T_camera_map), metric=False),
-        format=RecordingFormat.COLMAP,
         warnings=(*timed.warnings, SCALE_WARNING, *warnings),
     )
 
