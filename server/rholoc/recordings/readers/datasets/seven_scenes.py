@@ -45,7 +45,7 @@ def read(folder: Path) -> Recording:
     T = np.array([_read_pose(_pose_file(images[row])) for row in timed.rows])
     known = np.isfinite(T).all(axis=(1, 2))
     T[~known] = np.nan
-    depths = [_depth_file(images[row]) for row in timed.rows]
+    depths = [images[row].with_suffix("").with_suffix(".depth.png") for row in timed.rows]
     return Recording(
         timed.frames,
         poses=GivenPoses(known, T) if known.any() else None,
@@ -60,10 +60,6 @@ def _images(folder: Path) -> list[Path]:
 
 def _pose_file(image: Path) -> Path:
     return image.with_suffix("").with_suffix(".pose.txt")
-
-
-def _depth_file(image: Path) -> Path:
-    return image.with_suffix("").with_suffix(".depth.png")
 
 
 def _read_pose(path: Path) -> FloatArray:

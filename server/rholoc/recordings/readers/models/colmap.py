@@ -98,7 +98,10 @@ def read(folder: Path) -> Recording:
     """
     model = _model(folder)
     assert model is not None
-    images, fields = _read_binary(model) if (model / "images.bin").is_file() else _read_text(model)
+    if (model / "images.bin").is_file():
+        images, fields = _read_binary(model)
+    else:
+        images, fields = _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
     source = _pictures_folder(folder, images[0].name)
     cameras, warnings = _cameras(fields, [image.camera for image in images])
     timed = untimed_images([listed_file(source, image.name) for image in images], cameras)
@@ -128,10 +131,6 @@ def _model(folder: Path) -> Path | None:
             if all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
                 return place
     return None
-
-
-def _read_text(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
-    return _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
 
 
 def _read_binary(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
