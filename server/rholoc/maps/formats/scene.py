@@ -19,7 +19,7 @@ def map_to_scene(map_: Map, most_landmarks: int | None = None, rotation: FloatAr
     ``most_landmarks``, that many are chosen evenly. ``rotation`` (3, 3) rotates everything.
     """
     views = len(map_.views)
-    sources = np.zeros(views) if map_.views.sources is None else map_.views.sources
+    sources = map_.views.known_sources
     R = np.eye(3) if rotation is None else rotation
     landmarks = np.column_stack([map_.landmarks.positions @ R.T, landmark_sigmas(map_)])
     path = np.column_stack([map_.views.positions @ R.T, map_.views.headings @ R.T, sources])
