@@ -114,7 +114,7 @@ def room_walk(walk: int, lens: Lens, seed: int) -> Recording:
         rng = np.random.default_rng([seed, walk, number])
         pictures.append(develop(seen_through(camera, renderer, one), exposure, rng))
     poses = GivenPoses(np.ones(len(T), dtype=np.bool_), T)
-    return Recording(f"walk {walk}", Path(), MemoryFrames(pictures, RATE_HZ), camera, poses=poses)
+    return Recording(MemoryFrames(pictures, RATE_HZ), f"walk {walk}", Path(), camera, poses=poses)
 
 
 def seen_through(camera: Camera, renderer: Renderer, T_map_camera: FloatArray) -> ByteArray:

@@ -24,7 +24,7 @@ import pycolmap
 from figures import FRAME_PERCENT, Figure, Figures, length_cm, run, share, shuffled_pictures
 from rholoc.geometry import ByteArray, FloatArray, align_poses
 from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk, render_view
-from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow
+from rholoc_lab.evaluation.dense_flow import DenseMethod, dense_flow
 
 PAIRS, APART_S, WALK_S = 8, 0.1, 30.0
 SAME_POINT_M = 0.02  # farther from the first picture's point, the second shows something in front of it

@@ -2,46 +2,43 @@
 
 from __future__ import annotations
 
+import json
 import logging
-import sys
+from datetime import UTC, datetime
 
-import structlog
-
-_STAMP = structlog.processors.TimeStamper(fmt="iso", utc=True)
 _HANDLER = "rholoc"
+_OF_EVERY_RECORD = vars(logging.makeLogRecord({})).keys() | {"message", "taskName"}
+
+
+class _JsonLines(logging.Formatter):
+    """Records as JSON: event, logger, level, UTC time, a plain traceback, and what ``extra`` says."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        line = {name: value for name, value in vars(record).items() if name not in _OF_EVERY_RECORD}
+        line |= {"event": record.getMessage(), "logger": record.name, "level": record.levelname.lower()}
+        line["timestamp"] = datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=repr)
 
 
 def configure_logs() -> None:
-    """Let every structlog logger of this process write JSON lines with level, UTC time and plain tracebacks."""
-    structlog.configure(
-        processors=[
-            structlog.contextvars.merge_contextvars,
-            structlog.processors.add_log_level,
-            _STAMP,
-            structlog.processors.format_exc_info,
-            structlog.processors.JSONRenderer(),
-        ],
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
-    )
+    """Write the lines of rholoc's own loggers (level INFO), unless all of this process's are written already."""
+    if not any(handler.name == _HANDLER for handler in logging.getLogger().handlers):
+        own = logging.getLogger("rholoc")
+        own.setLevel(logging.INFO)
+        own.handlers = [_handler()]
 
 
 def configure_process_logs() -> None:
-    """Write the lines of all loggers (level INFO), those of libraries included, to standard error as JSON: for a
-    process that is all ours.
-    """
-    configure_logs()
-    handler = logging.StreamHandler()
-    handler.name = _HANDLER
-    handler.setFormatter(
-        structlog.stdlib.ProcessorFormatter(
-            foreign_pre_chain=[structlog.stdlib.add_log_level, structlog.stdlib.add_logger_name, _STAMP],
-            processors=[
-                structlog.stdlib.ProcessorFormatter.remove_processors_meta,
-                structlog.processors.format_exc_info,
-                structlog.processors.JSONRenderer(),
-            ],
-        )
-    )
+    """Write the lines of all loggers (level INFO), those of libraries included: for a process that is all ours."""
     root = logging.getLogger()
     root.setLevel(logging.INFO)
-    root.handlers = [handler]
+    root.handlers = [_handler()]
+
+
+def _handler() -> logging.Handler:
+    handler = logging.StreamHandler()
+    handler.name = _HANDLER
+    handler.setFormatter(_JsonLines())
+    return handler

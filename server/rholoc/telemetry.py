@@ -6,13 +6,12 @@ turns traces on, ``OTEL_SDK_DISABLED=true`` or ``OTEL_TRACES_EXPORTER=none`` off
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
-
-import structlog
 
 if TYPE_CHECKING:
     from opentelemetry.context import Context
@@ -23,7 +22,7 @@ _ENDPOINTS = ("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "OTEL_EXPORTER_OTLP_ENDPOINT
 _NAME_VARIABLE = "OTEL_SERVICE_NAME"
 _TRACEPARENT = "traceparent"
 _NS_PER_S = 1e9
-_log = structlog.get_logger("rholoc.telemetry")
+_log = logging.getLogger("rholoc.telemetry")
 
 Value = str | int | float | bool
 
@@ -62,7 +61,9 @@ def begin(service: str) -> None:
         from opentelemetry.sdk.trace import TracerProvider
         from opentelemetry.sdk.trace.export import BatchSpanProcessor
     except ImportError:
-        _log.warning("traces_not_exported", hint="The environment asks for traces: pip install 'rholoc[telemetry]'.")
+        _log.warning(
+            "traces_not_exported", extra={"hint": "The environment asks for traces: pip install 'rholoc[telemetry]'."}
+        )
         return
     named = {} if os.environ.get(_NAME_VARIABLE) else {"service.name": service}
     provider = TracerProvider(resource=Resource.create(named))

@@ -65,7 +65,7 @@ def addresses(service, picture_world):
     job = httpx.post(f"{service.url}/v1/recordings", files=walk, data={"map": "hall"}).json()
     frames = MemoryFrames([cv2.resize(picture_world.image, (160, 120))] * 75, 1.0)
     points = tuple(Waypoint(f"W{i}", 20.0 * i, (2.0 * i, i * i, 1.5)) for i in range(3))
-    walk = Recording("walk", Path("walk"), frames, waypoints=points)
+    walk = Recording(frames, "walk", Path("walk"), waypoints=points)
     RecordingStore(service.settings.data_dir).note(job["recording"], notes_of(walk))
     return {
         where: f"{service.url}/{where.replace('JOB', job['job']['id']).replace('RECORDING', job['recording'])}"

@@ -34,7 +34,7 @@ def stored(serve, picture_world):
     recording = httpx.post(f"{running.url}/v1/recordings", files=video, data={"map": "hall"}).json()["recording"]
     frames = MemoryFrames([cv2.resize(picture_world.image, (160, 120))] * 75, 1.0)
     own = tuple(Waypoint(f"W{i}", 20.0 * i, place) for i, place in enumerate(PLACES))
-    walk = Recording("walk", Path("walk"), frames, waypoints=own)
+    walk = Recording(frames, "walk", Path("walk"), waypoints=own)
     RecordingStore(running.settings.data_dir).note(recording, notes_of(walk))
     return running, recording
 

@@ -226,7 +226,6 @@ OPENING_VIDEOS = {"recordings/frames/live_camera.py", "recordings/frames/video.p
         ("visual words", r"\bKmeans\b", {"features/picture_vectors.py"}),
         ("a full disk's errors", r"\bENOSPC\b|\bEDQUOT\b", {"disk.py"}),
         ("VTK's PolyData", r'VTKFile type="PolyData"', {"maps/formats/ply_and_vtp.py"}),
-        ("VTK's ImageData", r'VTKFile type="ImageData"', {"maps/formats/vti.py"}),
         (
             "starting and killing processes",
             r"\bPopen\(|\bget_context\(|create_subprocess_|\bos\.(kill|killpg|fork)\(|subprocess\.run\(|psutil\.Process\(",

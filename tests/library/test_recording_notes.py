@@ -37,7 +37,7 @@ def test_a_recording_is_noted_with_a_picture(tmp_path: Path) -> None:
     own = tuple(Waypoint(f"W{i}", float("nan"), place) for i, place in enumerate(PLACES))
     assert read_notes({}) is None
     assert read_thumbnail({}) is None
-    files = notes_of(Recording("walk", tmp_path, MemoryFrames(pictures, 2.0), waypoints=own))
+    files = notes_of(Recording(MemoryFrames(pictures, 2.0), "walk", tmp_path, waypoints=own))
     expected = tuple(RecordedWaypoint(f"W{i}", place) for i, place in enumerate(PLACES))
     assert read_notes(files) == RecordingNotes(0.0, 3.5, 8, 160, 90, "rholoc", imu=False, waypoints=expected)
     shown = cv2.imdecode(np.frombuffer(read_thumbnail(files) or b"", np.uint8), cv2.IMREAD_COLOR)

@@ -253,7 +253,7 @@ def waypoints(points, origin=ORIGIN):
 
 
 def recording(points):
-    return Recording("walk", Path("walk"), None, waypoints=waypoints(points))
+    return Recording(None, "walk", Path("walk"), waypoints=waypoints(points))
 
 
 def test_recordings_with_other_first_waypoints_share_a_frame():

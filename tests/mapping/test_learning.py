@@ -74,7 +74,7 @@ class SeesPoints:
 
 def walk_of(room: Any, first: int, poses: Sequence[Pose]) -> Recording:
     """A recording of a walk, its poses unknown."""
-    return Recording(f"walk-{first}", Path(f"walk-{first}"), NumberedFrames(first, len(poses)), room.camera)
+    return Recording(NumberedFrames(first, len(poses)), f"walk-{first}", Path(f"walk-{first}"), room.camera)
 
 
 def with_poses(recording: Recording, poses: Sequence[Pose], similarity: Similarity) -> Recording:

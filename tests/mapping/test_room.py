@@ -125,7 +125,7 @@ def recording(point_room: Any, tmp_path_factory: pytest.TempPathFactory) -> Reco
         paths[row] = folder / f"{row}.png"
         assert cv2.imwrite(str(paths[row]), np.round(1000 * depth).astype(np.uint16))
     orange: ByteArray = np.full((480, 640, 3), (0, 128, 255), np.uint8)
-    return Recording("walk", folder, MemoryFrames([orange] * 60, 10.0), depth=DepthImages(tuple(paths)))
+    return Recording(MemoryFrames([orange] * 60, 10.0), "walk", folder, depth=DepthImages(tuple(paths)))
 
 
 def named(map_: Map, recording: Recording) -> Map:
@@ -171,7 +171,7 @@ def test_pairs_of_frames_measure_depth(point_room: Any) -> None:
     for pose in poses:
         seen = point_room.camera.project((corners - pose.position) @ pose.R_map_camera).astype(np.float32)
         frames.append(cv2.warpPerspective(texture, cv2.getPerspectiveTransform(corners_px, seen), (640, 480)))
-    recording = Recording("wall", Path(), MemoryFrames(frames, 10.0))
+    recording = Recording(MemoryFrames(frames, 10.0), "wall", Path())
     views = depth_views(point_room.map_of(poses, "wall"), recording, 0, 20)
     assert len(views) > 8
     points = sampled_points(views)

@@ -62,5 +62,5 @@ def test_views_in_no_order_are_points_not_a_path() -> None:
     shuffled = np.random.default_rng(0).permutation(places)
     for some, marks in ((places, ["None", "o"]), (shuffled, ["."])):
         axes = figure_of(None, 60).subplots()
-        draw_views(axes, some[:, :2], walk_numbers(some, None), 1.0, 3)
+        draw_views(axes, some[:, :2], walk_numbers(some, np.zeros(len(some))), 1.0, 3)
         assert [line.get_marker() for line in axes.lines] == marks

@@ -69,7 +69,7 @@ def test_a_look_measures_light_and_corners() -> None:
 
 def walked(imu: Imu | None = None, waypoints: tuple[Waypoint, ...] = ()) -> Recording:
     frames = MissingImages(np.arange(50) / 10, np.arange(50))
-    return Recording("walk", Path("walk"), frames, imu=imu, waypoints=waypoints)
+    return Recording(frames, "walk", Path("walk"), imu=imu, waypoints=waypoints)
 
 
 def resting_at(stops: list[float], turn: float = 0.6) -> Imu:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-import structlog
 
 from rholoc import __version__
 from rholoc.jobs.workers_table import WorkerTable
@@ -133,7 +133,7 @@ def test_the_log_is_json(capsys):
     try:
         raise ValueError("what went wrong")
     except ValueError:
-        structlog.get_logger("test").exception("internal_error", request_id="r1")
+        logging.getLogger("rholoc.test").exception("internal_error", extra={"request_id": "r1"})
     line = json.loads(capsys.readouterr().err)
     assert (line["event"], line["request_id"], line["level"]) == ("internal_error", "r1", "error")
     assert "what went wrong" in line["exception"]

@@ -136,7 +136,7 @@ def test_a_recording_is_corrected_and_mapped_again(service):
     fresh = httpx.get(url).json()
     assert (fresh["content"], fresh["thumbnail"], fresh["waypoints"], fresh["corrected"]) == (None, False, [], False)
     pictures = [np.full((90, 160, 3), 90, np.uint8)] * 60
-    walk = Recording("walk", Path("walk"), MemoryFrames(pictures, 10.0))
+    walk = Recording(MemoryFrames(pictures, 10.0), "walk", Path("walk"))
     RecordingStore(service.settings.data_dir).note(recording, notes_of(walk))
     noted = httpx.get(url).json()
     assert noted["content"] == {

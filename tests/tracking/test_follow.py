@@ -37,7 +37,7 @@ def localizer(picture_world):
 def still(picture_world):
     """A camera at rest."""
     frames = MemoryFrames([picture_world.image] * FRAMES, frames_per_second=10.0)
-    return Recording("still", None, frames, camera=picture_world.camera)
+    return Recording(frames, "still", None, camera=picture_world.camera)
 
 
 def steps(localizer, recording, motion=Motion.PICTURES, odometry=None, answering=None):

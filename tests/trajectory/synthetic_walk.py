@@ -138,7 +138,7 @@ class SyntheticWalk:
     def recording(self, **changes: object) -> Recording:
         """The walk as a recording with IMU and waypoints; ``changes`` are of its members."""
         frames = Frames(self.times, (self.camera.width, self.camera.height))
-        whole = Recording("walk", Path("walk"), frames, self.camera, self.imu, self.waypoints)
+        whole = Recording(frames, "walk", Path("walk"), self.camera, self.imu, self.waypoints)
         return replace(whole, **changes)  # type: ignore[arg-type]
 
     def track_corners(

@@ -22,7 +22,7 @@ from rholoc.trajectory.reconstruction import Sights
 
 
 def _recording(pictures: list[ByteArray], poses: GivenPoses | None = None) -> Recording:
-    return Recording("walk", Path("walk"), MemoryFrames(pictures), Camera(160, 120, 120, 120, 80, 60), poses=poses)
+    return Recording(MemoryFrames(pictures), "walk", Path("walk"), Camera(160, 120, 120, 120, 80, 60), poses=poses)
 
 
 def _wall(count: int = 40) -> list[ByteArray]:

@@ -128,7 +128,7 @@ def test_without_a_scale_or_trust_the_report_says_so() -> None:
 def test_what_is_known_of_the_imu() -> None:
     table = Imu(np.arange(2.0), np.zeros((2, 3)), np.zeros((2, 3)), True, None)
     pictures = [np.zeros((20, 20), np.uint8)] * 2
-    recording = Recording("walk", Path("walk"), MemoryFrames(pictures), None, table)
+    recording = Recording(MemoryFrames(pictures), "walk", Path("walk"), None, table)
     report = _imu_report(recording, _found())
     assert isinstance(report, ImuReport)
     assert report.time_offset_s == pytest.approx(0.023)

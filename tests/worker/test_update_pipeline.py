@@ -25,7 +25,7 @@ def task(tmp_path: Path, point_room: Any, monkeypatch: pytest.MonkeyPatch) -> Ma
     """An update of the map ``room``, whose recording needs no reading and is learned by counting the version up."""
     (tmp_path / "work").mkdir()
     MapLibrary(tmp_path / "maps").put("room", point_room.map_of(point_room.walk(60)[:30], "first"))
-    recording = Recording("walk", tmp_path, MemoryFrames([np.zeros((48, 64), np.uint8)] * 2))
+    recording = Recording(MemoryFrames([np.zeros((48, 64), np.uint8)] * 2), "walk", tmp_path)
     monkeypatch.setattr(pipeline, "read_recording", lambda *_args, **_options: recording)
     monkeypatch.setattr(pipeline, "update_map", lambda map_, *_: next_version(map_))
     options = JobOptions(kind=JobKind.UPDATE)

@@ -56,19 +56,13 @@ def nerfstudio_transforms(map_: Map) -> str:
     poses = map_.views.T_map_camera @ _TO_OPENGL
     frames = [
         {"file_path": f"images/{_name(view)}", **cameras[source], "transform_matrix": T.tolist()}
-        for view, (source, T) in enumerate(zip(_sources(map_), poses, strict=True))
+        for view, (source, T) in enumerate(zip(map_.views.known_sources.tolist(), poses, strict=True))
     ]
     return json.dumps({"camera_model": model, "frames": frames}, indent=1) + "\n"
 
 
 def _name(view: int) -> str:
     return f"{view:06d}.jpg"
-
-
-def _sources(map_: Map) -> list[int]:
-    """The source (K) of each view, as a row of the map's sources; 0 for all if the map does not keep them."""
-    sources = map_.views.sources
-    return [0] * len(map_.views) if sources is None else sources.tolist()
 
 
 def _nerfstudio_camera(camera: Camera) -> dict[str, Any]:
@@ -112,7 +106,7 @@ def _images(map_: Map) -> Iterator[str]:
     T_camera_map = np.linalg.inv(map_.views.T_map_camera)
     quaternions = Rotation.from_matrix(T_camera_map[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     points = _point_numbers(map_)[seen.features]
-    for view, source in enumerate(_sources(map_)):
+    for view, source in enumerate(map_.views.known_sources.tolist()):
         pose = _numbers((*quaternions[view], *T_camera_map[view, :3, 3]))
         yield f"{view + 1} {pose} {source + 1} {_name(view)}"
         rows = slice(offsets[view], offsets[view + 1])
@@ -139,7 +133,7 @@ def _points(map_: Map) -> Iterator[str]:
 
 def reprojection_errors_px(map_: Map) -> FloatArray:
     """Reprojection errors (V,) of the observations [px]; NaN behind the camera."""
-    seen, cameras, sources = map_.observations, source_cameras(map_.info), np.array(_sources(map_))
+    seen, cameras, sources = map_.observations, source_cameras(map_.info), map_.views.known_sources
     assert seen.pixels is not None
     T = map_.views.T_map_camera[seen.views]
     points = np.einsum("nji,nj->ni", T[:, :3, :3], map_.landmarks.positions[seen.features] - T[:, :3, 3])

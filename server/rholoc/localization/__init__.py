@@ -8,9 +8,9 @@ from rholoc.localization.large_map import AnyLocalizer, LargeMapLocalizer, local
 from rholoc.localization.localizer import Localizer
 from rholoc.localization.several_frames import (
     MAX_FRAMES,
-    MIN_FRAMES,
     JointLocalization,
     SeveralFrames,
+    check_frame_count,
     localize_together,
 )
 from rholoc.localization.similar_views import LikelyView, likeliest_views
@@ -28,7 +28,6 @@ from rholoc.localization.types import (
 
 __all__ = [
     "MAX_FRAMES",
-    "MIN_FRAMES",
     "MIN_RECOGNIZED",
     "NO_BELIEF",
     "TOO_LITTLE_TIME",
@@ -51,6 +50,7 @@ __all__ = [
     "Query",
     "Reason",
     "SeveralFrames",
+    "check_frame_count",
     "likeliest_views",
     "localize_together",
     "localizer_of",

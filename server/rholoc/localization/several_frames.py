@@ -53,6 +53,15 @@ _TIMES_AS_MUCH = 2.0  # as by its joint pose a frame explains by its own where i
 _FAR_SIGMAS = 3.0
 
 
+def check_frame_count(count: int) -> None:
+    """Raise InvalidInput unless so many frames can be localized together."""
+    if not MIN_FRAMES <= count <= MAX_FRAMES:
+        raise InvalidInput(
+            f"{count} frames; {MIN_FRAMES} to {MAX_FRAMES} can be localized together.",
+            "Send a single frame by itself, and long sequences in parts.",
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class SeveralFrames:
     """Frames with known relative poses.
@@ -75,11 +84,7 @@ class SeveralFrames:
 
     def __post_init__(self) -> None:
         count = len(self.frames)
-        if not MIN_FRAMES <= count <= MAX_FRAMES:
-            raise InvalidInput(
-                f"{count} frames; {MIN_FRAMES} to {MAX_FRAMES} can be localized together.",
-                "Send a single frame by itself, and long sequences in parts.",
-            )
+        check_frame_count(count)
         if self.T_rig_cameras.shape != (count, 4, 4) or not all(is_rigid(T) for T in self.T_rig_cameras):
             raise InvalidInput(
                 "A frame's relative pose is not a rigid motion.",

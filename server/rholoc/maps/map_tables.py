@@ -166,6 +166,11 @@ class MapViews(MapTable, PosedCameras):
     second_positions: FloatArray | None = field(default=None, metadata=_optional(np.float32, 3, unknown=np.nan))
 
     @property
+    def known_sources(self) -> IntArray:
+        """``sources`` (K,), all 0 if None."""
+        return np.zeros(len(self), np.int32) if self.sources is None else self.sources
+
+    @property
     def known_pictures(self) -> tuple[bytes, ...]:
         """``pictures`` (K,), all empty if None."""
         return tuple(self.known("pictures"))
@@ -184,7 +189,7 @@ class MapViews(MapTable, PosedCameras):
     @property
     def walks(self) -> IntArray:
         """Number (K,) of the walk that each view belongs to; see :func:`rholoc.maps.walks.walk_numbers`."""
-        return walk_numbers(self.positions, self.sources)
+        return walk_numbers(self.positions, self.known_sources)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,18 +11,17 @@ _SHORT_STEP = 0.7  # of the median distance between any two places: maximum medi
 _COMPARED = 300  # places, about
 
 
-def walk_numbers(positions: FloatArray, sources: IntArray | None) -> IntArray:
+def walk_numbers(positions: FloatArray, sources: IntArray) -> IntArray:
     """Number (K,) of the walk that each view belongs to: the views of a recording are one walk if they are in the order
     of one, else each has a number of its own.
 
     Args:
         positions: (K, 3) of the views.
-        sources: (K,) number of the recording that each comes from; None: all from one.
+        sources: (K,) number of the recording that each comes from.
     """
     numbers = np.arange(len(positions))
-    recordings = np.zeros(len(positions), int) if sources is None else sources
-    for recording in np.unique(recordings):
-        own = np.flatnonzero(recordings == recording)
+    for source in np.unique(sources):
+        own = np.flatnonzero(sources == source)
         if _in_order(positions[own]):
             numbers[own] = own[0]
     return numbers

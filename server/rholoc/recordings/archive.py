@@ -25,7 +25,7 @@ MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, zip bombs 1
 _PACK_AGAIN = "Pack the recording's own files, and nothing else."
 _RATIO_FREE_BYTES = 2**20  # below this size the ratio does not matter
 
-_IGNORED = ("__MACOSX", ".DS_Store", "Thumbs.db")
+_IGNORED = frozenset({"__MACOSX", ".DS_Store", "Thumbs.db"})
 
 
 def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> Path:
@@ -103,13 +103,9 @@ def _check_directory(archive: Path, max_files: int) -> None:
 
 
 def _checked_entries(packed: zipfile.ZipFile, archive: Path, max_bytes: int) -> list[zipfile.ZipInfo]:
-    entries = [entry for entry in packed.infolist() if not _ignored(entry)]
+    entries = [entry for entry in packed.infolist() if _IGNORED.isdisjoint(PurePosixPath(entry.filename).parts)]
     _check(entries, archive, max_bytes)
     return entries
-
-
-def _ignored(entry: zipfile.ZipInfo) -> bool:
-    return any(part in _IGNORED for part in PurePosixPath(entry.filename).parts)
 
 
 def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> None:

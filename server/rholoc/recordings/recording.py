@@ -184,9 +184,9 @@ class Recording:
     """A walk through a place.
 
     Attributes:
+        frames: the video's frames or the images.
         name: its name.
         path: where it was read from.
-        frames: the video's frames or the images.
         camera: None if the intrinsics are unknown; structure from motion then estimates them.
         imu: None if there is none.
         waypoints: measured points of the walk.
@@ -204,9 +204,9 @@ class Recording:
         warnings: its problems.
     """
 
-    name: str
-    path: Path
     frames: FrameSource
+    name: str = ""
+    path: Path = Path()
     camera: Camera | None = None
     imu: Imu | None = None
     waypoints: tuple[Waypoint, ...] = ()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-import structlog
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
@@ -82,7 +82,7 @@ from rholoc.service.threads.storage import StorageLanes
 from rholoc.storage.holdings_table import Holdings
 from rholoc.worker import EmbeddedWorker
 
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 _CORS: dict[str, Any] = {
     "allow_methods": ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE"],
     "allow_headers": ["*"],
@@ -265,7 +265,7 @@ def _open(settings: Settings, stores: Stores) -> None:
     try:  # engines connect on first use, and stores.follow() retries
         stores.open()
     except (RholocError, SQLAlchemyError) as error:
-        _log.warning("database_not_opened", error=str(error)[:200])
+        _log.warning("database_not_opened", extra={"error": str(error)[:200]})
     stores.follow()
 
 

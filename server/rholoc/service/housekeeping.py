@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import logging
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
-
-import structlog
 
 from rholoc.errors import InvalidMap, RholocError, StorageUnavailable, UnknownMap
 from rholoc.jobs import JobKind, JobOptions, JobPriority
@@ -20,7 +19,7 @@ from rholoc.service.threads.storage import StorageThreads
 _EVERY_S = 600.0
 _KEYS_EVERY_S, _KEYS_WITHIN_S = 0.1, 5.0
 _DAY_S = 24 * 3600.0
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 
 
 async def clean_up_regularly(state: State) -> None:
@@ -30,7 +29,7 @@ async def clean_up_regularly(state: State) -> None:
             try:
                 await state.operation.lanes.transfers(work, state)
             except Exception:  # the other tasks still run
-                _log.exception("housekeeping_failed", work=name)
+                _log.exception("housekeeping_failed", extra={"work": name})
         await asyncio.sleep(_EVERY_S)
 
 
@@ -72,7 +71,7 @@ def learn_tonight(state: State, now: datetime) -> None:
             if state.jobs.sync.learning(name) is None:
                 state.jobs.sync.submit("", name, options, night)
         except RholocError as error:
-            _log.warning("map_does_not_learn", map=name, error=error.message)
+            _log.warning("map_does_not_learn", extra={"map": name, "error": error.message})
 
 
 _WORKS: dict[str, Callable[[State], None]] = {

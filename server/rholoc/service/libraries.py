@@ -10,6 +10,7 @@ import asyncio
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rholoc.errors import Conflict, InvalidInput, InvalidMap, NotFound, UnknownMap, UnknownRecording
@@ -29,7 +30,7 @@ from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.access.quotas import Quotas, Usage
 from rholoc.service.frames.kept.learning import Learner
 from rholoc.service.http.files import OpenedFile
-from rholoc.service.maps.descriptions import MapDetail, MapList, MapVersions, detail_of, list_of, versions_of
+from rholoc.service.maps.descriptions import MapDetail, detail_of, list_of, versions_of
 from rholoc.service.maps.job_events import JobEvents
 from rholoc.service.maps.publishing import publish_file, publish_merged
 from rholoc.service.settings import Settings
@@ -53,15 +54,15 @@ class AsyncMaps:
         self.readable = lanes.files.offload(library.readable)
         self.stat = lanes.files.offload(library.stat)
         self.existing = lanes.files.offload(self._existing)
-        self.list = lanes.files.offload(self._list)
+        self.list = lanes.files.offload(partial(list_of, library))
         self.detail = lanes.database.offload(self._detail)
-        self.versions = lanes.database.offload(self._versions)
+        self.versions = lanes.database.offload(partial(versions_of, library))
         self.rename = lanes.database.offload(library.rename)
         self.delete = lanes.database.offload(self._delete)
         self.path = lanes.fetches.offload(library.path)
         self.open = lanes.fetches.offload(self._open)
         self.publish = lanes.transfers.offload(self._publish)
-        self.publish_merged = lanes.transfers.offload(self._publish_merged)
+        self.publish_merged = lanes.transfers.offload(partial(publish_merged, library))
         self.restore = lanes.transfers.offload(library.restore)
         self.replace = lanes.transfers.offload(library.replace)
         self.keep_plan = lanes.transfers.offload(self._keep_plan)
@@ -83,9 +84,6 @@ class AsyncMaps:
                 found.append(name)
         return found
 
-    def _list(self) -> MapList:
-        return list_of(self.sync)
-
     def _detail(self, name: str, published: Map | None = None) -> MapDetail:
         """Description of a map, its file's size and settings of this server included. Raises what :meth:`get` raises.
         ``published`` is the map that the request just published: the library's may be newer, or not visible here yet.
@@ -99,9 +97,6 @@ class AsyncMaps:
             "pictures": detail.pictures and settings.keep_pictures,
         }
         return detail.model_copy(update=here)
-
-    def _versions(self, name: str) -> MapVersions:
-        return versions_of(self.sync, name)
 
     def _delete(self, name: str) -> None:
         """Delete a map and its kept queries. Raises InvalidName, UnknownMap, StorageUnavailable, StorageFull."""
@@ -119,9 +114,6 @@ class AsyncMaps:
 
     def _publish(self, name: str, arrived: Path) -> None:
         publish_file(self.sync, name, arrived, self._settings)
-
-    def _publish_merged(self, parts: dict[str, Map], into: str, merged: Map) -> None:
-        publish_merged(self.sync, parts, into, merged)
 
     def _keep_plan(self, name: str, content: bytes, plan: FloorPlan | None) -> Map:
         """Publish a map's next version with another floor plan, or none if ``plan`` is None, and return it."""

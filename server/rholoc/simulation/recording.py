@@ -56,10 +56,6 @@ class SimulatedRecording:
         return self.path / "truth.csv"
 
 
-def _report_nothing(fraction: float) -> None:
-    pass
-
-
 def simulate_recording(
     out: Path,
     *,
@@ -71,7 +67,7 @@ def simulate_recording(
     scene: Scene | Building | None = None,
     camera: Camera = PHONE_CAMERA,
     readout_s: float = 0.0,
-    progress: Callable[[float], None] = _report_nothing,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> SimulatedRecording:
     """Walk through a room with a phone and write what it records into the folder ``out``.
 

@@ -225,7 +225,7 @@ def _refusal(url: sa.URL, error: DatabaseError) -> Exception:
         )
     if not isinstance(error, OperationalError):
         return error
-    if _is_out_of_space(Path(str(url.database))):
+    if shutil.disk_usage(Path(str(url.database)).parent).free < _NO_SPACE_BYTES:
         return storage_full()
     return StorageUnavailable(f"The database of jobs cannot be used: {reason}.", "Check its disk and its permissions.")
 
@@ -237,11 +237,6 @@ def is_silence(error: DatabaseError) -> bool:
     from rholoc.storage.bounded_connection import AnswerTimeout
 
     return isinstance(error.orig, ConnectionTimeout | AnswerTimeout)
-
-
-def _is_out_of_space(file: Path) -> bool:
-    """Whether a file's disk has less than 128 KiB free: too little for SQLite to open the file."""
-    return shutil.disk_usage(file.parent).free < _NO_SPACE_BYTES
 
 
 def _postgres_url(text: str) -> sa.URL:

@@ -6,6 +6,7 @@ Requests are answered from memory, also while the database is down; changes appe
 from __future__ import annotations
 
 import json
+import logging
 import threading
 import time
 from base64 import b64decode, b64encode
@@ -16,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import sqlalchemy as sa
-import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from rholoc.disk import replace_file
@@ -90,7 +90,7 @@ class ChangeListener:
 
 """How often the database is asked where it does not tell of changes, or might not have."""
 
-_log = structlog.get_logger("rholoc.storage")
+_log = logging.getLogger("rholoc.storage")
 
 
 @dataclass(frozen=True)
@@ -281,7 +281,7 @@ class Replica:
             try:
                 self._prepare(before, row)
             except RholocError:
-                _log.warning("map_not_fetched", map=name, exc_info=True)
+                _log.warning("map_not_fetched", extra={"map": name}, exc_info=True)
                 continue
             with self._lock:
                 if self._unprepared.get(name) == row:

@@ -28,7 +28,7 @@ def still(picture_world):
     images = [picture_world.image] * FRAMES
     frames = MemoryFrames(images, frames_per_second=10.0)
     poses = GivenPoses(np.ones(FRAMES, dtype=bool), np.repeat(picture_world.pose.T_map_camera[None], FRAMES, axis=0))
-    return Recording("still", None, frames, camera=picture_world.camera, poses=poses)
+    return Recording(frames, "still", None, camera=picture_world.camera, poses=poses)
 
 
 @pytest.fixture(scope="module")

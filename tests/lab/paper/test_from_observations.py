@@ -212,7 +212,7 @@ class Frames:
 
 def test_each_frame_is_corrected_by_its_own_motion(point_room: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     camera = point_room.camera.resized(320, 240)
-    recording = Recording("walk", Path("walk"), Frames(), camera, readout_s=_READOUT_S)
+    recording = Recording(Frames(), "walk", Path("walk"), camera, readout_s=_READOUT_S)
     T = np.array([pose.T_map_camera for pose in point_room.walk(4)])
     velocities = np.zeros((4, 2, 3))
     velocities[:, 0, 2] = [100, 200, 300, 400]

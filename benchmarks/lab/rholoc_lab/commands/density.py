@@ -81,8 +81,8 @@ def _feature(
     import numpy as np
 
     from rholoc.density.density import TARGET_RADIUS
-    from rholoc.maps.formats.vti import image_data
     from rholoc.paper.landscape import over_positions, seen_from
+    from rholoc_lab.paper.vti import image_data
     from rholoc_lab.pictures.density import feature_frames, feature_grid, feature_png
     from rholoc_lab.pictures.film import film
 
@@ -148,9 +148,9 @@ def _sharpening(map_: Map, feature: int) -> bytes:
 
 
 def _picture(map_: Map, picture: Path, camera: str | None, starts: int, ending: str) -> bytes:
-    from rholoc.maps.formats.vti import image_data
     from rholoc.paper.density_localizer import TOLERANCES_PX
     from rholoc.paper.landscape import Grid, product_over_positions
+    from rholoc_lab.paper.vti import image_data
     from rholoc_lab.pictures.density import ascent_frames, ascent_png
     from rholoc_lab.pictures.film import film
 

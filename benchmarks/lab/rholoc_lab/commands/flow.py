@@ -82,7 +82,7 @@ def _write_dense(found: Flow, read: Recording, out: Path, pictures: int, fields:
     import numpy as np
 
     from rholoc.disk import replace_file
-    from rholoc.trajectory.visual.dense_flow import DenseMethod, dense_flow, off_tracks
+    from rholoc_lab.evaluation.dense_flow import DenseMethod, dense_flow, off_tracks
     from rholoc_lab.pictures.flow import dense_png, tracks_png
 
     numbers, last = read.frames.numbers, len(read.frames.numbers) - 1

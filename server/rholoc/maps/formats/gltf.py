@@ -51,7 +51,7 @@ def map_to_gltf(map_: Map) -> bytes:
 
 def _walks(map_: Map) -> list[tuple[str, NDArray[Any]]]:
     """Name of each recording and the rows of its views; all as the first one's if the map keeps no sources."""
-    sources = np.zeros(len(map_.views), dtype=np.int64) if map_.views.sources is None else map_.views.sources
+    sources = map_.views.known_sources
     names = [source.name for source in map_.info.sources] or ["walk"]
     return [(name, np.flatnonzero(sources == row)) for row, name in enumerate(names)]
 

@@ -37,6 +37,7 @@ class Reader:
     """Reader of one format.
 
     Attributes:
+        read: folder → its recording; :func:`read_folder` adds name, path and format.
         tables: lower-case patterns of the paths of its files, except pictures and videos.
     """
 
@@ -87,9 +88,10 @@ def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
         raise InvalidRecording(f"The folder {folder.name} contains files of {formats}.", "Keep those of one.")
     if found:
         read = found[0].read(folder) if found[0].format is not RecordingFormat.BAG else bag.read(folder, topics)
-        recording, tables = _with_additions(read, folder), found[0].tables
+        recording, tables = _with_additions(replace(read, format=found[0].format), folder), found[0].tables
     else:
         recording, tables = own.read(folder), own.TABLES
+    recording = replace(recording, name=folder.resolve().name, path=folder)
     lengths_csv = folder / "lengths.csv"
     if lengths_csv.is_file():
         recording = replace(recording, lengths=read_lengths_csv(lengths_csv, recording.frames.numbers))

@@ -36,7 +36,8 @@ def with_unused_files(recording: Recording, folder: Path, tables: tuple[str, ...
         recording: as read from the folder.
         tables: lower-case patterns of the paths of used files, except pictures and videos.
     """
-    used = {path.resolve() for path in (*_files_of(recording.frames), *_depth_files(recording))}
+    depths = filter(None, recording.depth.paths if recording.depth else ())
+    used = {path.resolve() for path in (*_files_of(recording.frames), *depths)}
     unused = [
         path.relative_to(folder)
         for path in sorted(folder.rglob("*"))
@@ -74,7 +75,3 @@ def _files_of(frames: FrameSource) -> tuple[Path, ...]:
             return (frames.path,)
         case _:
             return ()
-
-
-def _depth_files(recording: Recording) -> tuple[Path, ...]:
-    return () if recording.depth is None else tuple(path for path in recording.depth.paths if path is not None)

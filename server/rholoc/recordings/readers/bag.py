@@ -71,7 +71,7 @@ def read(folder: Path, topics: Sequence[str] = ()) -> Recording:
             f"The folder {folder.name} contains several bags: {', '.join(one.name for one in bags[:_MAX_NAMED])}.",
             "Give one of them.",
         )
-    return replace(read_bag(bags[0], topics), name=folder.resolve().name, path=folder)
+    return read_bag(bags[0], topics)
 
 
 def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
@@ -95,11 +95,11 @@ def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
         imu, imu_warnings = _imu(reader, found, mounted, frame_id)
         poses, pose_warnings = _poses(reader, found, mounted, frame_id, frames)
     return Recording(
-        name=path.stem,
-        path=path,
-        frames=frames,
-        camera=camera,
-        imu=imu,
+        frames,
+        path.stem,
+        path,
+        camera,
+        imu,
         poses=poses,
         format=RecordingFormat.BAG,
         warnings=(*warnings, *camera_warnings, *imu_warnings, *pose_warnings),
@@ -207,7 +207,7 @@ def _camera(
     """
     infos = found.of_types(_CAMERA_INFO)
     asked = [one for one in infos if one.topic in found.asked]
-    nearest = asked or [one for one in infos if _is_beside(one.topic, found.picture.topic)]
+    nearest = asked or [one for one in infos if found.picture.topic.startswith(one.topic.rpartition("/")[0] + "/")]
     if nearest:
         return camera_of_info(_first(reader, nearest[0]), size, "rect" in found.picture.topic.rsplit("/", 1)[-1])
     sensors = (path if path.is_dir() else path.parent) / "sensors.txt"
@@ -219,11 +219,6 @@ def _camera(
         return None, ()
     camera = cameras[pictures.index(found.picture.topic) if len(cameras) > 1 else 0]
     return None if camera is None else camera.fitted(*size), ()
-
-
-def _is_beside(info: str, picture: str) -> bool:
-    """Whether a topic of CameraInfo (/cam/camera_info) is in the namespace of a topic of pictures (/cam/image/raw)."""
-    return picture.startswith(info.rpartition("/")[0] + "/")
 
 
 # -- other measurements ------------------------------------------------------------------------------------------

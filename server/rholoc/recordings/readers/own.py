@@ -22,7 +22,7 @@ from rholoc.recordings.frames.unified_pictures import UnifiedPictures, require_o
 from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import find_video, timed_video
-from rholoc.recordings.recording import FrameSource, Imu, Recording, RecordingFormat
+from rholoc.recordings.recording import FrameSource, Imu, Recording
 from rholoc.recordings.tables.own_tables import read_frame_numbers, read_imu_rows, read_odometry_csv
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
@@ -51,14 +51,11 @@ def read(folder: Path) -> Recording:
     if camera is not None:
         require_one_camera(frames)
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=frames,
+        frames,
         camera=None if camera is None else camera.fitted(*frames.size),
         imu=imu,
         waypoints=read_waypoints_csv(waypoints_csv, frames) if waypoints_csv.is_file() else (),
         poses=None if poses is None else match_poses(read_pose_table(poses), frames),
-        format=RecordingFormat.RHOLOC,
         readout_s=description.readout_s,
         odometry=read_odometry_csv(odometry_csv) if odometry_csv.is_file() else None,
         focal_px=frames.focal_px if isinstance(frames, ImageFolderFrames | UnifiedPictures) else None,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import sqlalchemy as sa
-import structlog
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -26,7 +26,7 @@ _MAPS = "/v1/maps/"
 _CHANGING = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 _SCOPES = frozenset({KeyScope.MAP, KeyScope.ADMIN})  # routes that change something need one of these
 _PIECES = ("PATCH", "/v1/recordings/{recording}")  # piece of an upload, which is logged once, at its beginning
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Audited:
                 try:
                     await self._lanes.database(self._audit.note, change)
                 except (SQLAlchemyError, RholocError) as error:  # the change has been made already
-                    _log.warning("change_not_noted", error=str(error)[:200], **asdict(change))
+                    _log.warning("change_not_noted", extra={"error": str(error)[:200], **asdict(change)})
             await send(message)
 
         await self._app(scope, receive, send_noting)

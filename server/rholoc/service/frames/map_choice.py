@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
-
-import structlog
 
 from rholoc.errors import DeadlineExceeded, InvalidCamera, InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet
@@ -114,7 +113,7 @@ class Candidates:
 
 
 T = TypeVar("T")
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 
 
 def choose_candidates(maps: MapChoice, features_by: Callable[[Extractor], FeatureSet], clock: Stopwatch) -> Candidates:
@@ -188,7 +187,7 @@ def each_map(
         except Exception as error:
             if not maps.passing_over:
                 raise
-            _log.warning("map_passed_over", map=name, error=repr(error)[:200])
+            _log.warning("map_passed_over", extra={"map": name, "error": repr(error)[:200]})
             refused = refused or error
     if not asked and refused is not None:
         raise refused

@@ -14,12 +14,11 @@ import numpy as np
 from rholoc.errors import InvalidImage, InvalidInput
 from rholoc.geometry import Camera, Pose
 from rholoc.localization import (
-    MAX_FRAMES,
-    MIN_FRAMES,
     AnyLocalizer,
     JointLocalization,
     Query,
     SeveralFrames,
+    check_frame_count,
     localize_together,
 )
 from rholoc.service.frames.answers import FramePoseOut, LocalizationOut, PoseOut, answer_of, pose_out, too_late
@@ -50,11 +49,7 @@ class Frames:
             InvalidImage: a picture is not base64.
         """
         count = len(query.frames)
-        if not MIN_FRAMES <= count <= MAX_FRAMES:
-            raise InvalidInput(
-                f"{count} frames; {MIN_FRAMES} to {MAX_FRAMES} can be localized together.",
-                "Send a single frame by itself, and long sequences in parts.",
-            )
+        check_frame_count(count)
         strange = sorted(set(images) - set(range(count)))
         if strange:
             raise InvalidInput(f"There is a picture image{strange[0]} but no such frame.", "Number them from 0.")

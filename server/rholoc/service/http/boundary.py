@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 import uuid
 
-import structlog
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
@@ -19,7 +19,7 @@ REQUEST_ID_HEADER = "X-Request-ID"
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 _REFUSED = 400  # statuses from here on
 _REFUSAL_TAKES_S = 0.02  # minimum, against clients that repeat invalid requests without pause
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 
 
 class RequestBoundary:
@@ -55,11 +55,11 @@ class RequestBoundary:
         try:
             await self._app(scope, receive, send_with_id)
         except ClientDisconnect:
-            _log.info("client_disconnected", request_id=request_id, path=scope["path"])
+            _log.info("client_disconnected", extra={"request_id": request_id, "path": scope["path"]})
         except Exception as error:
             known = as_rholoc_error(error)
             if known is None:
-                _log.exception("internal_error", request_id=request_id, path=scope["path"])
+                _log.exception("internal_error", extra={"request_id": request_id, "path": scope["path"]})
                 known = Internal(
                     "The service failed.",
                     f"Its log has the details under the request id {request_id}.",

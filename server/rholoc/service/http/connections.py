@@ -120,10 +120,6 @@ class PatientProtocol(H11Protocol):
             self._giving_up = None
 
 
-def _full() -> Busy:
-    return Busy("The service has reached its limit of connections.", "Try again after Retry-After.", _RETRY_AFTER_S)
-
-
 def protocol_of(max_connections: int, stalled_reader_s: float = _STALLED_READER_S) -> type[PatientProtocol]:
     """A protocol class that accepts ``max_connections``, and aborts one whose client does not read for
     ``stalled_reader_s``.
@@ -187,7 +183,8 @@ class ProbesOnly:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request. Raises Busy: the route is not open to everyone."""
         if scope.get("state", {}).get(BEYOND_LIMIT) and client_of(scope):
-            raise _full()
+            text = "The service has reached its limit of connections."
+            raise Busy(text, "Try again after Retry-After.", _RETRY_AFTER_S)
         await self._app(scope, receive, send)
 
 

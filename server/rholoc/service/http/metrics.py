@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 
-import structlog
 from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
@@ -18,7 +18,7 @@ from rholoc import telemetry
 from rholoc.service.access.guard import API_PATHS
 from rholoc.service.access.scopes import found_route, request_key
 
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _KEPT_S = 0.5
 _MAX_MAPS = 200  # with their own counters, one for each outcome
@@ -96,7 +96,7 @@ class _Gauge(Collector):
         try:
             values = self._read()
         except Exception as error:  # of any driver; must not prevent other metrics
-            _log.warning("gauge_unread", gauge=self._name, error=repr(error)[:200])
+            _log.warning("gauge_unread", extra={"gauge": self._name, "error": repr(error)[:200]})
             values = {}
         for value, number in values.items():
             family.add_metric([value], number)

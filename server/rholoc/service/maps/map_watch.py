@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
-
-import structlog
 
 from rholoc.localization import MapFinder
 
 _EVERY_S = 1.0
 _STOP_S = 5.0
 _NICENESS = 10  # of the thread, where the system has that: requests come first
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 
 
 class MapWatch:
@@ -49,5 +48,5 @@ class MapWatch:
                 _log.exception("map_index_failed")
             if self._finder.trouble not in ("", said):
                 said = self._finder.trouble
-                _log.warning("map_index_not_stored", error=said[:200])
+                _log.warning("map_index_not_stored", extra={"error": said[:200]})
             self._stopped.wait(_EVERY_S)

@@ -145,7 +145,7 @@ async def localize_here(site: Visited, request: Request, service: Service, optio
 
 def _room(member: SiteMap, map_: Map) -> HereRoomOut:
     T = _matrix(member)
-    sources = np.zeros(len(map_.views)) if map_.views.sources is None else map_.views.sources
+    sources = map_.views.known_sources
     walks = [map_.views.positions[sources == source].astype(np.float64) for source in np.unique(sources)]
     return HereRoomOut(
         map=member.map,

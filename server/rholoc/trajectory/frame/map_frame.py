@@ -174,7 +174,7 @@ def frame_of_waypoints(
     doubts = []
     tilt_deg = None
     if up is not None:
-        tilt_deg = _tilt_deg(alignment.similarity, up)
+        tilt_deg = float(np.degrees(angles_between(alignment.similarity.rotation @ up.direction, UP)))
         if tilt_deg <= _MAX_TILT_DEG:
             alignment = align_to_waypoints(times, T_world_camera[:, :3, 3], waypoints, up)
         else:
@@ -208,10 +208,6 @@ def _best_choice(
     found.sort(key=lambda one: one[0])
     _, waypoints, alignment = found[0]
     return waypoints, alignment, found[1][0] if len(found) > 1 else np.inf
-
-
-def _tilt_deg(similarity: Similarity, up: UpMeasurement) -> float:
-    return float(np.degrees(angles_between(similarity.rotation @ up.direction, UP)))
 
 
 def _scale_contradictions(ratio: float, others: Sequence[ScaleMeasurement], sigma: float = 0.0) -> list[str]:

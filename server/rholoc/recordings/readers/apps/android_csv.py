@@ -14,7 +14,7 @@ from pathlib import Path
 
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import find_video, listed_file, timed_images, timed_video
-from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.recording import Recording
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 
 TABLES = ("frames.csv", "accelerometer.csv", "gyroscope.csv")
@@ -49,10 +49,7 @@ def read(folder: Path) -> Recording:
     turned = Samples.from_rows(read_logged_table(folder / "gyroscope.csv").named(*_GYROSCOPE))
     imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(time_unit="ns"))
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         imu=imu,
-        format=RecordingFormat.ANDROID_CSV,
         warnings=(*unit_warnings, *timed.warnings, *imu_warnings),
     )

@@ -28,7 +28,7 @@ from rholoc.recordings.imu_normalisation import (
 )
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, read_arkit_poses
 from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_video
-from rholoc.recordings.recording import Imu, Recording, RecordingFormat
+from rholoc.recordings.recording import Imu, Recording
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 from rholoc.reports import RecordingWarning, WarningKind
 
@@ -59,12 +59,9 @@ def read(folder: Path) -> Recording:
     imu, imu_warnings = _imu(folder)
     imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times, poses)
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         imu=imu,
         poses=poses,
-        format=RecordingFormat.IOS_LOGGER,
         frame_intrinsics=intrinsics,
         warnings=(*unit_warnings, *timed.warnings, *imu_warnings, *sign_warnings),
     )

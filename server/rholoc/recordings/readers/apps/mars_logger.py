@@ -21,7 +21,7 @@ from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import require_video, timed_video
-from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.recording import Recording
 from rholoc.recordings.tables.logged_table import LoggedTable, has_columns, read_logged_table
 
 TABLES = ("*.csv", "frame_timestamps.txt")
@@ -59,11 +59,8 @@ def read(folder: Path) -> Recording:
     middles = (logged[order][1:] + logged[order][:-1]) / 2
     nearest = order[np.searchsorted(middles, timed.frames.times)]
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         imu=imu,
-        format=RecordingFormat.MARS_LOGGER,
         frame_intrinsics=_intrinsics(metadata)[nearest],
         readout_s=_readout_s(metadata),
         warnings=(*unit_warnings, *timed.warnings, *imu_warnings),

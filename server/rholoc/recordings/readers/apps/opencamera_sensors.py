@@ -15,7 +15,7 @@ from pathlib import Path
 from rholoc.errors import InvalidRecording
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._frames import find_video, require_video, timed_video
-from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.recording import Recording
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 
 TABLES = ("*_gyro.csv", "*_accel.csv", "*_timestamps.csv")
@@ -52,11 +52,8 @@ def read(folder: Path) -> Recording:
     turned = Samples.from_rows(read_logged_table(gyroscope).numbered(3, 0, 1, 2))
     imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(time_unit="ns"))
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         imu=imu,
-        format=RecordingFormat.OPENCAMERA_SENSORS,
         warnings=(*unit_warnings, *timed.warnings, *imu_warnings),
     )
 

@@ -101,12 +101,9 @@ class ScanningApp:
         known = np.isfinite(T[:, 0, 0])
         depths = [shot.depth for shot in shots]
         return Recording(
-            name=folder.resolve().name,
-            path=folder,
-            frames=timed.frames,
+            timed.frames,
             camera=timed.camera,
             poses=GivenPoses(known, T, kind=PoseKind.ODOMETRY) if known.any() else None,
-            format=self.format,
             depth=depth_images(depths, MILLIMETRE_M, camera=_depth_camera(depths, shots[0].camera)),
             warnings=(*unit_warnings, *timed.warnings),
         )

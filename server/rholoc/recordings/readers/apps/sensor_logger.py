@@ -25,7 +25,7 @@ from rholoc.recordings.frames.image_folder import number_in_name
 from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, interpolated, normalise_imu
 from rholoc.recordings.readers._frames import TimedFrames, find_video, timed_images
-from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.recording import Recording
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 
 TABLES = ("gyroscope.csv", "totalacceleration.csv", "accelerometer.csv", "gravity.csv", "metadata.csv")
@@ -49,11 +49,8 @@ def read(folder: Path) -> Recording:
     says = ImuConvention(time_unit="ns", includes_gravity=includes_gravity, apple_sign=_apple_sign(folder))
     imu, imu_warnings = normalise_imu(felt, turned, says)
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         imu=imu,
-        format=RecordingFormat.SENSOR_LOGGER,
         warnings=(*timed.warnings, *imu_warnings),
     )
 

@@ -21,7 +21,7 @@ from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu
 from rholoc.recordings.readers._camera_models import unsupported
 from rholoc.recordings.readers._frames import require_video, timed_video
-from rholoc.recordings.recording import Imu, Recording, RecordingFormat
+from rholoc.recordings.recording import Imu, Recording
 from rholoc.recordings.tables.csv_table import parse_json, read_text
 from rholoc.reports import RecordingWarning, WarningKind
 
@@ -63,12 +63,9 @@ def read(folder: Path) -> Recording:
     camera, camera_warnings = _camera(described, timed.frames.size)
     imu, imu_warnings = _imu(log, _rotation(described.get("imuToCamera")))
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         camera=camera,
         imu=imu,
-        format=RecordingFormat.SPECTACULAR,
         frame_intrinsics=per_frame if np.isfinite(per_frame).any() else None,
         warnings=(*log.warnings, *timed.warnings, *camera_warnings, *imu_warnings),
     )

@@ -23,7 +23,7 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, normalise_imu, with_sign_by_poses
 from rholoc.recordings.readers._apple import R_LANDSCAPE_CAMERA_IMU, z_up
 from rholoc.recordings.readers._frames import depth_images, require_video, timed_video
-from rholoc.recordings.recording import GivenPoses, Imu, PoseKind, Recording, RecordingFormat
+from rholoc.recordings.recording import GivenPoses, Imu, PoseKind, Recording
 from rholoc.recordings.tables.logged_table import LoggedTable, has_columns, read_logged_table
 from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning
@@ -54,13 +54,10 @@ def read(folder: Path) -> Recording:
     imu, imu_warnings = _imu(folder / "imu.csv", timed.frames.times, poses)
     per_frame = _logged_intrinsics(odometry, timed.rows)
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         camera=_camera(folder / "camera_matrix.csv", timed.frames.size),
         imu=imu,
         poses=poses,
-        format=RecordingFormat.STRAY_SCANNER,
         frame_intrinsics=per_frame,
         depth=depth_images([folder / "depth" / f"{row:06d}.png" for row in timed.rows.tolist()]),
         warnings=(*timed.warnings, *imu_warnings),

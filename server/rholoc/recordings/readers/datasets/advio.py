@@ -24,7 +24,7 @@ from rholoc.recordings.imu_normalisation import (
 )
 from rholoc.recordings.readers._apple import R_PORTRAIT_CAMERA_IMU, read_arkit_poses
 from rholoc.recordings.readers._frames import require_video, timed_video
-from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.recording import Recording
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 
 TABLES = ("*frames.csv", "*accelerometer.csv", "*gyro.csv", "*gyroscope.csv", "*arkit.csv")
@@ -60,12 +60,9 @@ def read(folder: Path) -> Recording:
     imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(), R_PORTRAIT_CAMERA_IMU)
     imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times, poses)
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         imu=imu,
         poses=poses,
-        format=RecordingFormat.ADVIO,
         warnings=(*timed.warnings, *imu_warnings, *sign_warnings),
     )
 

@@ -15,7 +15,6 @@ used. Other cameras are ignored.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._camera_models import unsupported
 from rholoc.recordings.readers._frames import listed_file, mounted_frames, timed_images, untimed_images
-from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, RecordingFormat
+from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording
 from rholoc.recordings.tables.csv_table import read_text, shortened
 from rholoc.recordings.tables.logged_table import has_columns, read_logged_table
 from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
@@ -79,15 +78,12 @@ def read(folder: Path) -> Recording:
     imu, imu_warnings = _imu(root / "imu0", T_body_camera)
     poses = _poses(root, T_body_camera, timed.frames)
     if imu is None and poses is None and (rig := _rig(root, camera)) is not None:
-        return replace(rig, name=folder.resolve().name, path=folder)
+        return rig
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         camera=camera,
         imu=imu,
         poses=poses,
-        format=RecordingFormat.EUROC,
         warnings=(*unit_warnings, *timed.warnings, *camera_warnings, *imu_warnings),
     )
 
@@ -117,7 +113,7 @@ def _rig(root: Path, first: Camera | None) -> Recording | None:
     mounted = mounted_frames(timed, moments, mountings)
     if not mounted:
         return None
-    return Recording("", root, timed.frames, timed.camera, format=RecordingFormat.EUROC, mounted=mounted)
+    return Recording(timed.frames, camera=timed.camera, mounted=mounted)
 
 
 def _root(folder: Path) -> Path:

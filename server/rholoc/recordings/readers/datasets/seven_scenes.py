@@ -18,7 +18,7 @@ import numpy as np
 from rholoc.errors import InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, is_rotation
 from rholoc.recordings.readers._frames import depth_images, untimed_images
-from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
 
 TABLES = ("*.pose.txt", "*.depth.png")
@@ -45,13 +45,10 @@ def read(folder: Path) -> Recording:
     T = np.array([_read_pose(_pose_file(images[row])) for row in timed.rows])
     known = np.isfinite(T).all(axis=(1, 2))
     T[~known] = np.nan
-    depths = [_depth_file(images[row]) for row in timed.rows]
+    depths = [images[row].with_suffix("").with_suffix(".depth.png") for row in timed.rows]
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         poses=GivenPoses(known, T) if known.any() else None,
-        format=RecordingFormat.SEVEN_SCENES,
         depth=depth_images(depths, unknown=_UNKNOWN_DEPTHS, camera=_DEPTH_CAMERA),
         warnings=timed.warnings,
     )
@@ -63,10 +60,6 @@ def _images(folder: Path) -> list[Path]:
 
 def _pose_file(image: Path) -> Path:
     return image.with_suffix("").with_suffix(".pose.txt")
-
-
-def _depth_file(image: Path) -> Path:
-    return image.with_suffix("").with_suffix(".depth.png")
 
 
 def _read_pose(path: Path) -> FloatArray:

@@ -20,7 +20,7 @@ from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.recordings.readers._frames import depth_images, listed_file, timed_images
-from rholoc.recordings.recording import Recording, RecordingFormat
+from rholoc.recordings.recording import Recording
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.reports import RecordingWarning, WarningKind
@@ -50,11 +50,8 @@ def read(folder: Path) -> Recording:
         text = "accelerometer.txt is ignored: without a gyroscope it is of little use."
         warnings.append(RecordingWarning(WarningKind.NOT_USED, text))
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         poses=match_poses(read_pose_table(truth), timed.frames) if truth.is_file() else None,
-        format=RecordingFormat.TUM_RGBD,
         depth=_depth(folder, timed.frames.times),
         warnings=tuple(warnings),
     )

@@ -25,7 +25,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
-from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning, WarningKind
@@ -98,18 +98,18 @@ def read(folder: Path) -> Recording:
     """
     model = _model(folder)
     assert model is not None
-    images, fields = _read_binary(model) if (model / "images.bin").is_file() else _read_text(model)
+    if (model / "images.bin").is_file():
+        images, fields = _read_binary(model)
+    else:
+        images, fields = _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
     source = _pictures_folder(folder, images[0].name)
     cameras, warnings = _cameras(fields, [image.camera for image in images])
     timed = untimed_images([listed_file(source, image.name) for image in images], cameras)
     T_camera_map = poses_from_rows(np.array([images[row].pose for row in timed.rows]), "the model's images")
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         camera=timed.camera,
         poses=GivenPoses(np.ones(len(timed.rows), dtype=np.bool_), np.linalg.inv(T_camera_map), metric=False),
-        format=RecordingFormat.COLMAP,
         warnings=(*timed.warnings, SCALE_WARNING, *warnings),
     )
 
@@ -131,10 +131,6 @@ def _model(folder: Path) -> Path | None:
             if all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
                 return place
     return None
-
-
-def _read_text(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
-    return _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
 
 
 def _read_binary(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:

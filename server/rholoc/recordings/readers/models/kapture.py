@@ -29,7 +29,7 @@ from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_ti
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import TimedFrames, listed_file, mounted_frames, timed_images, untimed_images
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
-from rholoc.recordings.recording import GivenPoses, Imu, Recording, RecordingFormat
+from rholoc.recordings.recording import GivenPoses, Imu, Recording
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning
@@ -73,14 +73,11 @@ def read(folder: Path) -> Recording:
     moments = [(stamp, None if one is None else one[0]) for (stamp, _), one in zip(taken, mountings, strict=True)]
     T_rig_cameras = [None if one is None else one[1] for one in mountings]
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         camera=timed.camera,
         imu=imu,
         poses=_poses(tables, [taken[row] for row in timed.rows], rigs),
         mounted=() if is_timed else mounted_frames(timed, moments, T_rig_cameras),
-        format=RecordingFormat.KAPTURE,
         warnings=(*unit_warnings, *timed.warnings, *warnings, SCALE_WARNING),
     )
 

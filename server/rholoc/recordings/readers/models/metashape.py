@@ -27,7 +27,7 @@ from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
 from rholoc.recordings.readers._camera_models import CENTRE_SHIFT, unsupported
 from rholoc.recordings.readers._frames import untimed_images
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
-from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.reports import RecordingWarning
 
@@ -76,12 +76,9 @@ def read(folder: Path) -> Recording:
         [_pose(one, frames.get(one.get("component_id"), whole)) for one in (placed[row] for row in timed.rows)]
     )
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         camera=timed.camera,
         poses=GivenPoses(np.ones(len(T), dtype=np.bool_), T, metric=metric),
-        format=RecordingFormat.METASHAPE,
         warnings=(*timed.warnings, *warnings, *(() if metric else (SCALE_WARNING,))),
     )
 

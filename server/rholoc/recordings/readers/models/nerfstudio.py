@@ -25,7 +25,7 @@ from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._camera_models import lens_of_model, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
-from rholoc.recordings.recording import GivenPoses, Recording, RecordingFormat
+from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_json
 from rholoc.reports import RecordingWarning
 
@@ -58,12 +58,9 @@ def read(folder: Path) -> Recording:
     T_world_camera = opencv_camera(np.array([_pose(listed[row]) for row in timed.rows]))
     T_map_camera = np.linalg.inv(_applied_transform(values)) @ T_world_camera
     return Recording(
-        name=folder.resolve().name,
-        path=folder,
-        frames=timed.frames,
+        timed.frames,
         camera=timed.camera,
         poses=GivenPoses(np.ones(len(paths), dtype=np.bool_), T_map_camera, metric=False),
-        format=RecordingFormat.NERFSTUDIO,
         warnings=(*timed.warnings, SCALE_WARNING, *warnings),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import queue
 import secrets
 import threading
@@ -10,8 +11,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-
-import structlog
 
 from rholoc.errors import RholocError
 from rholoc.features import Extractor, FeatureSet
@@ -29,7 +28,7 @@ _MAX_WAITING = 8
 _STOP_S = 5.0
 _SALT_FILE = "askers.salt"
 _SALT_BYTES = 16
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +132,7 @@ class Learner:
             try:
                 self._keep(*item)
             except RholocError as error:
-                _log.warning("query_not_kept", error=error.message)
+                _log.warning("query_not_kept", extra={"error": error.message})
             except Exception:
                 _log.exception("query_not_kept")
             finally:

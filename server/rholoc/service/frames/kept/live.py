@@ -108,7 +108,7 @@ class Live:
             localized=pose is not None,
             reason=answer.reason,
             confidence=answer.confidence,
-            sigma_m=_worst_sigma(answer.covariance),
+            sigma_m=max(answer.covariance[i][i] for i in range(3)) ** 0.5 if answer.covariance else None,
         )
         self._latest[answer.map, asker] = sighting  # in the order of the answers
         self.changed.set()
@@ -151,7 +151,3 @@ class Live:
             )
         since = time.time() - DAY_S
         return [one for one in self._failures if one.map == map_name and one.time >= since]
-
-
-def _worst_sigma(covariance: list[list[float]] | None) -> float | None:
-    return None if covariance is None else max(covariance[i][i] for i in range(3)) ** 0.5

@@ -153,8 +153,7 @@ def lines_between(features: FeatureSet, size: tuple[int, int], map_: Map, view: 
         np.full(len(seen), np.nan, np.float32),
     )
     ours, theirs = mutual_matches(features, of_view, metric, LIMITS[metric].strict)[:_MAX_LINES].T
-    sources = map_.views.sources
-    camera = map_.info.camera if sources is None else source_cameras(map_.info)[sources[view]]
+    camera = (source_cameras(map_.info) or [map_.info.camera])[map_.views.known_sources[view]]
     return np.column_stack(
         [features.pixels[ours] / size, of_view.pixels[theirs] / (camera.width, camera.height)]
     ).astype(np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 import uuid
 from collections.abc import Iterator
@@ -12,7 +13,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import structlog
 from fastapi import APIRouter
 from pydantic import BaseModel
 from pydantic_core import from_json
@@ -269,7 +269,7 @@ def _as_service_errors() -> Iterator[None]:
 
 router = APIRouter(prefix="/v1", tags=["localization"])
 
-_log = structlog.get_logger("rholoc.service")
+_log = logging.getLogger("rholoc.service")
 
 
 @router.websocket("/maps/{map_name}/track", dependencies=[STREAM_NEEDS_LOCALIZE])
@@ -289,7 +289,7 @@ async def track(socket: WebSocket, map_name: str) -> None:
     except Exception as error:
         known = as_rholoc_error(error)
         if known is None:
-            _log.exception("internal_error", request_id=request_id, path=socket.url.path)
+            _log.exception("internal_error", extra={"request_id": request_id, "path": socket.url.path})
             known = Internal("The service failed.", f"Its log has the details under the request id {request_id}.")
         await _end(socket, known, request_id)
 
