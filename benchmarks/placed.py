@@ -1,15 +1,17 @@
 """How much of a recording is placed, and how rightly: rholoc's trajectory beside plain pycolmap on the same pictures.
 
-    python benchmarks/placed.py [redkitchen corridor_lidar/scan splat_desk euroc_v101 bedroom_night android_livingroom
-        room building] [--as walk set shuffled 2hz 1hz 0.5hz half mixed] [--methods rholoc incremental global] [--hz 6]
-        [--seconds 120] [--most 300] [--cache DIR] [--kept] [--timeout 1800] [--json FILE] [--write]
+    python benchmarks/placed.py [redkitchen corridor_lidar/scan=1hz,0.5hz splat_desk euroc_v101 bedroom_night
+        android_livingroom room building] [--as walk set shuffled 2hz 1hz 0.5hz half mixed]
+        [--methods rholoc incremental global] [--hz 6] [--seconds 120] [--most 300] [--cache DIR] [--kept]
+        [--timeout 1800] [--json FILE] [--write]
 
-``--as``: as they are (``walk``: video and IMU, ``--hz`` pictures a second for pycolmap), or a folder of pictures
-without IMU, poses and depth. Without times: two pictures a second (``set``), the same in any order and without
-intrinsics (``shuffled``), every second of them (``half``), with another recording's among them (``mixed``). With times:
-two, one or half a picture a second. A recording without times counts as a film of 30 Hz if it has more than 300
-pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, ``--seconds`` long. Any folder of ``--data`` may
-be named, with ``truth.csv`` where the truth is known. Sets of more than ``--most`` pictures are left out.
+``--as``, or after ``=`` for one recording: as they are (``walk``: video and IMU, ``--hz`` pictures a second for
+pycolmap), or a folder of pictures without IMU, poses and depth. Without times: two pictures a second (``set``), the
+same in any order and without intrinsics (``shuffled``), every second of them (``half``), with another recording's among
+them (``mixed``). With times: two, one or half a picture a second. A recording without times counts as a film of 30 Hz
+if it has more than 300 pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, ``--seconds`` long. Any
+folder of ``--data`` may be named, with ``truth.csv`` where the truth is known. Sets of more than ``--most`` pictures
+are left out.
 
 Plain pycolmap: its own SIFT, its mappers with default options, the intrinsics that the folder states; all pairs of up
 to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. Both of its mappers have
@@ -338,12 +340,20 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="where the table goes as JSON, too")
     parser.add_argument("--write", action="store_true", help="write benchmarks/results/placed.json")
     options = parser.parse_args()
+
+    def asked(recording: str) -> list[tuple[str, str]]:
+        name, _, own = recording.partition("=")
+        kinds = own.split(",") if own else options.kinds
+        if not set(kinds) <= set(KINDS):
+            parser.error(f"{recording}: after = come some of {', '.join(KINDS)}")
+        return [(name, kind) for kind in kinds]
+
     table: list[dict[str, Any]] = []
     judgements: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         cache = options.cache or Path(folder)
         cache.mkdir(parents=True, exist_ok=True)
-        for name, kind in itertools.product(options.recordings, options.kinds):
+        for name, kind in itertools.chain.from_iterable(map(asked, options.recordings)):
             recording = walk_of(name, options.data, cache, options.seconds).recording
             if kind != "walk" and len(_rows_at(recording, _SET_HZ)) < 2 * _FEWEST and kind not in ("set", "shuffled"):
                 continue

@@ -630,21 +630,24 @@ class _Descent:
 
         Stops at a relative decrease of at most ``tolerance``. Raises MappingFailed if the system is singular.
         """
-        cost = self.graph.error(values)
+        cost, weakest = self.graph.error(values), 0
         for done in range(iterations):
             before = cost
-            values, cost = self._stepped(values, cost)
+            values, cost, used = self._stepped(values, cost, weakest)
+            weakest = max(used - 1, 0)
             progress((done + 1) / iterations)
             if before - cost <= tolerance * before:
                 break
         return values, cost
 
-    def _stepped(self, values: gtsam.Values, cost: float) -> tuple[gtsam.Values, float]:
+    def _stepped(self, values: gtsam.Values, cost: float, weakest: int) -> tuple[gtsam.Values, float, int]:
         """Gauss–Newton step; if none lowers the cost, a Levenberg–Marquardt step, which takes three times as long. A
         long step mostly fails because the points lag behind: it is retried, whole and in part, with every point
-        re-optimized. Returns values and cost. Raises MappingFailed if the system is singular.
+        re-optimized. The points' prior has the strength ``weakest`` of ``_HOLDS`` or more. Returns values, cost and the
+        strength used. Raises MappingFailed if the system is singular.
         """
-        for system in _with_points_held(self.graph.linearize(values), self.held):
+        systems = _with_points_held(self.graph.linearize(values), self.held, weakest)
+        for firmness, system in enumerate(systems, weakest):
             try:
                 step = system.optimize(self.ordering)
             except RuntimeError:  # gtsam's word for a singular system
@@ -652,7 +655,7 @@ class _Descent:
             for there in self._along(values, step):
                 lower = self.graph.error(there)
                 if lower < cost:
-                    return there, lower
+                    return there, lower, firmness
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setlambdaInitial(_FIRST_DAMPING)
         parameters.setOrdering(self.ordering)
@@ -661,7 +664,7 @@ class _Descent:
             optimizer.iterate()
         except RuntimeError:
             raise _shape_left_open() from None
-        return optimizer.values(), optimizer.error()
+        return optimizer.values(), optimizer.error(), weakest
 
     def _along(self, values: gtsam.Values, step: gtsam.VectorValues) -> Iterator[gtsam.Values]:
         yield values.retract(step)
@@ -693,10 +696,10 @@ def _shape_left_open() -> MappingFailed:
 
 
 def _with_points_held(
-    linear: gtsam.GaussianFactorGraph, held: Callable[[float], gtsam.GaussianFactorGraph]
+    linear: gtsam.GaussianFactorGraph, held: Callable[[float], gtsam.GaussianFactorGraph], weakest: int = 0
 ) -> Iterator[gtsam.GaussianFactorGraph]:
     """Iterate over copies of the linear system with increasingly strong priors on its points."""
-    for firmness in _HOLDS:
+    for firmness in _HOLDS[weakest:]:
         system = gtsam.GaussianFactorGraph()
         system.push_back(linear)
         system.push_back(held(firmness))
