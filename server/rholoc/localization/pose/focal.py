@@ -3,7 +3,8 @@
 A wrong focal length moves the pose along the optical axis, by the depth times the relative error, until most matches
 agree again, so the residuals hardly show it. But near and far landmarks then disagree on the distance. If the focal
 length is freed, it moves to where they agree. With few informative matches it can also drift; therefore only a camera
-that explains the picture better counts as evidence against the given one.
+that explains the picture better counts as evidence against the given one. Those that explain it as well leave the
+distance open: the spread of their poses is part of the answer's covariance.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
 
     Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if pixels are square and by :func:`_fits`
     freeing the focal length would hardly change the pose. Otherwise the focal length is followed from the pose
-    (:func:`_followed`). Where that loses the picture or leaves the focal length open by 10 %, others are tried
+    (:func:`_followed`). Where that loses the picture or leaves the focal length open by 5 %, others are tried
     (:func:`_zoomed`); where it agrees with pixels that are not square, square ones are (:func:`_sought`).
 
     Args:
