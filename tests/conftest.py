@@ -307,6 +307,11 @@ class PointRoom:
             for t in turns
         ]
 
+    def into_corners(self) -> list[Pose]:
+        """Nine views of near and far things, which show the focal length; a wall straight ahead leaves it open."""
+        walk = self.walk(37, sideways_m=0.1)
+        return [walk[corner + beside] for corner in (6, 18, 30) for beside in (-1, 0, 1)]
+
     def map_of(self, poses: Sequence[Pose], name: str) -> Map:
         """The map of a recording called ``name``, of cameras at known poses; made once, so nobody may change it."""
         T = np.array([pose.T_map_camera for pose in poses])

@@ -93,7 +93,7 @@ def test_answers_are_sure_where_much_is_seen_and_unsure_where_hardly_anything_is
     localizer = Localizer(room_map, min_recognized=0.0)
     of_share: dict[float, list[float]] = {0.7: [], 0.03: []}
     for share, confidences in of_share.items():
-        for seed, truth in enumerate(point_room.walk(6, sideways_m=0.1)):
+        for seed, truth in enumerate(point_room.into_corners()):
             seen = _among_clutter(point_room.see(truth, 700 + seed, share), seed)
             answer = localizer.localize(Query(seen, point_room.camera, Dof.FREE))
             assert 0 <= answer.confidence <= answer.recognized <= 1

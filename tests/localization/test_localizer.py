@@ -33,7 +33,7 @@ def test_frames_between_the_views_are_localized(localizer: Localizer, point_room
         distance, angle = _off(answer, truth)
         assert distance < 0.03
         assert angle < 0.5
-        assert answer.confidence > 0.5
+        assert answer.recognized > 0.9  # a wall straight ahead leaves the distance as open as the focal length
         assert answer.inliers == len(answer.inlier_pixels) == len(answer.inlier_features)
 
 

@@ -127,7 +127,7 @@ def test_answers_know_that_the_map_may_be_displaced(room_map: Map, point_room: A
     localizer = Localizer(displaced(room_map, spread), min_recognized=0.0)
     rng = np.random.default_rng(8)
     inside, right, confidences = [], [], []
-    for seed, pose in enumerate(point_room.walk(8, sideways_m=0.1)):
+    for seed, pose in enumerate(point_room.into_corners()):
         answer = localizer.localize(Query(point_room.see(pose, 100 + seed), point_room.camera))
         assert answer.pose is not None
         assert answer.covariance is not None

@@ -122,8 +122,8 @@ class Localizer:
         return view_votes(self.index, self.index.match_everywhere(features))
 
     def candidate(self, query: Query) -> tuple[Verified, Belief] | None:
-        """Best pose found, however doubtful, and the belief in it. None if there is none. The kind of features is not
-        checked.
+        """Best pose found, however doubtful, and the belief in it before the map's error and other modes lower it. None
+        if there is none. The kind of features is not checked.
         """
         found = self._outcome(self._thorough_search(query, Stopwatch(query.deadline_s)))
         return None if found is None else (found.verified, found.belief)
@@ -425,7 +425,7 @@ class Localizer:
 
         def check() -> FocalEstimate:
             some = matches or search.unposed or verified.wide
-            return check_focal(self.index, query, verified, some, search.refocused)
+            return check_focal(self.index, query, verified, some)
 
         return self._candidate(verified, query, check, belief)
 

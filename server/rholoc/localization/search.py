@@ -13,7 +13,7 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED
 from rholoc.localization.index.map_error import worst_sigma
 from rholoc.localization.index.matches import Matches, NearestLandmarks
-from rholoc.localization.pose.focal import FocalEstimate, Refocused, belief_beside
+from rholoc.localization.pose.focal import FocalEstimate
 from rholoc.localization.pose.modes import are_distinct, is_seen_from_afar, spread_of_modes
 from rholoc.localization.pose.rematching import Verified
 from rholoc.localization.pose.rivals import are_rivals, shares
@@ -95,7 +95,8 @@ class Found:
         near_prior: whether the pose agrees with the prior.
         share: factor 0 to 1 that rivals leave of the probability of the right place.
         rivals: mutually exclusive poses, each with its probability of the right place, likeliest first.
-        of_modes: (6, 6) second moment of the modes in the pose's place; None if it is the only one.
+        of_modes: (6, 6) second moment of the modes in the pose's place and of the poses by other focal lengths; None
+            without any.
     """
 
     verified: Verified
@@ -146,7 +147,6 @@ class Search:
         is_sampled: whether ``nearest`` covers only a sample of the features.
         near: matches of a sample of the features with the prior's place.
         found: all candidates.
-        refocused: poses by other focal lengths, found where candidates' own was checked.
         fruitless: number of looks at voted places that found none.
         seeds: number of credible poses by LO-RANSAC, before verification.
     """
@@ -163,7 +163,6 @@ class Search:
     near: Matches | None = None
     is_sampled: bool = False
     found: list[Found] = field(default_factory=list)
-    refocused: list[Refocused] = field(default_factory=list)
     fruitless: int = 0
     seeds: int = 0
 
@@ -251,14 +250,13 @@ class Search:
                     modes.append(other)
             elif all(are_rivals(rival.verified, other.verified) for rival in rivals):
                 rivals.append(other)
-        places = [rival.recognized for rival in rivals]
+        places = [rival.if_focal_right.recognized for rival in rivals]
         share = _shares(rivals, places)
-        focal = replace(found.focal, belief=min(found.focal.belief, belief_beside(found.verified, self.refocused)))
-        others = zip((share * places)[1:].tolist(), rivals[1:], strict=True)
+        others = zip((found.focal.belief * share * places)[1:].tolist(), rivals[1:], strict=True)
         ordered = sorted(others, key=lambda rival: -rival[0])
-        return replace(
-            found, check_focal=lambda: focal, share=float(share[0]), rivals=tuple(ordered), of_modes=_spread(modes)
-        )
+        moments = [one for one in (_spread(modes), found.focal.of_others) if one is not None]
+        of_modes = np.sum(moments, axis=0) if moments else None
+        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=of_modes)
 
 
 def _likelier(a: Found | None, b: Found) -> Found:

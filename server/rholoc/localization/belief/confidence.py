@@ -24,8 +24,7 @@ import numpy as np
 from scipy.special import expit
 
 from rholoc.geometry import FloatArray
-from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, probability_right, worst_sigma
-from rholoc.localization.pose.ascent import SYSTEMATIC
+from rholoc.localization.index.map_error import LEFT_OF_OWN, PLACE_M, PLACE_RAD, probability_right, worst_sigma
 from rholoc.localization.pose.pose_evidence import Support
 from rholoc.localization.pose.rematching import Verified
 from rholoc.localization.types import Belief
@@ -129,11 +128,11 @@ def joint_belief(verified: Sequence[Verified], covariance: FloatArray) -> Belief
     """Belief in a pose from jointly verified frames.
 
     ``covariance`` (6, 6) is of the frame to answer. ``recognized`` is multiplied by the probability that this
-    covariance, reduced to its systematic part, leaves the pose within 50 cm and 20°: it falls as the standard deviation
-    nears half a metre.
+    covariance, without the errors that landmarks share, leaves the pose within 50 cm and 20°: it falls as the standard
+    deviation nears half a metre.
     """
     belief = belief_by(confidence_features(verified, covariance))
-    known = probability_right(covariance / SYSTEMATIC**2, PLACE_M, PLACE_RAD)
+    known = probability_right(LEFT_OF_OWN * covariance, PLACE_M, PLACE_RAD)
     return Belief(belief.recognized * known, belief.exact)
 
 

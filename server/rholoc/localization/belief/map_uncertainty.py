@@ -8,15 +8,18 @@ import numpy as np
 
 from rholoc.geometry import FloatArray
 from rholoc.localization.diagnosis import too_inexact
-from rholoc.localization.index.map_error import PLACE_M, PLACE_RAD, rms_position_error, widening_factor, worst_sigma
+from rholoc.localization.index.map_error import (
+    LEFT_OF_OWN,
+    PLACE_M,
+    PLACE_RAD,
+    rms_position_error,
+    widening_factor,
+    worst_sigma,
+)
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.types import MAX_ALTERNATIVES, MIN_WEIGHT, Alternative, Belief, Localization, Query, Reason
 
 _VIEWS_HERE = 10  # the views that saw most of what an answer rests on: from hereabouts
-# A frame's own covariance allows, threefold, for what it cannot see: neighbouring landmarks err together. Most of that
-# is the map's own error; where that is counted apart, the factor three goes, and a little more: in simulated maps of
-# exact poses 1/22 of the variance covers 95 % of the errors, in those of estimated poses 1/16.
-_LEFT_OF_OWN = 1 / 16
 # How probably a pose is exact in a map that failed a check, beside one in a map that passed. Such maps differ: of sure
 # answers in those of simulated walks nearly all were right, or hardly any.
 _IN_UNTRUSTED_MAP = 0.8
@@ -44,9 +47,9 @@ def with_map_error(index: MapIndex, answer: Localization, of_modes: FloatArray |
     own, others = answer.covariance, np.zeros((6, 6)) if of_modes is None else of_modes
     of_map = index.map_covariance(answer.inlier_features, answer.pose.position, _VIEWS_HERE)
     if of_map is not None:
-        alternatives = (replace(one, covariance=_LEFT_OF_OWN * one.covariance + of_map) for one in answer.alternatives)
+        alternatives = (replace(one, covariance=LEFT_OF_OWN * one.covariance + of_map) for one in answer.alternatives)
         answer = replace(answer, alternatives=tuple(alternatives), expected_error_m=rms_position_error(of_map))
-        own, others = _LEFT_OF_OWN * own, others + of_map
+        own, others = LEFT_OF_OWN * own, others + of_map
     return _widened(answer, own, others) if others.any() else answer
 
 

@@ -3,7 +3,8 @@
 A wrong focal length moves the pose along the optical axis, by the depth times the relative error, until most matches
 agree again, so the residuals hardly show it. But near and far landmarks then disagree on the distance. If the focal
 length is freed, it moves to where they agree. With few informative matches it can also drift; therefore only a camera
-that explains the picture better counts as evidence against the given one.
+that explains the picture better counts as evidence against the given one. Those that explain it as well leave the
+distance open: the spread of their poses is part of the answer's covariance.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from rholoc.localization.pose.ascent import (
     information_at,
     optimum_at,
 )
+from rholoc.localization.pose.modes import spread_of_modes
 from rholoc.localization.pose.ransac import credible_pose
 from rholoc.localization.pose.rematching import ENOUGH_MATCHES, Verified, evidence_of, verify
 from rholoc.localization.types import Query
@@ -50,8 +51,10 @@ _FITTING_M, _FITTING_NATS = 0.015, 0.5  # what a free focal length changes at mo
 _GUESSES = tuple(0.5 * 1.17**step for step in range(10))  # focal lengths to try, as shares of the longer side
 _GUESS_TOLERANCE_SHARE = 0.02  # of the longer side: a guess may be off by half a step
 _MIN_MATCHES, _MIN_SAMPLES = 8, 50
-_ZOOMS = (0.5, 0.63, 0.8, 1.25, 1.6, 2.0)  # factors on a focal length that matches leave open
-_VAGUE = 0.1  # of the focal length: with 3 σ as large it is left open
+_ZOOMS = (0.9, 0.8, 0.63, 0.5), (1.1, 1.25, 1.6, 2.0)  # factors on a focal length that matches leave open
+_LESS, _LESS_NATS = 0.2, 20.0  # of the nats that a pose explains, at least: another that lacks more ends the search
+_VAGUE = 0.05  # of the focal length: with 3 σ as large it is left open
+_GIVEN_SIGMA = 0.1  # of a given focal length's logarithm, where a picture leaves it open
 _SAMPLES = 300  # for each guess, where the given focal length is checked
 _SQUARE = 0.02  # of the logarithm of fx / fy: pixels of nearly all cameras are square
 
@@ -67,6 +70,8 @@ class FocalEstimate:
         belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
             probability that the pose is within 50 cm.
         exact: if it was estimated, probability 0 to 1 that the pose is within 10 cm, given that it is within 50 cm.
+        of_others: (6, 6) second moment of the poses by other focal lengths about the one that was checked; None without
+            any.
     """
 
     focal_px: float
@@ -74,6 +79,7 @@ class FocalEstimate:
     moved_m: float
     belief: float
     exact: float = 1.0
+    of_others: FloatArray | None = None
 
     @classmethod
     def unchecked(cls, camera: Camera) -> FocalEstimate:
@@ -87,14 +93,12 @@ Refocused = tuple[float, Verified]
 """A factor on a query's focal length, and a verified pose by it."""
 
 
-def check_focal(
-    index: MapIndex, query: Query, verified: Verified, matches: Matches, refocused: list[Refocused]
-) -> FocalEstimate:
+def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
     """Check the camera's focal length, and whether its pixels are square, against the matches of a verified pose.
 
     Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if pixels are square and by :func:`_fits`
     freeing the focal length would hardly change the pose. Otherwise the focal length is followed from the pose
-    (:func:`_followed`). Where that loses the picture or leaves the focal length open by 10 %, others are tried
+    (:func:`_followed`). Where that loses the picture or leaves the focal length open by 5 %, others are tried
     (:func:`_zoomed`); where it agrees with pixels that are not square, square ones are (:func:`_sought`).
 
     Args:
@@ -102,30 +106,39 @@ def check_focal(
         query: the frame.
         verified: its verified pose.
         matches: matches made without a pose: those around a pose leave out what contradicts its focal length.
-        refocused: poses of the query by other focal lengths, which also count; those found are appended.
     """
     is_square = abs(math.log(query.camera.fx / query.camera.fy)) < _SQUARE
     if query.camera.lens is not Lens.PINHOLE or (is_square and _fits(index, query, verified, matches)):
         return FocalEstimate.unchecked(query.camera)
-    estimate = _followed(index, query, verified, matches, refocused)
-    if estimate is not None and (estimate.belief < 1 or (is_square and estimate.sigma_px < _VAGUE * estimate.focal_px)):
-        return estimate
-    refocused += _zoomed(index, query, verified) if is_square else _sought(index, query, matches)
-    return _estimate_beside(query.camera, verified, refocused)
+    others: list[Refocused] = []
+    estimate = _followed(index, query, verified, matches, others)
+    is_told = is_square and estimate is not None and estimate.sigma_px < _VAGUE * estimate.focal_px
+    if estimate is None or (estimate.belief == 1 and not is_told):
+        others += _zoomed(index, query, verified) if is_square else _sought(index, query, matches)
+        scale, best = _explaining_most(verified, others)
+        focal_px = scale * query.camera.focal
+        sigma_px = _spread(_known_to(best)) * focal_px
+        estimate = FocalEstimate(focal_px, sigma_px, _apart_m(best, verified), belief_beside(verified, others))
+    return replace(estimate, of_others=_moment_of(verified, others))
 
 
-def _estimate_beside(camera: Camera, verified: Verified, others: list[Refocused]) -> FocalEstimate:
-    """Estimate by the pose that explains most of those by other focal lengths; by the verified one without any."""
-    scale, best = _explaining_most(verified, others)
-    focal_px, moved_m = scale * camera.focal, _apart_m(best, verified)
-    return FocalEstimate(focal_px, _spread(_known_to(best)) * focal_px, moved_m, belief_beside(verified, others))
+def _moment_of(verified: Verified, others: list[Refocused]) -> FloatArray | None:
+    """Second moment (6, 6) of the poses by other focal lengths about the verified one; None without any. Each counts by
+    its likelihood, with the same excess of the errors as in a covariance, and by how near the given focal length is.
+    """
+    if not others:
+        return None
+    scales, modes = zip((1.0, verified), *others, strict=True)
+    nats = np.array([mode.optimum.value for mode in modes]) / SYSTEMATIC**2 - (np.log(scales) / _GIVEN_SIGMA) ** 2 / 2
+    weights = np.exp(nats - nats.max())
+    return spread_of_modes(verified.optimum.T_map_camera, modes, weights / weights.sum())
 
 
 def _followed(
-    index: MapIndex, query: Query, verified: Verified, matches: Matches, refocused: list[Refocused]
+    index: MapIndex, query: Query, verified: Verified, matches: Matches, others: list[Refocused]
 ) -> FocalEstimate | None:
     """Estimate by ascending from a verified pose over pose and focal length; None if the end explains fewer of the
-    ``matches`` than the start.
+    ``matches`` than the start. The pose by a focal length that would do harm is appended to ``others``.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     total, sigma, explained = 1.0, np.inf, 0.0
@@ -148,23 +161,34 @@ def _followed(
     focal_px = query.camera.focal * total
     belief = _belief(moved_m, total, _SIGMAS * sigma)
     if belief < 1:
-        refocused += _refocused(index, query, total, T)
-        belief = belief_beside(verified, refocused)
+        others += _refocused(index, query, total, T)
+        belief = belief_beside(verified, others)
     return FocalEstimate(focal_px, _spread(sigma) * focal_px, moved_m, belief)
 
 
-def _zoomed(index: MapIndex, query: Query, verified: Verified) -> Iterator[Refocused]:
-    """Iterate over poses by focal lengths from half to twice the query's, each as many times as far from what the
-    verified pose shows.
+def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused]:
+    """Poses by ever shorter and ever longer focal lengths, from half to twice the query's, each as many times as far
+    from what the verified pose shows. Either way ends where too little is explained. If one of them explains more than
+    the verified pose, the best is refined.
     """
     T, agreeing = verified.optimum.T_map_camera, verified.optimum.density > 0
     depths_m = (index.landmarks[verified.matches.landmarks[agreeing]] - T[:3, 3]) @ T[:3, 2]
     if len(depths_m) == 0:
-        return
-    for scale in _ZOOMS:
-        farther = T.copy()
-        farther[:3, 3] -= (scale - 1) * float(np.median(depths_m)) * T[:3, 2]
-        yield from islice(_refocused(index, query, scale, farther), 2)
+        return []
+    found: list[Refocused] = []
+    value = verified.optimum.value
+    for way in _ZOOMS:
+        for scale in way:
+            farther = T.copy()
+            farther[:3, 3] -= (scale - 1) * float(np.median(depths_m)) * T[:3, 2]
+            other = _by_focal(index, query, scale, farther)
+            if other is None:
+                break
+            found.append((scale, other))
+            if other.optimum.value < value - max(_LESS * value, _LESS_NATS):
+                break
+    scale, best = _explaining_most(verified, found)
+    return found if best is verified else [*found, *_refined(index, query, scale, best)]
 
 
 def _sought(index: MapIndex, query: Query, matches: Matches) -> Iterator[Refocused]:
@@ -178,26 +202,36 @@ def _sought(index: MapIndex, query: Query, matches: Matches) -> Iterator[Refocus
         yield max(factors, key=lambda factor: abs(math.log(factor))), found[0]
 
 
-def _refocused(index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray) -> Iterator[Refocused]:
-    """Iterate over (factor on the focal length, verified pose) at most three times, from ``scale`` towards the best
-    fit. Ends early once a round would change the factor by less than 0.3 %, nothing is verified, or the field of view
-    is implausible.
+def _by_focal(index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray) -> Verified | None:
+    """Verified pose near a pose (4, 4) by ``scale`` × the query's focal length. None if there is none, or the field of
+    view is implausible.
     """
-    for _ in range(_ROUNDS):
-        if not _sensible(query.camera, scale):
-            return
-        camera = query.camera.zoomed(scale)
-        asked = replace(query, camera=camera)
-        found = verify(index, asked, camera.rays(query.features.pixels), T_map_camera, focal_free=True)
-        if found is None:
-            return
-        yield scale, found
-        optimum, change, _ = ascend_with_focal(
-            found.evidence, found.optimum.T_map_camera, _LAST_TOLERANCES_PX, query.dof
-        )
+    if not _sensible(query.camera, scale):
+        return None
+    camera = query.camera.zoomed(scale)
+    asked = replace(query, camera=camera)
+    return verify(index, asked, camera.rays(query.features.pixels), T_map_camera, focal_free=True)
+
+
+def _refocused(index: MapIndex, query: Query, scale: float, T_map_camera: FloatArray) -> list[Refocused]:
+    """Pose near a pose (4, 4) by ``scale`` × the query's focal length, refined; nothing if none is verified."""
+    found = _by_focal(index, query, scale, T_map_camera)
+    return [] if found is None else _refined(index, query, scale, found)
+
+
+def _refined(index: MapIndex, query: Query, scale: float, verified: Verified) -> list[Refocused]:
+    """Of a pose by another focal length and those towards the best fit, at most two, the one that explains most."""
+    found = [(scale, verified)]
+    for _ in range(_ROUNDS - 1):
+        scale, last = found[-1]
+        optimum, change, _ = ascend_with_focal(last.evidence, last.optimum.T_map_camera, _LAST_TOLERANCES_PX, query.dof)
         if abs(np.log(change)) < _ALIKE:
-            return
-        scale, T_map_camera = scale * change, optimum.T_map_camera
+            break
+        nearer = _by_focal(index, query, scale * change, optimum.T_map_camera)
+        if nearer is None:
+            break
+        found.append((scale * change, nearer))
+    return [max(found, key=lambda one: one[1].optimum.value)]
 
 
 def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
