@@ -171,7 +171,7 @@ def test_what_the_matches_say_of_a_given_focal_length(
         assert found.moved_m < 0.02
     else:
         assert 0.1 < found.moved_m < 1.0
-        assert abs(found.focal_px - point_room.camera.focal) < 3 * found.sigma_px < 0.2 * found.focal_px
+        assert abs(found.focal_px - point_room.camera.focal) < found.sigma_px < 0.25 * found.focal_px
 
 
 @pytest.mark.parametrize("length_m", [0.8, 0.9])  # numbers that end so that a wrong focal length explains a bit more
