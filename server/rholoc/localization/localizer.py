@@ -475,7 +475,8 @@ class Localizer:
                 if weight >= MIN_WEIGHT
             ),
         )
-        return gated(with_map_error(self.index, answer, found.of_modes), self.min_recognized, query)
+        answer = with_map_error(self.index, answer, found.of_modes, found.focal.of_others)
+        return gated(answer, self.min_recognized, query)
 
     def _diagnose(self, search: Search, answer: Localization) -> Diagnosis:
         """Likeliest cause of a refusal, searched in this order: the deadline, the map, upright or gravity constraints,

@@ -95,8 +95,7 @@ class Found:
         near_prior: whether the pose agrees with the prior.
         share: factor 0 to 1 that rivals leave of the probability of the right place.
         rivals: mutually exclusive poses, each with its probability of the right place, likeliest first.
-        of_modes: (6, 6) second moment of the modes in the pose's place and of the poses by other focal lengths; None
-            without any.
+        of_modes: (6, 6) second moment of the modes in the pose's place; None if it is the only one.
     """
 
     verified: Verified
@@ -254,9 +253,7 @@ class Search:
         share = _shares(rivals, places)
         others = zip((found.focal.belief * share * places)[1:].tolist(), rivals[1:], strict=True)
         ordered = sorted(others, key=lambda rival: -rival[0])
-        moments = [one for one in (_spread(modes), found.focal.of_others) if one is not None]
-        of_modes = np.sum(moments, axis=0) if moments else None
-        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=of_modes)
+        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=_spread(modes))
 
 
 def _likelier(a: Found | None, b: Found) -> Found:

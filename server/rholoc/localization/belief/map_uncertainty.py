@@ -25,7 +25,9 @@ _VIEWS_HERE = 10  # the views that saw most of what an answer rests on: from her
 _IN_UNTRUSTED_MAP = 0.8
 
 
-def with_map_error(index: MapIndex, answer: Localization, of_modes: FloatArray | None = None) -> Localization:
+def with_map_error(
+    index: MapIndex, answer: Localization, of_modes: FloatArray | None = None, of_focal: FloatArray | None = None
+) -> Localization:
     """Add the map's own error, and other modes of the place, to the covariances and probabilities of an answer.
 
     In a map that failed a check, ``exact`` is multiplied by 0.8. Covariances are only changed for a pose in a metric
@@ -35,6 +37,8 @@ def with_map_error(index: MapIndex, answer: Localization, of_modes: FloatArray |
         index: index of the map.
         answer: an answer that treats the map as exact.
         of_modes: (6, 6) second moment of the modes in the answer's place; None if it has one mode.
+        of_focal: (6, 6) second moment of the poses by other focal lengths, which leave the place as probable; None
+            without any.
 
     Returns:
         The answer relative to the real world, with ``expected_error_m`` if the map has covariances there.
@@ -44,23 +48,24 @@ def with_map_error(index: MapIndex, answer: Localization, of_modes: FloatArray |
     answer = replace(answer, map_trusted=trusted, belief=belief)
     if answer.pose is None or answer.covariance is None or not index.map.info.metric:
         return answer
-    own, others = answer.covariance, np.zeros((6, 6)) if of_modes is None else of_modes
+    own, others, focal = answer.covariance, *(np.zeros((6, 6)) if one is None else one for one in (of_modes, of_focal))
     of_map = index.map_covariance(answer.inlier_features, answer.pose.position, _VIEWS_HERE)
     if of_map is not None:
         alternatives = (replace(one, covariance=LEFT_OF_OWN * one.covariance + of_map) for one in answer.alternatives)
         answer = replace(answer, alternatives=tuple(alternatives), expected_error_m=rms_position_error(of_map))
         own, others = LEFT_OF_OWN * own, others + of_map
-    return _widened(answer, own, others) if others.any() else answer
+    return _widened(answer, own, others, focal) if others.any() or focal.any() else answer
 
 
-def _widened(answer: Localization, own: FloatArray, others: FloatArray) -> Localization:
-    """The answer with covariance ``own`` + ``others`` (6, 6), its probabilities lowered by the ratio in which
-    ``others`` lower the probability of being within 50 cm and 20°, and within 10 cm and 5°.
+def _widened(answer: Localization, own: FloatArray, others: FloatArray, focal: FloatArray) -> Localization:
+    """The answer with covariance ``own`` + ``others`` + ``focal`` (6, 6), its probabilities lowered by the ratio in
+    which ``others`` lower the probability of being within 50 cm and 20°, and ``others`` + ``focal`` that of being
+    within 10 cm and 5°.
     """
-    here, exact = widening_factor(own, others, PLACE_M, PLACE_RAD), widening_factor(own, others)
+    here, exact = widening_factor(own, others, PLACE_M, PLACE_RAD), widening_factor(own, others + focal)
     exact_if_here = min(exact / here, 1.0) if here > 0 else 0.0
     belief = Belief(answer.belief.recognized * here, answer.belief.exact * exact_if_here)
-    return replace(answer, covariance=own + others, belief=belief)
+    return replace(answer, covariance=own + others + focal, belief=belief)
 
 
 def gated(answer: Localization, min_recognized: float, query: Query) -> Localization:

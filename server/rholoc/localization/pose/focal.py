@@ -40,7 +40,6 @@ _FIRST_TOLERANCES_PX = (40.0, 15.0, 5.0)
 _ROUNDS = 3
 _SETTLED = 0.02  # of the focal length's logarithm: rounds that change less end
 _ALIKE = 0.003  # of the focal length's logarithm: nothing is gained by another round
-_SHARED_ERRORS = 0.025  # of the nats that a pose explains: what another may gain by errors that landmarks share
 _SIGMAS = 3.0  # measured on real recordings: the estimate's error against its curvature's
 _OWN_SIGMA = 0.015  # what maps and calibrations differ by, as a share of the focal length
 _HARMLESS_M = 0.05  # a pose that a free focal length would move by less is right either way
@@ -52,7 +51,7 @@ _GUESSES = tuple(0.5 * 1.17**step for step in range(10))  # focal lengths to try
 _GUESS_TOLERANCE_SHARE = 0.02  # of the longer side: a guess may be off by half a step
 _MIN_MATCHES, _MIN_SAMPLES = 8, 50
 _ZOOMS = (0.9, 0.8, 0.63, 0.5), (1.1, 1.25, 1.6, 2.0)  # factors on a focal length that matches leave open
-_LESS, _LESS_NATS = 0.2, 20.0  # of the nats that a pose explains, at least: another that lacks more ends the search
+_CLEAR, _CLEAR_NATS = 0.2, 20.0  # of the nats that a pose explains, at least: a clear difference from another's
 _VAGUE = 0.05  # of the focal length: with 3 σ as large it is left open
 _GIVEN_SIGMA = 0.1  # of a given focal length's logarithm, where a picture leaves it open
 _SAMPLES = 300  # for each guess, where the given focal length is checked
@@ -69,9 +68,10 @@ class FocalEstimate:
         moved_m: displacement of the pose when the focal length is freed.
         belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
             probability that the pose is within 50 cm.
-        exact: if it was estimated, probability 0 to 1 that the pose is within 10 cm, given that it is within 50 cm.
-        of_others: (6, 6) second moment of the poses by other focal lengths about the one that was checked; None without
-            any.
+        exact: probability 0 to 1 that the pose is within 10 cm, given that it is within 50 cm, as far as the focal
+            length decides.
+        of_others: (6, 6) second moment of the poses by other focal lengths about the one that was checked; None if
+            there was no check.
     """
 
     focal_px: float
@@ -119,19 +119,20 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         focal_px = scale * query.camera.focal
         sigma_px = _spread(_known_to(best)) * focal_px
         estimate = FocalEstimate(focal_px, sigma_px, _apart_m(best, verified), belief_beside(verified, others))
-    return replace(estimate, of_others=_moment_of(verified, others))
+    return _beside(estimate, verified, others)
 
 
-def _moment_of(verified: Verified, others: list[Refocused]) -> FloatArray | None:
-    """Second moment (6, 6) of the poses by other focal lengths about the verified one; None without any. Each counts by
-    its likelihood, with the same excess of the errors as in a covariance, and by how near the given focal length is.
+def _beside(estimate: FocalEstimate, verified: Verified, others: list[Refocused]) -> FocalEstimate:
+    """An estimate with ``exact`` and ``of_others`` by the poses by other focal lengths. Each counts by its likelihood,
+    with the same excess of the errors as in a covariance, and by how near the given focal length is.
     """
-    if not others:
-        return None
     scales, modes = zip((1.0, verified), *others, strict=True)
     nats = np.array([mode.optimum.value for mode in modes]) / SYSTEMATIC**2 - (np.log(scales) / _GIVEN_SIGMA) ** 2 / 2
     weights = np.exp(nats - nats.max())
-    return spread_of_modes(verified.optimum.T_map_camera, modes, weights / weights.sum())
+    weights /= weights.sum()
+    exact = float(weights @ [_apart_m(mode, verified) < RIGHT_M for mode in modes])
+    moment = spread_of_modes(verified.optimum.T_map_camera, modes, weights)
+    return replace(estimate, exact=exact, of_others=moment)
 
 
 def _followed(
@@ -159,7 +160,7 @@ def _followed(
         matches, _ = index.match_near(query.features, camera, T, _WIDE_RADIUS_PX)
     moved_m = float(np.linalg.norm(T[:3, 3] - verified.optimum.T_map_camera[:3, 3]))
     focal_px = query.camera.focal * total
-    belief = _belief(moved_m, total, _SIGMAS * sigma)
+    belief = _belief(moved_m, abs(math.log(total)) / math.hypot(_SIGMAS * sigma, _OWN_SIGMA))
     if belief < 1:
         others += _refocused(index, query, total, T)
         belief = belief_beside(verified, others)
@@ -176,7 +177,6 @@ def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused
     if len(depths_m) == 0:
         return []
     found: list[Refocused] = []
-    value = verified.optimum.value
     for way in _ZOOMS:
         for scale in way:
             farther = T.copy()
@@ -185,7 +185,7 @@ def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused
             if other is None:
                 break
             found.append((scale, other))
-            if other.optimum.value < value - max(_LESS * value, _LESS_NATS):
+            if other.optimum.value < verified.optimum.value - _margin(verified):
                 break
     scale, best = _explaining_most(verified, found)
     return found if best is verified else [*found, *_refined(index, query, scale, best)]
@@ -238,14 +238,16 @@ def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
     """Probability 0 to 1 that a verified pose's focal length is harmless, given poses by others.
 
     A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
-    length fits from some distance. Therefore only another pose that explains more counts, and 2.5 % of the nats are
-    taken for errors that the map's landmarks share. 1 if no other pose explains more than that.
+    length fits from some distance. Therefore only a pose that explains clearly more counts (:func:`_margin`).
     """
-    scale, best = _explaining_most(verified, others)
-    gain = best.optimum.value - (1 + _SHARED_ERRORS) * verified.optimum.value
-    if gain <= 0:
-        return 1.0
-    return _belief(_apart_m(best, verified), scale, _known_to(best), math.sqrt(2 * gain) / SYSTEMATIC)
+    _, best = _explaining_most(verified, others)
+    gain = best.optimum.value - verified.optimum.value - _margin(verified)
+    return _belief(_apart_m(best, verified), math.sqrt(2 * gain) / SYSTEMATIC) if gain > 0 else 1.0
+
+
+def _margin(verified: Verified) -> float:
+    """Nats by which another pose explains clearly more, or less, than a verified one."""
+    return max(_CLEAR * verified.optimum.value, _CLEAR_NATS)
 
 
 def _explaining_most(verified: Verified, others: Iterable[Refocused]) -> Refocused:
@@ -262,19 +264,16 @@ def _known_to(verified: Verified) -> float:
     return focal_sigma(information_at(verified.evidence, verified.optimum, focal_free=True))
 
 
-def _belief(moved_m: float, scale: float, sigma: float, off_sigmas: float = 0.0) -> float:
+def _belief(moved_m: float, off_sigmas: float) -> float:
     """Probability 0 to 1 that a focal length is harmless: 1 if the pose moves by 5 cm or less, or the focal length is
-    off by at most 0.8 σ, both by ``scale`` and by ``off_sigmas``.
+    off by at most 0.8 σ.
 
     Args:
         moved_m: displacement of the pose when the focal length is freed.
-        scale: best-fitting focal length as a multiple of the one in use.
-        sigma: standard deviation of the logarithm of ``scale``.
-        off_sigmas: standard deviations by which the focal length in use is off, by how much less it explains.
+        off_sigmas: standard deviations by which the focal length in use is off.
     """
-    off = max(abs(float(np.log(scale))) / float(np.hypot(sigma, _OWN_SIGMA)), off_sigmas)
     harm = min(max(moved_m / _HARMLESS_M - 1, 0.0), 1.0)
-    return 1 - harm * float(np.interp(off, _OFF_SIGMAS, _DOUBT))
+    return 1 - harm * float(np.interp(off_sigmas, _OFF_SIGMAS, _DOUBT))
 
 
 def _spread(sigma: float) -> float:
