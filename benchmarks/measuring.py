@@ -32,6 +32,6 @@ def jpeg_of(image: ByteArray, quality: int = 92) -> bytes:
 def print_table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> None:
     """Rows under their columns' names; what a row lacks is a dash."""
     cells = [[str(row.get(column, "–")) for column in columns] for row in rows]
-    widths = [max(len(column), *(len(row[i]) for row in cells)) for i, column in enumerate(columns)]
+    widths = [max(map(len, (column, *(row[i] for row in cells)))) for i, column in enumerate(columns)]
     for line in [list(columns), *cells]:
         print("  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)).rstrip(), flush=True)
