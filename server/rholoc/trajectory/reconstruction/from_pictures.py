@@ -150,7 +150,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
             if _confirmed(part, parts) >= _ALL * count:
                 break
     if not parts:
-        raise MappingFailed("No two pictures overlap enough.", ADVICE)
+        raise MappingFailed("No two pictures overlap enough.", DENSER)
     best = _most_confirmed(parts, count)
     agreement, other = _best_agreement(best, parts)
     if agreement is not None and agreement.contradicts:
