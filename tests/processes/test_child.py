@@ -63,7 +63,7 @@ def _listen(progress: ProgressListener = silent) -> None:
 
 _PARENT = """
 import sys
-from rholoc.processes import run_in_child
+from rholoc.processes.child import run_in_child
 from test_child import _sleep_beside_another
 
 def show(stage, fraction, message=""):

@@ -89,9 +89,6 @@ def normalised(rows: FloatArray) -> FloatArray:
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=-1, keepdims=True), _TINY))
 
 
-"""Of a vector."""
-
-
 class PictureVectors:
     """Encoder of pictures as unit vectors, whose scalar product is their similarity.
 

@@ -26,7 +26,10 @@ def pose_matrix(R_map_camera: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def poses_from_rows(rows: FloatArray) -> FloatArray:
-    """Rows (N, 7) of x, y, z in metres and the quaternion x, y, z, w → T_map_camera (N, 4, 4)."""
+    """Rows (N, 7) of x, y, z in metres and the quaternion x, y, z, w → T_map_camera (N, 4, 4).
+
+    Quaternions may have any length but 0 (ValueError).
+    """
     rows = np.asarray(rows, dtype=np.float64).reshape(-1, 7)
     if len(rows) == 0:
         return np.zeros((0, 4, 4))

@@ -42,8 +42,10 @@ def report_to_json(value: Any) -> Any:
 def report_from_json(kind: type[Report], value: Any) -> Report:
     """The report from which :func:`report_to_json` made this JSON; unknown members are ignored.
 
+    Types are converted where pydantic does so, such as "5" to 5. Null, as written for NaN, is no number.
+
     Raises:
-        ValueError: a member is missing or of another type; names it.
+        ValueError: a member is missing or cannot be converted; names it.
     """
     try:
         report: Report = _adapter(cast("Any", kind)).validate_python(value)

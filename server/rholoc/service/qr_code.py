@@ -35,6 +35,8 @@ def _dark_modules(text: str) -> np.ndarray:
     """Which modules (N, N) of a text's QR code are dark, with four light ones around it."""
     options = cv2.QRCodeEncoder.Params()
     options.correction_level = cv2.QRCodeEncoder_CORRECT_LEVEL_M
+    if any(sign == "\0" or "\ud800" <= sign <= "\udfff" for sign in text):
+        raise InvalidInput("The text has characters that a QR code cannot hold.", "Send text without them.")
     try:
         dark = np.asarray(cv2.QRCodeEncoder.create(options).encode(text)) == 0
     except cv2.error as error:

@@ -76,7 +76,7 @@ def wood(base: tuple[int, int, int], vertical: bool = False) -> Texture:
 
 
 def fabric(base: tuple[int, int, int]) -> Texture:
-    """Texture of woven cloth with flecks and faded places."""
+    """Texture of woven cloth with flecks and faded places; ``base`` is its colour as BGR bytes."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         shade = 0.08 * noise(rng, height, width, 3, 3) + 0.05 * noise(rng, height, width, 60, 60)

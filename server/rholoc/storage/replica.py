@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _CHANNEL = "rholoc_catalogue"
 _STOPPED_WITHIN_S = 0.5
 FOLLOW_EVERY_S = 0.5
+"""Interval [s] at which the database is polled, since notifications may be absent or lost."""
 _LOOK_AGAIN_AFTER_S = 0.1
 _STOP_S = 2.0
 
@@ -87,8 +88,6 @@ class ChangeListener:
         driver: psycopg.Connection = self._connection.connection.driver_connection  # type: ignore[assignment]
         return driver
 
-
-"""How often the database is asked where it does not tell of changes, or might not have."""
 
 _log = logging.getLogger("rholoc.storage")
 

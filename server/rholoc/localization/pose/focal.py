@@ -58,7 +58,7 @@ _SAMPLES = 300  # for each guess, where the given focal length is checked
 _SQUARE = 0.02  # of the logarithm of fx / fy: pixels of nearly all cameras are square
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FocalEstimate:
     """What the matches say about the focal length.
 

@@ -155,7 +155,9 @@ def _joined(a: Map, b: Map, same: IntArray) -> Map:
 
 
 def _with_patches(a: Map, b: Map, same: IntArray) -> MapLandmarks:
-    """Landmarks of ``a``, with missing patches taken from ``b``."""
+    """Landmarks of ``a``, with missing patches taken from ``b``. ``same`` (F_b,) is the row in ``a`` of each landmark
+    of ``b``, or -1 if ``a`` lacks it.
+    """
     if b.landmarks.patches is None:
         return a.landmarks
     patches = a.landmarks.known_patches.copy()

@@ -26,10 +26,10 @@ class Quads(NamedTuple):
 
 
 def surface_of(grid: DistanceGrid, smallest: float) -> Quads:
-    """The zero crossing of a grid's distances, smoothed, without pieces that hang in the air.
+    """The zero crossing of a grid's distances, smoothed, without pieces that hang in the air; in the grid's axes.
 
-    Pieces smaller than ``smallest`` times the largest are left out; those below 0.15 times it only count within its
-    box.
+    A piece's size is its number of vertices. Pieces smaller than ``smallest`` × the largest are left out. Those below
+    0.15 × the largest stay only if their centre is within its horizontal box, widened by 5 %.
     """
     d, known = grid.distances, grid.known
     cells = np.ones([n - 1 for n in d.shape], dtype=bool)

@@ -50,10 +50,11 @@ def map_to_gltf(map_: Map) -> bytes:
 
 
 def _walks(map_: Map) -> list[tuple[str, NDArray[Any]]]:
-    """Name of each recording and the rows of its views; all as the first one's if the map keeps no sources."""
-    sources = map_.views.known_sources
+    """Each walk's rows of views, with the name of the recording that it comes from."""
+    walks, sources = map_.views.walks, map_.views.known_sources
     names = [source.name for source in map_.info.sources] or ["walk"]
-    return [(name, np.flatnonzero(sources == row)) for row, name in enumerate(names)]
+    rows = [np.flatnonzero(walks == number) for number in np.unique(walks)]
+    return [(names[sources[of[0]]], of) for of in rows]
 
 
 class _File:

@@ -15,6 +15,7 @@ from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.maps.formats.ply_and_vtp import Cells, Owner, data_array, landmark_sigmas, piece, polydata
 from rholoc.maps.map import Map
+from rholoc.maps.walks import consecutive
 
 SIGMAS = 3.0
 _POINTS = 162  # of a surface
@@ -25,7 +26,7 @@ _PATH = -1  # feature number of the path's cell
 def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
     """The peaks of the densities of chosen features, and the path, as a VTK XML PolyData file with two pieces.
 
-    Triangles of ellipsoids in the map frame, metres, and a polyline through the views. Cell data: ``feature`` (-1 for
+    Triangles of ellipsoids in the map frame, metres, and lines from each view to the next of its walk. Cell data: ``feature`` (-1 for
     the path), ``channel`` (255) and ``sigma_m`` (0), as in :func:`rholoc.maps.map_to_vtp`.
 
     Raises:
@@ -44,8 +45,7 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
         map_.landmarks.channels[owners],
         landmark_sigmas(map_)[owners],
     )
-    views = len(map_.views)
-    line = np.arange(views)[None] if views > 1 else np.zeros((0, 0), dtype=np.int64)
+    line = consecutive(map_.views.walks)
     of_path = np.full(len(line), _PATH)
     path = _piece(map_.views.positions, line, Cells.LINES, of_path, np.full(len(line), 255), np.zeros(len(line)))
     return polydata(surfaces, path)

@@ -43,7 +43,10 @@ _MODELS = {
 
 
 def camera_of_model(model: str, size: tuple[int, int], parameters: Sequence[float]) -> Camera | None:
-    """The camera of a COLMAP model with its parameters; None where the model is not supported.
+    """The camera of a COLMAP model, or of ``EQUIRECTANGULAR``, which has no parameters. None for other models.
+
+    In ``parameters`` pixel (0.5, 0.5) is the centre of the top-left pixel; the camera's is (0, 0). Surplus parameters
+    are ignored.
 
     Raises:
         IndexError: parameters are missing.

@@ -56,11 +56,13 @@ def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camer
     """Intrinsics of a frame of ``size`` (width, height) [px]: of the named camera, or given, or guessed, or the map's
     own.
 
-    They are scaled if they belong to another size of the same aspect ratio. If the options call them unknown, the
-    principal point is the image's centre and the focal length 0.8 × the longer side.
+    Given ones need only fx: fy is then fx, and the principal point the image's centre. Without fx, a picture given as
+    equirectangular is a whole panorama, and others have the map's camera. Intrinsics for another size of the same
+    aspect ratio are scaled. If the options call them unknown, the principal point is the image's centre and the focal
+    length 0.8 × the longer side.
 
     Raises:
-        InvalidCamera: the intrinsics are impossible, incomplete, given twice, or for another aspect ratio.
+        InvalidCamera: the intrinsics are impossible, without fx, given twice, or for another aspect ratio.
     """
     if min(size) < 1:
         raise InvalidCamera(f"The camera's image size {size[0]}×{size[1]} is not possible.", _CAMERA_HINT)

@@ -145,8 +145,8 @@ async def localize_here(site: Visited, request: Request, service: Service, optio
 
 def _room(member: SiteMap, map_: Map) -> HereRoomOut:
     T = _matrix(member)
-    sources = map_.views.known_sources
-    walks = [map_.views.positions[sources == source].astype(np.float64) for source in np.unique(sources)]
+    numbers = map_.views.walks
+    walks = [map_.views.positions[numbers == number].astype(np.float64) for number in np.unique(numbers)]
     return HereRoomOut(
         map=member.map,
         floor=member.floor,

@@ -115,6 +115,7 @@ class PycolmapStarts:
         """
         kind = _model if self._is_known else _guessed_model
         model, places = kind(self._camera, self._pixels)
+        self._database.unlink(missing_ok=True)
         database = pycolmap.Database.open(str(self._database))
         try:
             ids = _write_pictures(database, model, places)

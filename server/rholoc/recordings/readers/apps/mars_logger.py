@@ -72,7 +72,9 @@ def _with_columns(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 
 def _unit(path: Path) -> str:
-    """The unit of times, "s" or "ns", that the header's first name states. Raises InvalidRecording if it does not."""
+    """Unit of times by the first line with ``Timestamp[…]``: "s" for ``[sec]``, "ns" for any other. Raises
+    InvalidRecording if there is no such line.
+    """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         for line in file:
             if "timestamp[" in line.lower():
