@@ -26,8 +26,8 @@ _PATH = -1  # feature number of the path's cell
 def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
     """The peaks of the densities of chosen features, and the path, as a VTK XML PolyData file with two pieces.
 
-    Triangles of ellipsoids in the map frame, metres, and lines from each view to the next of its walk. Cell data: ``feature`` (-1 for
-    the path), ``channel`` (255) and ``sigma_m`` (0), as in :func:`rholoc.maps.map_to_vtp`.
+    Triangles of ellipsoids in the map frame, metres, and lines from each view to the next of its walk. Cell data:
+    ``feature`` (-1 for the path), ``channel`` (255) and ``sigma_m`` (0), as in :func:`rholoc.maps.map_to_vtp`.
 
     Raises:
         InvalidInput: no feature, more than ``MAX_SURFACES``, or one that the map does not have.
