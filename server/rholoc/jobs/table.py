@@ -6,6 +6,7 @@ import time
 import uuid
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -54,10 +55,10 @@ class JobTable:
 
     def get(self, job_id: str) -> Job:
         """The job. Raises UnknownJob."""
-        found = self._found(jobs_table.c.id == job_id)
-        if not found:
+        job = self._first(sa.select(jobs_table).where(jobs_table.c.id == job_id))
+        if job is None:
             raise _unknown(job_id)
-        return found[0]
+        return job
 
     def list(self, most: int | None = None, before: str | None = None) -> list[Job]:
         """At most ``most`` jobs, the newest first, older than the job ``before`` if given. Raises UnknownJob."""
@@ -75,7 +76,8 @@ class JobTable:
 
     def queued(self) -> Sequence[Job]:
         """The queued jobs, unordered."""
-        return self._found(jobs_table.c.state == JobState.QUEUED)
+        wanted = sa.select(jobs_table).where(jobs_table.c.state == JobState.QUEUED)
+        return [_job(row) for row in read_rows(self._engine, wanted)]
 
     def unfinished(self) -> dict[str, str]:
         """Job id → map name of the queued and running jobs."""
@@ -84,25 +86,23 @@ class JobTable:
 
     def needs(self, recording_id: str) -> bool:
         """Whether a job that is queued or running reads the recording."""
-        return bool(self._found(jobs_table.c.recording == recording_id, UNFINISHED))
+        wanted = sa.select(jobs_table.c.id).where(jobs_table.c.recording == recording_id, UNFINISHED)
+        return bool(read_rows(self._engine, wanted))
 
     def learning(self, map_name: str) -> Job | None:
         """The queued or running job by which a map learns from its queries; None if there is none."""
-        return next(
-            iter(self._found(jobs_table.c.map_name == map_name, _kind_of_row == JobKind.LEARN, UNFINISHED)), None
-        )
+        return self._first(sa.select(jobs_table).where(_learns(map_name), UNFINISHED))
 
     def placing(self, site: str) -> Job | None:
         """The queued or running job by which the maps of a site are placed; None if there is none."""
         of_site = jobs_table.c.options["site"].as_string() == site
-        found = self._found(of_site, _kind_of_row == JobKind.PLACE, UNFINISHED)
-        return found[0] if found else None
+        return self._first(sa.select(jobs_table).where(of_site, _kind_of_row == JobKind.PLACE, UNFINISHED))
 
     def last_learning(self, map_name: str) -> Job | None:
         """The last ended of the published or failed jobs by which a map learns from its queries; None without any."""
         ended = jobs_table.c.state.in_([JobState.PUBLISHED, JobState.FAILED])
-        found = self._found(jobs_table.c.map_name == map_name, _kind_of_row == JobKind.LEARN, ended)
-        return max(found, key=lambda job: job.ended or 0.0, default=None)
+        wanted = sa.select(jobs_table).where(_learns(map_name), ended).order_by(jobs_table.c.ended.desc())
+        return self._first(wanted)
 
     def mapped_before(self, time_s: float) -> Sequence[str]:
         """Ids of recordings whose jobs all published their maps before ``time_s`` [s since the epoch]."""
@@ -112,8 +112,9 @@ class JobTable:
         wanted = recordings.group_by(jobs_table.c.recording).having(others == 0)
         return [row["recording"] for row in read_rows(self._engine, wanted)]
 
-    def _found(self, *conditions: sa.ColumnElement[bool]) -> Sequence[Job]:
-        return [_job(row) for row in read_rows(self._engine, sa.select(jobs_table).where(*conditions))]
+    def _first(self, wanted: sa.Select[Any]) -> Job | None:
+        rows = read_rows(self._engine, wanted.limit(1))
+        return _job(rows[0]) if rows else None
 
     def insert(self, job_id: str, work: JobWork, length_s: float, memory_bytes: int | None) -> None:
         """Add a queued job. Raises IntegrityError: there is one of this id.
@@ -200,6 +201,11 @@ _QUEUED: dict[str, object] = {
 UNFINISHED = jobs_table.c.state.in_([JobState.QUEUED, JobState.RUNNING])
 """Condition on the table of jobs: queued or running."""
 _kind_of_row = jobs_table.c.options["kind"].as_string()
+
+
+def _learns(map_name: str) -> sa.ColumnElement[bool]:
+    """Condition on the table of jobs: the map learns from its queries by it."""
+    return sa.and_(jobs_table.c.map_name == map_name, _kind_of_row == JobKind.LEARN)
 
 
 def _new_run(job_id: str) -> str:

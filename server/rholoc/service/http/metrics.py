@@ -103,6 +103,20 @@ class _Gauge(Collector):
         yield family
 
 
+class _NotingStatus:
+    """An ASGI ``send`` that notes the answer's status; 0 before there is one."""
+
+    def __init__(self, send: Send) -> None:
+        self._send = send
+        self.status = 0
+
+    async def __call__(self, message: Message) -> None:
+        """Send one message."""
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+        await self._send(message)
+
+
 class Metered:
     """ASGI middleware that counts every request under its route's path, so that names do not become labels."""
 
@@ -115,22 +129,15 @@ class Metered:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        method, begun, status = scope["method"], time.perf_counter(), 0
-
-        async def send_noting_status(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-            await send(message)
-
+        method, begun, noting = scope["method"], time.perf_counter(), _NotingStatus(send)
         try:
-            await self._app(scope, receive, send_noting_status)
+            await self._app(scope, receive, noting)
         finally:
             route, duration_s = found_route(scope), time.perf_counter() - begun
             if route is None:  # invented paths and methods must not become labels
-                self._metrics.request("other", "other", status, duration_s)
+                self._metrics.request("other", "other", noting.status, duration_s)
             else:
-                self._metrics.request(method, route.path, status, duration_s)
+                self._metrics.request(method, route.path, noting.status, duration_s)
 
 
 class Traced:
@@ -150,16 +157,9 @@ class Traced:
             return
         method = scope["method"]
         with telemetry.request_span(method, Headers(scope=scope)) as marks:
-            status = 0
-
-            async def send_noting_status(message: Message) -> None:
-                nonlocal status
-                if message["type"] == "http.response.start":
-                    status = message["status"]
-                await send(message)
-
+            noting = _NotingStatus(send)
             try:
-                await self._app(scope, receive, send_noting_status)
+                await self._app(scope, receive, noting)
             finally:
                 route, key = found_route(scope), request_key(scope)
                 if route is not None:
@@ -170,10 +170,10 @@ class Traced:
                 marks.set(
                     {
                         "http.request.method": method,
-                        "http.response.status_code": status,
+                        "http.response.status_code": noting.status,
                         "url.path": scope["path"],
                         "rholoc.request_id": scope.get("state", {}).get("request_id", ""),
                     }
                 )
-                if status >= _FAILED:
-                    marks.fail(f"answered with {status}")
+                if noting.status >= _FAILED:
+                    marks.fail(f"answered with {noting.status}")
