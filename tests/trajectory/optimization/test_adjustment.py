@@ -169,6 +169,14 @@ def test_covariances_cover_the_errors() -> None:
     assert np.mean(np.array(squared) < 12.6) >= 0.75  # 95 % expected
 
 
+def test_dense_covariances_are_those_of_the_tree(monkeypatch: pytest.MonkeyPatch) -> None:
+    T = arc(_CAMERAS)
+    _, adjusted = _solved(0, tuple(Fix(k, tuple(T[k, :3, 3].tolist()), 0.01) for k in range(0, 14, 3)))
+    dense = adjusted.covariances([1, 8, 12])
+    monkeypatch.setattr(adjustment, "_MAX_DENSE", 0)
+    np.testing.assert_allclose(adjusted.covariances([1, 8, 12]), dense, rtol=1e-6, atol=1e-12)
+
+
 def test_an_unknown_camera_is_found_within_its_sigma() -> None:
     T = arc(_CAMERAS)
     observations = _sightings(T, cloud(_POINTS), 0.5, 3)

@@ -23,6 +23,7 @@ _SEED = 1
 _THREADS = 2
 _CAMERA = 1
 _TRACKS_PER_PICTURE = 300  # more take the global mapper's time, and place no more pictures
+_PAIRS_PER_PICTURE = 10
 _SECONDS = 20  # and one more a picture: the incremental mapper once tried first pairs of 28 pictures for five minutes
 _FIRST_PAIR, _FIRST_ANGLE_DEG = 50, 8.0  # matches and parallax; else searched for twice in vain where steps are small
 _GROWTH = 1.3  # of an incremental model, after which all of it is adjusted again
@@ -74,9 +75,10 @@ class PycolmapStarts:
             pairs: verified matches.
         """
         self._camera, self._is_known = camera, is_known
-        self._pixels, self._pairs = pixels, pairs
+        self._pixels, self._pairs = pixels, _best_pairs(pairs, len(pixels))
         self._folder = tempfile.TemporaryDirectory(prefix="rholoc-mapper-")
-        self._pool = ThreadPoolExecutor(_THREADS)
+        self._pool = ThreadPoolExecutor(1)
+        self._is_written = False
         self._begun: dict[Mapper, Future[Piece | None]] = {}
 
     def __enter__(self) -> Self:
@@ -87,10 +89,7 @@ class PycolmapStarts:
         self._folder.cleanup()
 
     def begin(self, mapper: Mapper) -> None:
-        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread; the first call writes the database before."""
-        pycolmap.logging.minloglevel = 3  # a failure shows in the result
-        if not self._begun:
-            self._write()
+        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread, which writes the database before the first."""
         self._begun[mapper] = self._pool.submit(self._largest_piece, mapper)
 
     def largest_piece(self, mapper: Mapper) -> Piece | None:
@@ -104,6 +103,10 @@ class PycolmapStarts:
         return Path(self._folder.name) / "pictures.db"
 
     def _largest_piece(self, mapper: Mapper) -> Piece | None:
+        pycolmap.logging.minloglevel = 3  # a failure shows in the result
+        if not self._is_written:
+            self._write()
+            self._is_written = True
         found = _run(mapper, self._database, self._is_known, len(self._pixels))
         if not found:
             return None
@@ -127,12 +130,25 @@ class PycolmapStarts:
                 seen = places[pair.first], model, places[pair.second], pair.matches.astype(np.uint32)
                 return pycolmap.estimate_two_view_geometry(model, *seen, options)
 
-            for pair, found in zip(self._pairs, self._pool.map(geometry, self._pairs), strict=True):
-                first, second = ids[pair.first], ids[pair.second]
-                database.write_matches(first, second, pair.matches.astype(np.uint32))
-                database.write_two_view_geometry(first, second, found)
+            with ThreadPoolExecutor(_THREADS) as pool:
+                for pair, found in zip(self._pairs, pool.map(geometry, self._pairs), strict=True):
+                    first, second = ids[pair.first], ids[pair.second]
+                    database.write_matches(first, second, pair.matches.astype(np.uint32))
+                    database.write_two_view_geometry(first, second, found)
         finally:
             database.close()
+
+
+def _best_pairs(pairs: Sequence[VerifiedPair], count: int) -> list[VerifiedPair]:
+    """Pairs that are among the best ten of either of their pictures, by matches; more take time and place no more of
+    ``count`` pictures.
+    """
+    ranked: list[list[int]] = [[] for _ in range(count)]
+    for k in sorted(range(len(pairs)), key=lambda k: -len(pairs[k].matches)):
+        ranked[pairs[k].first].append(k)
+        ranked[pairs[k].second].append(k)
+    kept = {k for some in ranked for k in some[:_PAIRS_PER_PICTURE]}
+    return [pairs[k] for k in sorted(kept)]
 
 
 def _model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camera, list[FloatArray]]:

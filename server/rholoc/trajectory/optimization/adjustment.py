@@ -17,6 +17,7 @@ from typing import Any
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
+from scipy.linalg import cho_factor, cho_solve
 
 from rholoc.errors import InvalidCamera, MappingFailed
 from rholoc.geometry import (
@@ -64,6 +65,7 @@ _UNSEEN_SIGMA_RAD = 1.0  # of a keyframe that no measurement fixes
 _FIRST_DAMPING = 10.0
 _SETTLING_STEPS = 6
 _SHARES = (1.0, 0.5, 0.25)  # of a failed step, to retry with every point re-optimized
+_MAX_DENSE = 4000  # unknowns besides the points, up to which their information is inverted as a dense matrix
 _HOLDS = (1e-2, 0.3, 10.0)  # increasing strengths of the points' prior, each used if a step fails with the one before
 
 
@@ -217,18 +219,14 @@ class Adjusted:
 
         NaN if the measurements do not fix a pose.
         """
-        tree = self._eliminated()
-        found = np.empty((len(keyframes), 6, 6))
-        for i, k in enumerate(keyframes):
-            R = self.state.R_map_camera[k]
-            to_map = np.zeros((6, 6))
-            to_map[:3, 3:], to_map[3:, :3] = R, R
-            found[i] = to_map @ _marginal(tree, C(k), 6) @ to_map.T
-        return found
+        to_map = np.zeros((len(keyframes), 6, 6))
+        to_map[:, :3, 3:] = to_map[:, 3:, :3] = self.state.R_map_camera[list(keyframes)]
+        found = np.array(self._marginals([C(k) for k in keyframes], 6)).reshape(-1, 6, 6)
+        return np.asarray(to_map @ found @ to_map.transpose(0, 2, 1))
 
     def camera_sigmas(self) -> FloatArray:
         """Standard deviations (9,) of estimated fx, fy, skew, cx, cy, k1, k2, p1, p2; NaN if not fixed."""
-        return np.asarray(np.sqrt(np.diag(_marginal(self._eliminated(), D(0), 9))))
+        return np.asarray(np.sqrt(np.diag(self._marginals([D(0)], 9)[0])))
 
     def imu_misfit(self) -> float:
         """RMS of the IMU residuals in units of the assumed noise; 0 without an IMU."""
@@ -240,14 +238,33 @@ class Adjusted:
         ]
         return float(np.sqrt(np.mean(squares) / _IMU_COORDINATES)) if squares else 0.0
 
-    def _eliminated(self) -> gtsam.GaussianBayesTree | None:
-        """Eliminated linear system at the solution, with the weakest prior on the points that makes it regular.
-
-        None if it is singular with every prior."""
+    def _marginals(self, keys: Sequence[int], size: int) -> list[FloatArray]:
+        """Covariances (size, size) of some unknowns, not points, with the weakest prior on the points that makes the
+        system regular; NaN where it leaves them open, or if it is singular with every prior.
+        """
         for system in _with_points_held(self._graph.linearize(self._values), self._held):
-            with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
-                return system.eliminateMultifrontal(self._ordering)
-        return None
+            with contextlib.suppress(RuntimeError, np.linalg.LinAlgError):  # RuntimeError: gtsam's word for singular
+                return self._marginals_of(system, keys, size)
+        return [np.full((size, size), np.nan) for _ in keys]
+
+    def _marginals_of(self, system: gtsam.GaussianFactorGraph, keys: Sequence[int], size: int) -> list[FloatArray]:
+        """The same by one linear system: from the dense information of all but the points, which takes a second for 300
+        keyframes, or by a tree if that would be too large. Raises RuntimeError or LinAlgError if it is singular.
+        """
+        every = [self._ordering.at(i) for i in range(self._ordering.size())]
+        points = [key for key in every if gtsam.symbolChr(key) == ord("l")]
+        rest, zero = every[len(points) :], self._values.zeroVectors()
+        *starts, total = itertools.accumulate((len(zero.at(key)) for key in rest), initial=0)
+        if total > _MAX_DENSE:
+            tree = system.eliminateMultifrontal(self._ordering)
+            return [_marginal(tree, key, size) for key in keys]
+        _, reduced = system.eliminatePartialMultifrontal(_ordered(points))
+        factor = cho_factor(reduced.hessian(_ordered(rest))[0])
+        own = np.zeros((len(keys), total, size))
+        for k, key in enumerate(keys):
+            start = starts[rest.index(key)]
+            own[k, start : start + size] = np.eye(size)
+        return [unit.T @ cho_solve(factor, unit) for unit in own]
 
 
 def adjust(
@@ -683,12 +700,18 @@ def _with_points_settled(values: gtsam.Values, problem: Problem, state: State, u
     return there
 
 
-def _marginal(tree: gtsam.GaussianBayesTree | None, key: int, size: int) -> FloatArray:
-    """Covariance (size, size) of one variable; NaN if it is unbounded or there is no tree."""
-    if tree is not None:
-        with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
-            return np.asarray(tree.marginalCovariance(key))
+def _marginal(tree: gtsam.GaussianBayesTree, key: int, size: int) -> FloatArray:
+    """Covariance (size, size) of one variable; NaN if it is unbounded."""
+    with contextlib.suppress(RuntimeError):  # gtsam's word for a singular system
+        return np.asarray(tree.marginalCovariance(key))
     return np.full((size, size), np.nan)
+
+
+def _ordered(keys: Sequence[int]) -> gtsam.Ordering:
+    ordering = gtsam.Ordering()
+    for key in keys:
+        ordering.push_back(key)
+    return ordering
 
 
 def _shape_left_open() -> MappingFailed:
@@ -746,10 +769,7 @@ def _ordering(values: gtsam.Values, observations: Observations, used: BoolArray)
     keys += [dissected.at(i) for i in range(dissected.size())]
     rest = set(values.keys()) - set(keys)
     shared = [key for key in (G(0), S(0), E(0), D(0)) if key in rest]
-    ordering = gtsam.Ordering()
-    for key in [*keys, *sorted(rest - set(shared)), *shared]:
-        ordering.push_back(key)
-    return ordering
+    return _ordered([*keys, *sorted(rest - set(shared)), *shared])
 
 
 def _state_of(values: gtsam.Values, problem: Problem, state: State, used: BoolArray) -> State:

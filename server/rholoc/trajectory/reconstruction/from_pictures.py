@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -142,8 +141,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     with PycolmapStarts(walk.camera, sights.camera is not None, pixels, walk.evidence.sequential) as starts:
         for number, mapper in enumerate(Mapper):
             if mapper is Mapper.OWN and not parts:  # which another one has to confirm
-                with suppress(RuntimeError):  # pycolmap's; it is tried again in its turn
-                    starts.begin(Mapper.INCREMENTAL)
+                starts.begin(Mapper.INCREMENTAL)
             span = 0.45 + 0.07 * number, 0.52 + 0.07 * number
             part = _placed_by(mapper, walk, whole, starts, progress, span)
             if part is None:
