@@ -53,6 +53,8 @@ _MIN_MATCHES, _MIN_SAMPLES = 8, 50
 _ZOOMS = (0.9, 0.8, 0.63, 0.5), (1.1, 1.25, 1.6, 2.0)  # factors on a focal length that matches leave open
 _CLEAR, _CLEAR_NATS = 0.2, 20.0  # of the nats that a pose explains, at least: a clear difference from another's
 _VAGUE = 0.05  # of the focal length: with 3 σ as large it is left open
+_RIGHT, _WRONG_SIGMA = 0.3, 0.4  # probability that a given focal length is right; its logarithm's sigma if it is not …
+_ZOOM_STEP = 0.12  # … and about how far apart those are that are tried
 _SAMPLES = 300  # for each guess, where the given focal length is checked
 _SQUARE = 0.02  # of the logarithm of fx / fy: pixels of nearly all cameras are square
 
@@ -122,19 +124,30 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
 
 
 def _beside(estimate: FocalEstimate, verified: Verified, others: list[Refocused], is_square: bool) -> FocalEstimate:
-    """An estimate with ``exact`` and ``of_others`` by the poses by other focal lengths, each weighed by its likelihood,
-    with the same excess of the errors as in a covariance. Few inliers do not confirm pixels that are not square:
-    ``exact`` is at most a half then.
+    """An estimate with ``exact`` and ``of_others`` by the poses by other focal lengths. Each is weighed by its
+    likelihood, with the same excess of the errors as in a covariance, and by :func:`_prior`. Few inliers do not confirm
+    pixels that are not square: ``exact`` is at most a half then.
     """
-    modes = [verified, *(mode for _, mode in others)]
+    scales, modes = zip((1.0, verified), *others, strict=True)
     nats = np.array([mode.optimum.value for mode in modes]) / SYSTEMATIC**2
-    weights = np.exp(nats - nats.max())
+    weights = _prior(np.log(scales)) * np.exp(nats - nats.max())
     weights /= weights.sum()
     exact = float(weights @ [not mode.is_apart(verified, RIGHT_M, RIGHT_RAD) for mode in modes])
     if not is_square and verified.inliers < ENOUGH_MATCHES:
         exact = min(exact, 0.5)
     moment = spread_of_modes(verified.optimum.T_map_camera, modes, weights)
     return replace(estimate, exact=exact, of_others=moment)
+
+
+def _prior(logs: FloatArray) -> FloatArray:
+    """Prior probabilities (M,) of focal lengths by their logarithms (M,) relative to the first, which was given: it is
+    right with probability 0.3, otherwise the logarithm is normal about it.
+    """
+    prior = (
+        (1 - _RIGHT) * _ZOOM_STEP * np.exp(-((logs / _WRONG_SIGMA) ** 2) / 2) / (math.sqrt(2 * math.pi) * _WRONG_SIGMA)
+    )
+    prior[0] += _RIGHT
+    return prior
 
 
 def _followed(
