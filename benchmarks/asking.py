@@ -15,7 +15,7 @@ import hashlib
 import inspect
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
@@ -44,6 +44,7 @@ PLACE_M, PLACE_RAD = 0.5, np.deg2rad(20.0)  # poses that are no farther off are 
 STRANGERS = 4  # pictures of each other recording
 SELDOM = 3  # of so many frames one is asked by a wrong camera and as a window: those take long
 DOUBTFUL = 0.05  # confidence from which rivals are looked for
+_LEAST = 1e-9  # probability that others are divided by
 _PACKAGES = ("density", "features", "localization")
 _ONLY_JUDGES = "confidence.py"
 
@@ -65,7 +66,9 @@ class Case:
     Attributes:
         kind: what was asked.
         features: the confidence features; None where no pose was found.
-        factor: 0..1, by how much rivals, the focal length and a position that is hardly known lower ``recognized``.
+        factor: 0..1, by how much rivals, the focal length, a position that is hardly known and the map's own error
+            lower ``recognized``.
+        exact_factor: 0..1, likewise of the probability of being exact.
         off_m: how far off the pose is; None in another room, or where there is none.
         turned_rad: by how much it is turned, likewise.
         right: whether it is within 10 cm and 5°.
@@ -74,6 +77,7 @@ class Case:
     kind: Kind
     features: ConfidenceFeatures | None
     factor: float
+    exact_factor: float
     off_m: float | None
     turned_rad: float | None
     right: bool
@@ -83,7 +87,7 @@ class Case:
         if self.features is None:
             return NO_BELIEF
         alone = belief_by(self.features, weights)
-        return Belief(self.factor * alone.recognized, alone.exact)
+        return Belief(self.factor * alone.recognized, self.exact_factor * alone.exact)
 
     @property
     def is_right_place(self) -> bool:
@@ -104,7 +108,7 @@ class Case:
         return cls(**(stored | {"kind": Kind(stored["kind"]), "features": features}))
 
 
-UNANSWERED = Case(Kind.WHOLE, None, 0.0, None, None, False)
+UNANSWERED = Case(Kind.WHOLE, None, 0.0, 0.0, None, None, False)
 
 
 @dataclass(frozen=True)
@@ -121,16 +125,16 @@ def case(kind: Kind, localizer: Localizer, query: Query, truth: FloatArray | Non
     """Ask one query, however doubtful the answer."""
     found = localizer.candidate(query)
     if found is None:
-        return Case(kind, None, 0.0, None, None, False)
+        return replace(UNANSWERED, kind=kind)
     verified, belief = found
     features = confidence_features((verified,), verified.covariance)
-    alone = belief_by(features).recognized
-    factor = belief.recognized / alone if alone > 0 else 0.0
+    alone = belief_by(features)
+    factors = belief.recognized / max(alone.recognized, _LEAST), belief.exact / max(alone.exact, _LEAST)
     if truth is None:
-        return Case(kind, features, factor, None, None, False)
+        return Case(kind, features, *factors, None, None, False)
     off_m, turned_rad = pose_distances(verified.optimum.T_map_camera, truth)
     right = bool(off_m < RIGHT_M and turned_rad < RIGHT_RAD and kind is not Kind.WINDOW)
-    return Case(kind, features, factor, float(off_m), float(turned_rad), right)
+    return Case(kind, features, *factors, float(off_m), float(turned_rad), right)
 
 
 def frames_asked(named: NamedRoom, features: str, kept: Path) -> Iterator[Case]:

@@ -66,7 +66,7 @@ def fit(answered: list[Answered]) -> Weights:
     at_place = np.array([case.is_right_place for case in cases], dtype=bool)
     place = np.array([one.place for one in features])
     extras = np.array([[one.patches, one.colours] for one in features]).reshape(-1, 2)
-    factor = np.clip([case.factor for case in cases], 1e-6, 1.0)
+    factor, exact_factor = np.clip([(case.factor, case.exact_factor) for case in cases], 1e-6, 1.0).T
 
     def by(*columns: int) -> tuple[float, ...]:
         """By the place and some of what is not always known, to the answers where it is."""
@@ -77,7 +77,7 @@ def fit(answered: list[Answered]) -> Weights:
     named = [one.features for one in answered for case in one.cases if case.features and case.kind not in NOT_FITTED]
     exact_of = at_place & ~np.isin(named, LESS_EXACT)
     sigma, right = np.array([[one.sigma] for one in features]), np.array([case.right for case in cases])
-    exact = logistic(sigma[exact_of], right[exact_of], np.ones(exact_of.sum()), (-1,))
+    exact = logistic(sigma[exact_of], right[exact_of], exact_factor[exact_of], (-1,))
     return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)
 
 

@@ -122,11 +122,12 @@ class Localizer:
         return view_votes(self.index, self.index.match_everywhere(features))
 
     def candidate(self, query: Query) -> tuple[Verified, Belief] | None:
-        """Best pose found, however doubtful, and the belief in it before the map's error and other modes lower it. None
-        if there is none. The kind of features is not checked.
+        """Best pose found, however doubtful, and the belief with which it would be answered. None if there is none. The
+        kind of features is not checked.
         """
-        found = self._outcome(self._thorough_search(query, Stopwatch(query.deadline_s)))
-        return None if found is None else (found.verified, found.belief)
+        search = self._thorough_search(query, Stopwatch(query.deadline_s))
+        found = self._outcome(search)
+        return None if found is None else (found.verified, self._described(found, search).belief)
 
     def check(self, query: Query) -> None:
         """Check that features are of the map's kind.
@@ -452,6 +453,10 @@ class Localizer:
         found = self._outcome(search)
         if found is None:
             return Localization.refused(search.reason, search.matches, search.watch.timings_ms)
+        return gated(self._described(found, search), self.min_recognized, search.query)
+
+    def _described(self, found: Found, search: Search) -> Localization:
+        """A search's outcome as an answer with a pose, however doubtful or inexact."""
         query, verified = search.query, found.verified
         agreeing = verified.optimum.density > 0
         estimated = query.intrinsics is Intrinsics.UNKNOWN
@@ -475,8 +480,7 @@ class Localizer:
                 if weight >= MIN_WEIGHT
             ),
         )
-        answer = with_map_error(self.index, answer, found.of_modes, found.focal.of_others)
-        return gated(answer, self.min_recognized, query)
+        return with_map_error(self.index, answer, found.of_modes, found.focal.of_others)
 
     def _diagnose(self, search: Search, answer: Localization) -> Diagnosis:
         """Likeliest cause of a refusal, searched in this order: the deadline, the map, upright or gravity constraints,

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import expit
 
 from rholoc.geometry import FloatArray
-from rholoc.localization.index.map_error import LEFT_OF_OWN, PLACE_M, PLACE_RAD, probability_right, worst_sigma
+from rholoc.localization.index.map_error import INDEPENDENT_SHARE, PLACE_M, PLACE_RAD, probability_right, worst_sigma
 from rholoc.localization.pose.pose_evidence import Support
 from rholoc.localization.pose.rematching import Verified
 from rholoc.localization.types import Belief
@@ -132,7 +132,7 @@ def joint_belief(verified: Sequence[Verified], covariance: FloatArray) -> Belief
     deviation nears half a metre.
     """
     belief = belief_by(confidence_features(verified, covariance))
-    known = probability_right(LEFT_OF_OWN * covariance, PLACE_M, PLACE_RAD)
+    known = probability_right(INDEPENDENT_SHARE * covariance, PLACE_M, PLACE_RAD)
     return Belief(belief.recognized * known, belief.exact)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from rholoc.geometry import FloatArray
 from rholoc.localization.diagnosis import too_inexact
 from rholoc.localization.index.map_error import (
-    LEFT_OF_OWN,
+    INDEPENDENT_SHARE,
     PLACE_M,
     PLACE_RAD,
     rms_position_error,
@@ -37,8 +37,8 @@ def with_map_error(
         index: index of the map.
         answer: an answer that treats the map as exact.
         of_modes: (6, 6) second moment of the modes in the answer's place; None if it has one mode.
-        of_focal: (6, 6) second moment of the poses by other focal lengths, which leave the place as probable; None
-            without any.
+        of_focal: (6, 6) second moment of the poses by other focal lengths, which the answer's belief allows for
+            already; None without any.
 
     Returns:
         The answer relative to the real world, with ``expected_error_m`` if the map has covariances there.
@@ -51,18 +51,20 @@ def with_map_error(
     own, others, focal = answer.covariance, *(np.zeros((6, 6)) if one is None else one for one in (of_modes, of_focal))
     of_map = index.map_covariance(answer.inlier_features, answer.pose.position, _VIEWS_HERE)
     if of_map is not None:
-        alternatives = (replace(one, covariance=LEFT_OF_OWN * one.covariance + of_map) for one in answer.alternatives)
+        alternatives = (
+            replace(one, covariance=INDEPENDENT_SHARE * one.covariance + of_map) for one in answer.alternatives
+        )
         answer = replace(answer, alternatives=tuple(alternatives), expected_error_m=rms_position_error(of_map))
-        own, others = LEFT_OF_OWN * own, others + of_map
+        own, others = INDEPENDENT_SHARE * own, others + of_map
     return _widened(answer, own, others, focal) if others.any() or focal.any() else answer
 
 
 def _widened(answer: Localization, own: FloatArray, others: FloatArray, focal: FloatArray) -> Localization:
-    """The answer with covariance ``own`` + ``others`` + ``focal`` (6, 6), its probabilities lowered by the ratio in
-    which ``others`` lower the probability of being within 50 cm and 20°, and ``others`` + ``focal`` that of being
-    within 10 cm and 5°.
+    """The answer with covariance ``own`` + ``others`` + ``focal`` (6, 6), its probabilities lowered by the ratios in
+    which ``others`` lower those of being within 50 cm and 20°, and within 10 cm and 5°. What ``focal`` does to them the
+    answer's belief says already.
     """
-    here, exact = widening_factor(own, others, PLACE_M, PLACE_RAD), widening_factor(own, others + focal)
+    here, exact = widening_factor(own, others, PLACE_M, PLACE_RAD), widening_factor(own, others)
     exact_if_here = min(exact / here, 1.0) if here > 0 else 0.0
     belief = Belief(answer.belief.recognized * here, answer.belief.exact * exact_if_here)
     return replace(answer, covariance=own + others + focal, belief=belief)

@@ -19,7 +19,7 @@ RIGHT_M, RIGHT_RAD = 0.10, float(np.deg2rad(5.0))
 PLACE_M, PLACE_RAD = 0.50, float(np.deg2rad(20.0))
 """What ``recognized`` speaks of: a pose is of the right place within 50 cm and 20°."""
 
-LEFT_OF_OWN = 1 / 16
+INDEPENDENT_SHARE = 1 / 16
 """Share of a frame's own covariance, without the errors that its landmarks share.
 
 A frame's own covariance allows, threefold, for what it cannot see: neighbouring landmarks err together. Most of that is

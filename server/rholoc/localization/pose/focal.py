@@ -17,7 +17,7 @@ import numpy as np
 
 from rholoc.density import RayDensities
 from rholoc.geometry import Camera, FloatArray, Lens
-from rholoc.localization.index.map_error import PLACE_M, RIGHT_M, worst_sigma
+from rholoc.localization.index.map_error import PLACE_M, RIGHT_M, RIGHT_RAD, worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import (
@@ -53,7 +53,8 @@ _MIN_MATCHES, _MIN_SAMPLES = 8, 50
 _ZOOMS = (0.9, 0.8, 0.63, 0.5), (1.1, 1.25, 1.6, 2.0)  # factors on a focal length that matches leave open
 _CLEAR, _CLEAR_NATS = 0.2, 20.0  # of the nats that a pose explains, at least: a clear difference from another's
 _VAGUE = 0.05  # of the focal length: with 3 σ as large it is left open
-_GIVEN_SIGMA = 0.1  # of a given focal length's logarithm, where a picture leaves it open
+_RIGHT, _WRONG_SIGMA = 0.3, 0.4  # probability that a given focal length is right; its logarithm's sigma if it is not …
+_ZOOM_STEP = 0.12  # … and about how far apart those are that are tried
 _SAMPLES = 300  # for each guess, where the given focal length is checked
 _SQUARE = 0.02  # of the logarithm of fx / fy: pixels of nearly all cameras are square
 
@@ -68,8 +69,8 @@ class FocalEstimate:
         moved_m: displacement of the pose when the focal length is freed.
         belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
             probability that the pose is within 50 cm.
-        exact: probability 0 to 1 that the pose is within 10 cm, given that it is within 50 cm, as far as the focal
-            length decides.
+        exact: probability 0 to 1 that the pose is within 10 cm and 5°, given that it is of the right place, as far as
+            the focal length decides; 1 if it was estimated: the pose's covariance says it then.
         of_others: (6, 6) second moment of the poses by other focal lengths about the one that was checked; None if
             there was no check.
     """
@@ -112,27 +113,41 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         return FocalEstimate.unchecked(query.camera)
     others: list[Refocused] = []
     estimate = _followed(index, query, verified, matches, others)
-    is_told = is_square and estimate is not None and estimate.sigma_px < _VAGUE * estimate.focal_px
-    if estimate is None or (estimate.belief == 1 and not is_told):
+    is_determined = is_square and estimate is not None and estimate.sigma_px < _VAGUE * estimate.focal_px
+    if estimate is None or (estimate.belief == 1 and not is_determined):
         others += _zoomed(index, query, verified) if is_square else _sought(index, query, matches)
         scale, best = _explaining_most(verified, others)
         focal_px = scale * query.camera.focal
         sigma_px = _spread(_known_to(best)) * focal_px
         estimate = FocalEstimate(focal_px, sigma_px, _apart_m(best, verified), belief_beside(verified, others))
-    return _beside(estimate, verified, others)
+    return _beside(estimate, verified, others, is_square)
 
 
-def _beside(estimate: FocalEstimate, verified: Verified, others: list[Refocused]) -> FocalEstimate:
-    """An estimate with ``exact`` and ``of_others`` by the poses by other focal lengths. Each counts by its likelihood,
-    with the same excess of the errors as in a covariance, and by how near the given focal length is.
+def _beside(estimate: FocalEstimate, verified: Verified, others: list[Refocused], is_square: bool) -> FocalEstimate:
+    """An estimate with ``exact`` and ``of_others`` by the poses by other focal lengths. Each is weighed by its
+    likelihood, with the same excess of the errors as in a covariance, and by :func:`_prior`. Few inliers do not confirm
+    pixels that are not square: ``exact`` is at most a half then.
     """
     scales, modes = zip((1.0, verified), *others, strict=True)
-    nats = np.array([mode.optimum.value for mode in modes]) / SYSTEMATIC**2 - (np.log(scales) / _GIVEN_SIGMA) ** 2 / 2
-    weights = np.exp(nats - nats.max())
+    nats = np.array([mode.optimum.value for mode in modes]) / SYSTEMATIC**2
+    weights = _prior(np.log(scales)) * np.exp(nats - nats.max())
     weights /= weights.sum()
-    exact = float(weights @ [_apart_m(mode, verified) < RIGHT_M for mode in modes])
+    exact = float(weights @ [not mode.is_apart(verified, RIGHT_M, RIGHT_RAD) for mode in modes])
+    if not is_square and verified.inliers < ENOUGH_MATCHES:
+        exact = min(exact, 0.5)
     moment = spread_of_modes(verified.optimum.T_map_camera, modes, weights)
     return replace(estimate, exact=exact, of_others=moment)
+
+
+def _prior(logs: FloatArray) -> FloatArray:
+    """Prior probabilities (M,) of focal lengths by their logarithms (M,) relative to the first, which was given: it is
+    right with probability 0.3, otherwise the logarithm is normal about it.
+    """
+    prior = (
+        (1 - _RIGHT) * _ZOOM_STEP * np.exp(-((logs / _WRONG_SIGMA) ** 2) / 2) / (math.sqrt(2 * math.pi) * _WRONG_SIGMA)
+    )
+    prior[0] += _RIGHT
+    return prior
 
 
 def _followed(
@@ -357,9 +372,8 @@ def verify_with_focal(
     if verified is None:
         return None
     focal_px = query.camera.focal
-    sigma_m = worst_sigma(verified.covariance[:3, :3])
-    here, exact = (math.erf(limit_m / (math.sqrt(2) * sigma_m)) for limit_m in (PLACE_M, RIGHT_M))
-    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, here, exact / here), query
+    here = math.erf(PLACE_M / (math.sqrt(2) * worst_sigma(verified.covariance[:3, :3])))
+    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, here), query
 
 
 def _sensible(camera: Camera, scale: float) -> bool:
