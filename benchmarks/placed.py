@@ -340,6 +340,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="where the table goes as JSON, too")
     parser.add_argument("--write", action="store_true", help="write benchmarks/results/placed.json")
     options = parser.parse_args()
+    if options.kept and options.cache is None:
+        parser.error("--kept needs --cache: rholoc's answers are taken from there.")
 
     def asked(recording: str) -> list[tuple[str, str]]:
         name, _, own = recording.partition("=")

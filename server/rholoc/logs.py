@@ -6,7 +6,6 @@ import json
 import logging
 from datetime import UTC, datetime
 
-_HANDLER = "rholoc"
 _OF_EVERY_RECORD = vars(logging.makeLogRecord({})).keys() | {"message", "taskName"}
 
 
@@ -23,11 +22,10 @@ class _JsonLines(logging.Formatter):
 
 
 def configure_logs() -> None:
-    """Write the lines of rholoc's own loggers (level INFO), unless all of this process's are written already."""
-    if not any(handler.name == _HANDLER for handler in logging.getLogger().handlers):
-        own = logging.getLogger("rholoc")
-        own.setLevel(logging.INFO)
-        own.handlers = [_handler()]
+    """Write the lines of rholoc's own loggers (level INFO), unless the process that runs them writes lines already."""
+    own = logging.getLogger("rholoc")
+    own.setLevel(logging.INFO)
+    own.handlers = [] if logging.getLogger().handlers else [_handler()]
 
 
 def configure_process_logs() -> None:
@@ -39,6 +37,5 @@ def configure_process_logs() -> None:
 
 def _handler() -> logging.Handler:
     handler = logging.StreamHandler()
-    handler.name = _HANDLER
     handler.setFormatter(_JsonLines())
     return handler

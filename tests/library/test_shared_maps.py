@@ -96,6 +96,17 @@ def test_what_one_publishes_another_sees_without_asking_the_database_for_each_re
     assert other.library.get("hall").info == one.library.get("hall").info
 
 
+def test_the_outline_of_a_map_whose_file_is_gone_is_that_of_the_new_one(open_storage: Any, storage_url: str) -> None:
+    one, other = open_storage(), open_storage()
+    one.library.put("hall", tiny_map())
+    assert other.library.stat("hall").signature == one.library.stat("hall").signature
+    replaced = [path for path in (Path(storage_url.removeprefix("file://")) / "maps").rglob("*") if path.is_file()]
+    one.library.put("hall", tiny_map())
+    for path in replaced:
+        path.unlink(missing_ok=True)
+    assert other.library.outline("hall").info == one.library.outline("hall").info
+
+
 def test_a_follower_has_the_new_file_before_it_sees_the_change(open_storage: Any, storage_url: str) -> None:
     one, follower = open_storage(), open_storage(follow=True)
     one.library.put("hall", tiny_map())

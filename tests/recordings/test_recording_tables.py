@@ -25,10 +25,17 @@ from rholoc.recordings import (
     write_frames_csv,
     write_imu_csv,
 )
+from rholoc.recordings.tables.logged_table import read_logged_table
 from rholoc.recordings.tables.pose_table import poses_from_rows
 
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz"
 _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+
+
+def test_the_line_that_is_named_counts_blank_lines_and_comments(tmp_path: Path) -> None:
+    (tmp_path / "gyro.csv").write_text("t,x\n0.0,1\n\n# a pause\n0.1,wide\n")
+    with pytest.raises(InvalidRecording, match="line 5"):
+        read_logged_table(tmp_path / "gyro.csv").named("x")
 
 
 def test_an_imu_table_comes_back(tmp_path: Path) -> None:

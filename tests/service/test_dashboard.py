@@ -128,7 +128,12 @@ def test_no_other_site_may_call_from_a_browser(service):
     assert not [name for name in answer.headers if name.startswith("access-control-")]
 
 
-def test_the_log_is_json(capsys):
+def test_the_log_is_json_unless_the_process_writes_its_own(capsys, monkeypatch):
+    root = logging.getLogger()
+    monkeypatch.setattr(root, "handlers", [logging.NullHandler()])
+    configure_logs()
+    assert not logging.getLogger("rholoc").handlers
+    monkeypatch.setattr(root, "handlers", [])
     configure_logs()
     try:
         raise ValueError("what went wrong")

@@ -197,6 +197,9 @@ def test_given_intrinsics_win_and_are_scaled_to_the_picture():
 
 def test_only_fx_must_be_given():
     assert camera_for(frame_by(fx=500.0), (641, 481), MAP_CAMERA) == Camera(641, 481, 500.0, 500.0, 320.0, 240.0)
+    for alone in ({"fy": 500.0}, {"cx": 310.0}, {"cy": 230.0}):
+        with pytest.raises(InvalidCamera, match="no fx"):
+            camera_for(frame_by(**alone), (640, 480), MAP_CAMERA)
 
 
 def test_unknown_intrinsics_are_a_guess_about_the_images_middle():

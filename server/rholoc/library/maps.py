@@ -105,7 +105,13 @@ class MapLibrary:
             InvalidMap: its file is not a map.
             StorageUnavailable: the header cannot be fetched.
         """
-        file = self.stat(name)
+        try:
+            return self._outline(name, self.stat(name))
+        except MissingObject:  # replaced, and removed, since this process last refreshed
+            self._catalogue.refresh()
+            return self._outline(name, self.stat(name))
+
+    def _outline(self, name: str, file: MapFile) -> MapOutline:
         known = self._outlines.get(name)
         if known is None or known[0] != file.signature:
             known = self._outlines[name] = (file.signature, self._catalogue.outline(file, name))

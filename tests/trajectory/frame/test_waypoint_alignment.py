@@ -255,6 +255,10 @@ def test_the_imu_and_the_images_must_both_rest() -> None:
     assert len(find_pauses(_FRAME_TIMES, motion, _imu())) == 4
 
 
+def test_a_single_frame_has_no_pause() -> None:
+    assert find_pauses(np.zeros(1), np.zeros(1), None).shape == (0, 2)
+
+
 def test_as_many_pauses_as_waypoints_leave_no_choice() -> None:
     waypoints = _unnamed(0, 1, 2, 3, 4)
     assert not times_are_known(waypoints)

@@ -28,7 +28,7 @@ class LoggedTable:
         lines: one per row, all with the same number of fields.
         columns: number of columns.
         blanks: whether the separator is a space, not a comma.
-        first_line: line number of the first row.
+        numbers: line number of each row.
     """
 
     path: Path
@@ -36,7 +36,7 @@ class LoggedTable:
     lines: list[str]
     columns: int
     blanks: bool
-    first_line: int
+    numbers: list[int]
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -65,9 +65,9 @@ class LoggedTable:
         fits = len(self.header) == self.columns
         names = [self.header[column] if fits else f"column {column + 1}" for column in columns]
         values = np.empty((len(self), len(columns)))
-        for number, row in enumerate(self.rows):
-            values[number] = [
-                parse_number(row[column], self.path, self.first_line + number, name, InvalidRecording)
+        for place, (number, row) in enumerate(zip(self.numbers, self.rows, strict=True)):
+            values[place] = [
+                parse_number(row[column], self.path, number, name, InvalidRecording)
                 for column, name in zip(columns, names, strict=True)
             ]
         return values
@@ -101,6 +101,7 @@ def read_logged_table(path: Path) -> LoggedTable:
         raise InvalidRecording(f"{path.name} has no rows.", "Record again, or leave the file out.")
     blanks = "," not in lines[first]
     rows: list[str] = []
+    numbers: list[int] = []
     columns = len(_fields(lines[first], blanks))
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip() or line.startswith("#"):
@@ -111,7 +112,8 @@ def read_logged_table(path: Path) -> LoggedTable:
         if len(rows) == MAX_TABLE_ROWS:
             raise InvalidRecording(f"{path.name} has more than {MAX_TABLE_ROWS} rows.", "Record for a shorter time.")
         rows.append(line)
-    return LoggedTable(path, _header(lines[:first], blanks), rows, columns, blanks, first + 1)
+        numbers.append(number)
+    return LoggedTable(path, _header(lines[:first], blanks), rows, columns, blanks, numbers)
 
 
 def header_of(path: Path) -> tuple[str, ...]:

@@ -79,7 +79,8 @@ def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camer
             raise InvalidCamera("The camera is both named and given.", "Send its name, or its intrinsics.")
         return stored.fitted(*size)
     if given.fx is None:
-        if given.fy is not None or given.distortion or given.lens is Lens.FISHEYE:
+        others = given.fy, given.cx, given.cy, given.distortion or None
+        if any(one is not None for one in others) or given.lens is Lens.FISHEYE:
             raise InvalidCamera("The camera has no fx.", _CAMERA_HINT)
         if given.lens is Lens.EQUIRECTANGULAR:
             return Camera.panorama(*size)

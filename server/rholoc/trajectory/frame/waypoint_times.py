@@ -23,13 +23,15 @@ _MAX_CHOICES = 2000
 
 
 def find_pauses(times: FloatArray, motion: FloatArray, imu: Imu | None) -> FloatArray:
-    """Start and end (P, 2) [s] of every rest of a second or more, by IMU and images.
+    """Start and end (P, 2) [s] of every rest of a second or more, by IMU and images; none of a single frame.
 
     Args:
         times: (N,) of the frames [s].
         motion: (N,) image motion before each frame, as a share of the image's width.
         imu: of the same recording; None to use the images alone.
     """
+    if len(times) < 2:
+        return np.zeros((0, 2))
     interval_s = float(np.median(np.diff(times)))
     rate = uniform_filter1d(motion / interval_s, max(1, round(_MOMENT_S / interval_s)), mode="nearest")
     if imu is None:

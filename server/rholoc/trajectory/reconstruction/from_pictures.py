@@ -63,7 +63,7 @@ _MOST = 0.7  # share of a reconstruction's pictures that another one must confir
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
 _ANOTHER_PLACE = 4  # pictures that fit each other alone, from which they may show another place
-_LOOSE = 0.1  # of the extent, by which poses are uncertain that nothing confirms, for them to be worth nothing
+_LOOSE = 0.1  # of the extent, by which poses are uncertain, for them to be worth nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
     part, walk = _refined(best, walk, progress)
     found = _finished(walk, part, progress)
-    if (agreement is None or not agreement.same) and _is_loose(found):
+    if _is_loose(found):
         raise MappingFailed("Too little ties these pictures together.", DENSER)
     found = replace(found, note=f"{found.note} {_elsewhere(found.placed, walk.evidence.sequential)}".strip())
     if agreement is None or other is None:
