@@ -34,7 +34,7 @@ _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fix
 
 def test_the_line_that_is_named_counts_blank_lines_and_comments(tmp_path: Path) -> None:
     (tmp_path / "gyro.csv").write_text("t,x\n0.0,1\n\n# a pause\n0.1,wide\n")
-    with pytest.raises(InvalidRecording, match="line 5"):
+    with pytest.raises(InvalidRecording, match="row 5"):
         read_logged_table(tmp_path / "gyro.csv").named("x")
 
 
