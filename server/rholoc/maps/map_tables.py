@@ -191,6 +191,12 @@ class MapViews(MapTable, PosedCameras):
         """Number (K,) of the walk that each view belongs to; see :func:`rholoc.maps.walks.walk_numbers`."""
         return walk_numbers(self.positions, self.known_sources)
 
+    @property
+    def by_walk(self) -> list[IntArray]:
+        """The rows of the views of each walk."""
+        walks = self.walks
+        return [np.flatnonzero(walks == number) for number in np.unique(walks)]
+
 
 @dataclass(frozen=True, eq=False)
 class MapObservations(MapTable):

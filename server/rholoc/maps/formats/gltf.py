@@ -51,10 +51,9 @@ def map_to_gltf(map_: Map) -> bytes:
 
 def _walks(map_: Map) -> list[tuple[str, NDArray[Any]]]:
     """Each walk's rows of views, with the name of the recording that it comes from."""
-    walks, sources = map_.views.walks, map_.views.known_sources
+    sources = map_.views.known_sources
     names = [source.name for source in map_.info.sources] or ["walk"]
-    rows = [np.flatnonzero(walks == number) for number in np.unique(walks)]
-    return [(names[sources[of[0]]], of) for of in rows]
+    return [(names[sources[rows[0]]], rows) for rows in map_.views.by_walk]
 
 
 class _File:

@@ -145,8 +145,7 @@ async def localize_here(site: Visited, request: Request, service: Service, optio
 
 def _room(member: SiteMap, map_: Map) -> HereRoomOut:
     T = _matrix(member)
-    numbers = map_.views.walks
-    walks = [map_.views.positions[numbers == number].astype(np.float64) for number in np.unique(numbers)]
+    walks = [map_.views.positions[rows].astype(np.float64) for rows in map_.views.by_walk]
     return HereRoomOut(
         map=member.map,
         floor=member.floor,

@@ -13,6 +13,7 @@ turns Apple's sign round itself.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,8 @@ TABLES = ("*.csv", "frame_timestamps.txt")
 _IMU = ("timestamp", "gx", "gy", "gz", "ax", "ay", "az")
 _FRAMES = ("timestamp", "fx", "fy")
 _READOUT = "frame readout time"  # nanoseconds
+_STATED_UNIT = re.compile(r"timestamp\s*\[([^\]]*)\]")
+_UNITS = {"sec": "s", "s": "s", "nanosec": "ns", "ns": "ns"}
 
 
 def recognises(folder: Path) -> bool:
@@ -72,14 +75,16 @@ def _with_columns(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 
 def _unit(path: Path) -> str:
-    """Unit of times by the first line with ``Timestamp[…]``: "s" for ``[sec]``, "ns" for any other. Raises
-    InvalidRecording if there is no such line.
+    """Unit of times by the first line with ``Timestamp[…]``. Raises InvalidRecording if there is no such line, or the
+    unit is none that the app writes.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        for line in file:
-            if "timestamp[" in line.lower():
-                return "s" if "timestamp[sec]" in line.lower() else "ns"
-    raise InvalidRecording(f"{path.name} does not say the unit of its times.")
+        stated = next((found[1] for line in file if (found := _STATED_UNIT.search(line.lower()))), None)
+    if stated is None:
+        raise InvalidRecording(f"{path.name} does not say the unit of its times.")
+    if stated not in _UNITS:
+        raise InvalidRecording(f"{path.name} has times in [{stated}]. Write them in [sec] or [nanosec].")
+    return _UNITS[stated]
 
 
 def _intrinsics(metadata: LoggedTable) -> FloatArray:
