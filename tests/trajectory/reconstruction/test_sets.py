@@ -115,6 +115,19 @@ def test_a_small_confirmed_part_does_not_replace_the_whole(monkeypatch: pytest.M
     assert not found.agreement.same
 
 
+def test_wholes_that_contradict_each_other_leave_the_part_that_both_confirm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a corridor at a picture a second two mappers placed all pictures, each by other doors that look alike; a third
+    one the six that follow each other, as both did.
+    """
+
+    def compared(one: Part, other: Part) -> Agreement:
+        alone = min(len(one.members), len(other.members)) == 6
+        return agreeing(one, other) if alone else Agreement(0.4, 0.6, 50.0, 18, 18)
+
+    sizes = {Mapper.OWN: 18, Mapper.INCREMENTAL: 6, Mapper.GLOBAL: 18}
+    assert len(taken(sizes, compared, monkeypatch).part.members) == 6
+
+
 def test_reconstructions_that_share_few_pictures_do_not_contradict_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of sixteen pictures of a corridor one mapper placed twelve, the other eight of these: the job failed."""
     apart = Agreement(np.nan, np.nan, np.nan, 6, 12)

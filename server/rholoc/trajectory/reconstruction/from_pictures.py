@@ -331,18 +331,30 @@ def _is_loose(found: Reconstruction) -> bool:
 
 def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
     """The part of which another one confirms most; of equal ones the metric, then the smallest, which adds least. Where
-    less than half of all ``count`` pictures are confirmed, the largest of equal ones.
+    less than half of all ``count`` pictures are confirmed, the largest of equal ones of which no other part contradicts
+    more than is confirmed.
     """
     confirmed = [_confirmed(part, parts) for part in parts]
-    sign = -1 if 2 * max(confirmed) >= count else 1
-    order = [(much, part.in_metres, sign * len(part.members)) for much, part in zip(confirmed, parts, strict=True)]
-    return parts[max(range(len(parts)), key=order.__getitem__)]
+    few = 2 * max(confirmed) < count
+
+    def order(k: int) -> tuple[int, bool, bool, int]:
+        part, much = parts[k], confirmed[k]
+        doubtful = few and 0 < much < _refuted(part, parts)
+        return much, part.in_metres, not doubtful, len(part.members) if few else -len(part.members)
+
+    return parts[max(range(len(parts)), key=order)]
 
 
 def _confirmed(part: _Part, others: Sequence[_Part]) -> int:
     """Largest number of the part's pictures that one of the others confirms; 0 if none agrees."""
     found = (_agreement(part, other) for other in others if other is not part)
     return max((one.common for one in found if one.same), default=0)
+
+
+def _refuted(part: _Part, others: Sequence[_Part]) -> int:
+    """Largest number of the part's pictures over which one of the others contradicts it; 0 if none does."""
+    found = (_agreement(part, other) for other in others if other is not part)
+    return max((one.common for one in found if one.contradicts), default=0)
 
 
 def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | None, _Part | None]:
