@@ -53,6 +53,7 @@ from rholoc.maps import (
     Source,
     map_to_bytes,
 )
+from rholoc.processes import program
 from rholoc.reports import HeldOutReport, MapReport
 
 if TYPE_CHECKING:
@@ -65,6 +66,9 @@ if TYPE_CHECKING:
 _PATIENCE_S = 60.0
 for _part in ("connect", "read", "write", "pool"):
     setattr(httpx._config.DEFAULT_TIMEOUT_CONFIG, _part, _PATIENCE_S)  # bound in the signatures of httpx's functions
+
+# What is not urgent runs with a low priority: beside other tests it would hardly advance, and its own test would wait.
+program.BACKGROUND_NICENESS = 0  # before any module imports it
 
 # httpx reads the certificates of all authorities for every request that has no client: 20 ms of each of thousands.
 _create_ssl_context = httpx._transports.default.create_ssl_context
