@@ -405,6 +405,7 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rholoc.service.http.boundary._REFUSAL_TAKES_S", 0.0)
+        patch.setattr("rholoc.service.maps.map_watch._NICENESS", 0)  # it would hold the interpreter and wait for a core
         yield start
     for server, _ in started:  # all at once: one by one they wait for each other
         server.should_exit = True
