@@ -406,7 +406,8 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rholoc.service.http.boundary._REFUSAL_TAKES_S", 0.0)
-        patch.setattr("rholoc.service.maps.map_watch._NICENESS", 0)  # it would hold the interpreter and wait for a core
+        for module in ("maps.map_watch", "threads.compute"):  # they would hold the interpreter and wait for a core
+            patch.setattr(f"rholoc.service.{module}._NICENESS", 0)
         yield start
     for server, _ in started:  # all at once: one by one they wait for each other
         server.should_exit = True
