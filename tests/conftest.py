@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 import uvicorn
 from hypothesis import settings as hypothesis_settings
+from typer.main import get_command as _get_command
 
 from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.geometry import (
@@ -107,11 +108,19 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@functools.cache
+def _tree_of_commands(app: Any) -> Any:
+    """What Typer makes of a command's functions, 0.1 s each time; once for all runs in this process."""
+    return _get_command(app)
+
+
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Runs ``rholoc``: arguments → (exit status, standard output, standard error)."""
 
     from rholoc.cli import main
+
+    monkeypatch.setattr("typer.main.get_command", _tree_of_commands)
 
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["rholoc", *map(str, arguments)])
