@@ -51,13 +51,12 @@ PAINTED = """async () => {
 }"""
 
 
-def test_both_painters_draw_the_same(launch):
-    browser = launch("--enable-unsafe-swiftshader")
-    page = browser.new_page()
+def test_both_painters_draw_the_same(desk_browser):
+    page = desk_browser.new_page()
     page.route("http://page.test/**", _file)
     page.goto("http://page.test/")
     gl, plain = (np.array(one, float).reshape(200, 300, 4)[..., :3] for one in page.evaluate(PAINTED))
-    browser.close()
+    page.close()
     drawn = np.abs(plain - [0, 0, 51]).max(axis=2) > 20
     assert 0.02 < drawn.mean() < 0.5
     # edges may fall on neighbouring pixels; what is smoothed over a few of them must agree
