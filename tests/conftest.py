@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 import uvicorn
 from hypothesis import settings as hypothesis_settings
+from typer.main import get_command as _get_command
 
 from rholoc.features import FeatureSet, Metric, get_extractor
 from rholoc.geometry import (
@@ -53,6 +54,7 @@ from rholoc.maps import (
     Source,
     map_to_bytes,
 )
+from rholoc.processes import program
 from rholoc.reports import HeldOutReport, MapReport
 
 if TYPE_CHECKING:
@@ -65,6 +67,9 @@ if TYPE_CHECKING:
 _PATIENCE_S = 60.0
 for _part in ("connect", "read", "write", "pool"):
     setattr(httpx._config.DEFAULT_TIMEOUT_CONFIG, _part, _PATIENCE_S)  # bound in the signatures of httpx's functions
+
+# What is not urgent runs with a low priority: beside other tests it would hardly advance, and its own test would wait.
+program.BACKGROUND_NICENESS = 0  # before any module imports it
 
 # httpx reads the certificates of all authorities for every request that has no client: 20 ms of each of thousands.
 _create_ssl_context = httpx._transports.default.create_ssl_context
@@ -103,11 +108,19 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@functools.cache
+def _tree_of_commands(app: Any) -> Any:
+    """What Typer makes of a command's functions, 0.1 s each time; once for all runs in this process."""
+    return _get_command(app)
+
+
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
     """Runs ``rholoc``: arguments → (exit status, standard output, standard error)."""
 
     from rholoc.cli import main
+
+    monkeypatch.setattr("typer.main.get_command", _tree_of_commands)
 
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["rholoc", *map(str, arguments)])
@@ -389,6 +402,7 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
         chosen = Settings(**{**defaults, **settings})
         app = create_app(chosen)
         listener = socket.create_server(("127.0.0.1", 0))
+        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # as `rholoc serve` does: 40 ms of each request
         websockets = websocket_options(chosen.max_request_bytes)
         server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=2, **websockets))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
@@ -401,6 +415,8 @@ def serve(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeFunction]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rholoc.service.http.boundary._REFUSAL_TAKES_S", 0.0)
+        for module in ("maps.map_watch", "threads.compute"):  # they would hold the interpreter and wait for a core
+            patch.setattr(f"rholoc.service.{module}._NICENESS", 0)
         yield start
     for server, _ in started:  # all at once: one by one they wait for each other
         server.should_exit = True

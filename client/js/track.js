@@ -14,11 +14,12 @@ export class TrackStream {
 
   /** Begin a track; `errorOf` makes the error of what the service said, or of nothing. */
   static async open(address, key, begin, onTracked, errorOf, signal) {
+    if (signal?.aborted) throw errorOf();
     const socket = new WebSocket(address, key ? [PROTOCOL, KEY_PROTOCOL + key] : [PROTOCOL]);
     const stream = new TrackStream(socket, onTracked, errorOf);
     signal?.addEventListener("abort", () => stream.close(), { once: true });
     const begun = stream.#answer();
-    socket.addEventListener("open", () => socket.send(JSON.stringify({ type: "begin", ...begin })));
+    socket.addEventListener("open", () => stream.#asked && socket.send(JSON.stringify({ type: "begin", ...begin })));
     await begun;
     return stream;
   }
@@ -48,7 +49,9 @@ export class TrackStream {
 
   close() {
     this.#onTracked = () => {};
-    this.#socket.close();
+    if (this.#socket.readyState !== WebSocket.CONNECTING) return this.#socket.close();
+    this.#socket.addEventListener("open", () => this.#socket.close()); // before that, the browser would log an error
+    this.#fail();
   }
 
   /** @returns {Promise<any>} */

@@ -8,7 +8,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,47 @@ sys.path.insert(0, str(Path(__file__).parent))  # for walking_phone
 PATIENCE_MS = 120_000  # only a stuck page takes so long, or a busy machine
 
 
+class _Shared:
+    """Playwright, and browsers that several modules use: to start them takes seconds of processor time."""
+
+    def __init__(self) -> None:
+        self._open = ExitStack()
+        self._playwright: Playwright | None = None
+        self._browsers: dict[str, Browser] = {}
+
+    def playwright(self) -> Playwright:
+        if self._playwright is None:
+            self._playwright = self._open.enter_context(sync_playwright())
+        return self._playwright
+
+    def browser(self, name: str, start: Callable[[], Browser]) -> Browser:
+        """The browser of this name; ``start`` starts it if there is none any more."""
+        if name not in self._browsers or not self._browsers[name].is_connected():
+            self._browsers[name] = start()
+            self._open.callback(self._browsers[name].close)
+        return self._browsers[name]
+
+    def close(self) -> None:
+        self._playwright, self._browsers = None, {}
+        self._open.close()
+
+
+_SHARED = _Shared()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
+    """Hook of pytest: Playwright ends before tests of other folders begin, for its event loop would be in their way."""
+    yield
+    if nextitem is None or not nextitem.path.is_relative_to(Path(__file__).parent):
+        _SHARED.close()
+
+
 @pytest.fixture(scope="module")
-def playwright() -> Iterator[Playwright]:
-    """Playwright itself, gone with the module: its event loop would be in others' way. Slow pages are waited for."""
+def playwright() -> Playwright:
+    """Playwright itself. Slow pages are waited for."""
     expect.set_options(timeout=PATIENCE_MS)
-    with sync_playwright() as playwright:
-        yield playwright
+    return _SHARED.playwright()
 
 
 @pytest.fixture(scope="module")
@@ -69,13 +104,16 @@ def fake_camera(launch: Callable[..., Browser], tmp_path_factory: pytest.TempPat
 
 
 @pytest.fixture(scope="module")
-def phone_browser(fake_camera: Callable[..., Browser]) -> Iterator[Browser]:
+def phone_browser(fake_camera: Callable[..., Browser]) -> Browser:
     """A Chromium whose camera pans over a textured wall."""
-    rng = np.random.default_rng(0)
-    wall = cv2.resize(rng.integers(60, 220, (60, 160, 3), dtype=np.uint8), (1280, 480), interpolation=cv2.INTER_CUBIC)
-    browser = fake_camera([wall[:, 4 * i : 4 * i + 640] for i in range(150)])
-    yield browser
-    browser.close()
+
+    def start() -> Browser:
+        rng = np.random.default_rng(0)
+        texture = rng.integers(60, 220, (60, 160, 3), dtype=np.uint8)
+        wall = cv2.resize(texture, (1280, 480), interpolation=cv2.INTER_CUBIC)
+        return fake_camera([wall[:, 4 * i : 4 * i + 640] for i in range(150)])
+
+    return _SHARED.browser("phone", start)
 
 
 class Wire:
@@ -163,11 +201,9 @@ def wire() -> Iterator[Callable[[tuple[str, int]], Wire]]:
 
 
 @pytest.fixture(scope="module")
-def desk_browser(launch: Callable[..., Browser]) -> Iterator[Browser]:
+def desk_browser(launch: Callable[..., Browser]) -> Browser:
     """A Chromium that draws in 3-D without a graphics card."""
-    browser = launch("--enable-unsafe-swiftshader")
-    yield browser
-    browser.close()
+    return _SHARED.browser("desk", lambda: launch("--enable-unsafe-swiftshader"))
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,8 @@ import pytest
 
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
 from rholoc.recordings import GivenPoses, Recording
-from rholoc.simulation import Scene, make_test_site
+from rholoc.simulation import Scene
+from rholoc.simulation.recording import _test_site
 
 CAMERA = Camera(480, 360, 400.0, 400.0, 239.5, 179.5)
 _TEXELS_PER_M = 200.0
@@ -102,4 +103,4 @@ def wall() -> Wall:
 @pytest.fixture(scope="session")
 def site() -> Scene:
     """The demo's room by seed 0."""
-    return make_test_site(0)
+    return _test_site(0)  # the one that simulated recordings are of

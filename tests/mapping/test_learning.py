@@ -100,10 +100,30 @@ def walks(point_room: Any) -> Walks:
     return Walks(point_room, point_room.map_of(whole[:45], "first"), further, walk_of(point_room, 2, further))
 
 
-@pytest.fixture(autouse=True)
-def _points_are_features(walks: Walks, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def _points_are_features(walks: Walks) -> Iterator[None]:
     extractor = SeesPoints(walks.room, {2: walks.poses})
-    monkeypatch.setattr(learning, "get_extractor", lambda _name: extractor)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(learning, "get_extractor", lambda _name: extractor)
+        yield
+
+
+@pytest.fixture(scope="module")
+def localized(walks: Walks, _points_are_features: None) -> Map:
+    """The map that has learned the further walk, whose frames were localized; nobody may change it."""
+    return update_map(walks.map_, walks.recording)
+
+
+@pytest.fixture(scope="module")
+def aligned(walks: Walks, _points_are_features: None) -> Map:
+    """The map that has learned the further walk with a trajectory of its own; nobody may change it."""
+    return update_map(walks.map_, with_poses(walks.recording, walks.poses, TURN))
+
+
+@pytest.fixture(scope="module")
+def second(walks: Walks) -> Map:
+    """A map of every other view of the further walk."""
+    return walks.room.map_of(walks.poses[::2], "second")
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +171,7 @@ def test_a_recording_registers_itself_and_the_map_grows(walks: Walks, tmp_path: 
     assert localized_share(updated, walks.room, nearby) >= localized_share(walks.map_, walks.room, nearby)
 
 
-def test_colours_and_patches_grow_with_the_map(walks: Walks) -> None:
+def test_colours_and_patches_grow_with_the_map(walks: Walks, localized: Map) -> None:
     blue = np.tile(np.array([10, 20, 200], np.uint8), (len(walks.map_), 1))
     known = replace(walks.map_, landmarks=replace(walks.map_.landmarks, colours=blue, patches=None))
     updated = update_map(known, walks.recording)
@@ -166,18 +186,17 @@ def test_colours_and_patches_grow_with_the_map(walks: Walks) -> None:
     assert np.median(octaves[learned]) < 0.2
     left = forget_recording(updated, "walk-2")
     np.testing.assert_array_equal(left.landmarks.colours, blue)
-    assert forget_recording(update_map(walks.map_, walks.recording), "first-id").landmarks.colours is not None
+    assert forget_recording(localized, "first-id").landmarks.colours is not None
 
 
-def test_a_trajectory_of_its_own_reaches_beyond_the_map(walks: Walks) -> None:
-    updated = update_map(walks.map_, with_poses(walks.recording, walks.poses, TURN))
-    views = updated.views.positions[len(walks.map_.views) :]
+def test_a_trajectory_of_its_own_reaches_beyond_the_map(walks: Walks, aligned: Map) -> None:
+    views = aligned.views.positions[len(walks.map_.views) :]
     true = np.array([pose.position for pose in walks.poses])
     assert len(views) > 20
     assert cKDTree(true).query(views)[0].max() < 0.03
-    assert off_the_points(updated, walks.room) < 0.03
+    assert off_the_points(aligned, walks.room) < 0.03
     beyond = walks.room.walk(80, sideways_m=0.1)[54:62:2]
-    assert localized_share(walks.map_, walks.room, beyond) < localized_share(updated, walks.room, beyond) == 1
+    assert localized_share(walks.map_, walks.room, beyond) < localized_share(aligned, walks.room, beyond) == 1
 
 
 _SPEED_PX_PER_S = 500.0  # of the image to the right, then to the left, from frame to frame
@@ -200,10 +219,10 @@ class SeesRowByRow:
 
 @pytest.mark.parametrize("poses", ["aligned", "localized"])
 def test_what_a_rolling_shutter_saw_is_learned_as_if_all_rows_were_read_at_once(
-    walks: Walks, monkeypatch: pytest.MonkeyPatch, poses: str
+    walks: Walks, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, poses: str
 ) -> None:
     recording = with_poses(walks.recording, walks.poses, TURN) if poses == "aligned" else walks.recording
-    instant = update_map(walks.map_, recording)
+    instant = request.getfixturevalue(poses)
     velocities = np.zeros((len(walks.poses), 2, 3))
     velocities[:, 0, 2] = _SPEED_PX_PER_S * (-1.0) ** np.arange(len(walks.poses))
     shutter = RollingShutter(_READOUT_S, walks.room.camera.height, velocities)
@@ -220,15 +239,14 @@ def test_what_a_rolling_shutter_saw_is_learned_as_if_all_rows_were_read_at_once(
     np.testing.assert_allclose(rolling.landmarks.positions, instant.landmarks.positions, atol=1e-3)
 
 
-def test_forgetting_undoes_an_update(walks: Walks) -> None:
-    updated = update_map(walks.map_, walks.recording)
-    left = forget_recording(updated, "walk-2")
+def test_forgetting_undoes_an_update(walks: Walks, localized: Map) -> None:
+    left = forget_recording(localized, "walk-2")
     assert left.info.version == 3
     assert left.info.sources == walks.map_.info.sources
     np.testing.assert_allclose(left.landmarks.positions, walks.map_.landmarks.positions, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(left.descriptors.values, walks.map_.descriptors.values)
-    other = forget_recording(updated, "first-id")
-    assert 0 < len(other) < len(updated)
+    other = forget_recording(localized, "first-id")
+    assert 0 < len(other) < len(localized)
     assert off_the_points(other, walks.room) < 0.03
 
 
@@ -270,10 +288,9 @@ def test_a_trajectory_of_wrong_scale_is_refused_saying_by_how_much(walks: Walks)
         update_map(walks.map_, stretched)
 
 
-def test_a_recording_is_learned_once(walks: Walks) -> None:
-    updated = update_map(walks.map_, walks.recording)
+def test_a_recording_is_learned_once(walks: Walks, localized: Map) -> None:
     with pytest.raises(Conflict, match="already"):
-        update_map(updated, walks.recording)
+        update_map(localized, walks.recording)
 
 
 def test_a_map_without_memory_is_refused_and_a_broken_memory_too(walks: Walks) -> None:
@@ -299,8 +316,8 @@ def test_a_name_that_several_recordings_have_is_not_enough(walks: Walks) -> None
     assert len(forget_recording(updated, "first-id").info.sources) == 1
 
 
-def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) -> None:
-    other = move_map(walks.room.map_of(walks.poses, "second"), TURN)
+def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks, second: Map) -> None:
+    other = move_map(second, TURN)
     merged = merge_maps(walks.map_, other)
     assert [source.name for source in merged.info.sources] == ["first", "second"]
     assert merged.info.id not in (walks.map_.info.id, other.info.id)
@@ -318,28 +335,26 @@ def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks) ->
 
 
 def merged_with_third(walks: Walks, other: Map) -> Map:
-    third = walks.room.map_of(walks.room.walk(80, sideways_m=-0.1)[20:50], "third")
+    third = walks.room.map_of(walks.room.walk(80, sideways_m=-0.1)[20:50:2], "third")
     return merge_maps(other, third)
 
 
-def test_merging_refuses_what_does_not_fit(walks: Walks, another_room: Any) -> None:
-    elsewhere = another_room.map_of(walks.poses, "elsewhere")
+def test_merging_refuses_what_does_not_fit(walks: Walks, another_room: Any, second: Map) -> None:
+    elsewhere = another_room.map_of(walks.poses[::2], "elsewhere")
     with pytest.raises(MappingFailed, match="0 of 12 frames"):
         merge_maps(walks.map_, elsewhere)
-    other = walks.room.map_of(walks.poses, "second")
     with pytest.raises(MappingFailed, match=r"disagree: \d+ cm"):
-        merge_maps(walks.map_, move_map(other, Similarity(1.5, np.eye(3), np.zeros(3))))
+        merge_maps(walks.map_, move_map(second, Similarity(1.5, np.eye(3), np.zeros(3))))
     with pytest.raises(Conflict, match="all that the second does"):
         merge_maps(walks.map_, walks.map_)
     with pytest.raises(InvalidInput, match="different features, gray and lab"):
-        merge_maps(walks.map_, replace(other, info=replace(other.info, features="lab")))
+        merge_maps(walks.map_, replace(second, info=replace(second.info, features="lab")))
     with pytest.raises(InvalidInput, match="tensor"):
-        merge_maps(walks.map_, replace(other, info=replace(other.info, density=DensityKind.TENSOR)))
+        merge_maps(walks.map_, replace(second, info=replace(second.info, density=DensityKind.TENSOR)))
 
 
-def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks) -> None:
-    other = walks.room.map_of(walks.poses, "second")
-    loose = replace(other, info=replace(other.info, metric=False))
+def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks, second: Map) -> None:
+    loose = replace(second, info=replace(second.info, metric=False))
     merged = merge_maps(walks.map_, move_map(loose, Similarity(0.4, TURN.rotation, TURN.translation)))
     assert off_the_points(merged, walks.room) < 0.03
     assert np.percentile(walks.room.patch_errors(merged)[1], 95) < 0.3

@@ -266,6 +266,36 @@ test("a track is begun, answers each frame, and says what broke it off", async (
   await assert.rejects(stream.frame(0.7, new Uint8Array(3)), { code: "unreachable", message: "The connection broke off." });
 });
 
+test("a track that is ended before it is connected is closed once it is, without a word", async (context) => {
+  const sockets = [];
+  class Socket extends EventTarget {
+    static CONNECTING = 0;
+    readyState = Socket.CONNECTING;
+    did = [];
+    constructor() {
+      super();
+      sockets.push(this);
+    }
+    send = () => this.did.push("sent");
+    close = () => this.did.push(this.readyState === Socket.CONNECTING ? "broken off" : "closed");
+  }
+  const real = globalThis.WebSocket;
+  globalThis.WebSocket = /** @type {any} */ (Socket);
+  context.after(() => (globalThis.WebSocket = real));
+  const rholoc = new Client("https://rholoc.example");
+  const stopping = new AbortController();
+  const track = rholoc.track("hall", {}, () => {}, stopping);
+  stopping.abort();
+  await assert.rejects(track, { code: "unreachable" });
+  const [socket] = sockets;
+  assert.deepEqual(socket.did, []);
+  socket.readyState = 1;
+  socket.dispatchEvent(new Event("open"));
+  assert.deepEqual(socket.did, ["closed"]);
+  await assert.rejects(rholoc.track("hall", {}, () => {}, stopping), { code: "unreachable" });
+  assert.equal(sockets.length, 1);
+});
+
 test("an upload goes on from the last byte that the server has", async () => {
   const server = new Uint8Array(5 * 2 ** 20);
   let [offset, broken] = [0, 0];

@@ -14,8 +14,11 @@ from enum import Enum
 import numpy as np
 
 from rholoc.geometry import BoolArray, ByteArray, FloatArray
+from rholoc.lazy import lazy
 
 _TOUCHING_M = 1e-6
+_NEAR_M = 1e-3  # a line that passes a box's extent at this distance does not meet the box, however it is rounded
+_CORNERS = np.stack(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"), axis=-1).reshape(-1, 3)
 FACE_NAMES = ("x+", "y+", "x-", "y-", "z+", "z-")
 
 
@@ -60,7 +63,7 @@ class Face:
         """Length of ``down`` [m]."""
         return float(np.linalg.norm(self.down))
 
-    @property
+    @lazy
     def normal(self) -> FloatArray:
         """The unit normal (3,), towards the side from which the face is seen."""
         normal = np.cross(self.down, self.right)
@@ -89,17 +92,33 @@ class Box:
     paints: dict[str, Paint]
     piece: str = ""
 
-    @property
+    @lazy
     def axes(self) -> FloatArray:
         """The box's unit axes as rows (3, 3), map frame."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
-    @property
+    @lazy
     def corners(self) -> FloatArray:
         """Corners (8, 3) [m], map frame, x of the box counting slowest."""
-        signs = np.stack(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"), axis=-1).reshape(-1, 3)
-        return np.asarray(self.centre + (signs * self.size) @ self.axes)
+        return np.asarray(self.centre + (_CORNERS * self.size) @ self.axes)
+
+    def cuts(self, start: FloatArray, end: FloatArray, margin: float) -> BoolArray:
+        """Mask (N,) of the lines from points ``start`` to points ``end`` (N, 3) that pass through the box, less
+        ``margin`` of them at either end.
+        """
+        axes = self.axes.astype(np.float32)
+        half = (0.5 * self.size).astype(np.float32)
+        near = np.full(len(start), margin, dtype=np.float32)
+        far = np.full(len(start), 1 - margin, dtype=np.float32)
+        for axis in range(3):
+            origin = (start - self.centre.astype(np.float32)) @ axes[axis]
+            step = (end - start) @ axes[axis]
+            step = np.where(np.abs(step) < 1e-9, np.float32(1e-9), step)
+            first, second = (-half[axis] - origin) / step, (half[axis] - origin) / step
+            near = np.maximum(near, np.minimum(first, second))
+            far = np.minimum(far, np.maximum(first, second))
+        return np.asarray(far - near > margin)
 
     def faces(self, inside: bool = False) -> list[Face]:
         """The painted faces in the order of ``paints``, seen from outside or from ``inside``."""
@@ -144,21 +163,16 @@ class Scene:
         it at either end.
         """
         start, end = np.broadcast_arrays(np.asarray(start, np.float32), np.asarray(end, np.float32))
-        hit = np.zeros(start.shape[:-1], dtype=bool)
+        shape, start, end = start.shape[:-1], start.reshape(-1, 3), end.reshape(-1, 3)
+        low, high = np.minimum(start, end).T.copy(), np.maximum(start, end).T.copy()  # (3, N)
+        hit = np.zeros(len(start), dtype=bool)
         for box in self.boxes:
-            axes = box.axes.astype(np.float32)
-            half = (0.5 * box.size).astype(np.float32)
-            near = np.full(hit.shape, margin, dtype=np.float32)
-            far = np.full(hit.shape, 1 - margin, dtype=np.float32)
-            for axis in range(3):
-                origin = (start - box.centre.astype(np.float32)) @ axes[axis]
-                step = (end - start) @ axes[axis]
-                step = np.where(np.abs(step) < 1e-9, np.float32(1e-9), step)
-                first, second = (-half[axis] - origin) / step, (half[axis] - origin) / step
-                near = np.maximum(near, np.minimum(first, second))
-                far = np.minimum(far, np.maximum(first, second))
-            hit |= far - near > margin
-        return hit
+            near = ~hit
+            for axis, (least, most) in enumerate(zip(box.corners.min(axis=0), box.corners.max(axis=0), strict=True)):
+                near &= (low[axis] < most + _NEAR_M) & (high[axis] > least - _NEAR_M)
+            rows = np.flatnonzero(near)
+            hit[rows] = box.cuts(start[rows], end[rows], margin)
+        return hit.reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)

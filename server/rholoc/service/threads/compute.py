@@ -126,8 +126,8 @@ class ComputePool:
         for lane in self._lanes.values():
             lane.close()
         deadline_s = time.monotonic() + _CLOSE_TIMEOUT_S
-        for thread in compute_threads():
-            thread.join(max(0.0, deadline_s - time.monotonic()))
+        for lane in self._lanes.values():
+            lane.join(deadline_s)
 
 
 def compute_threads() -> list[threading.Thread]:
@@ -163,7 +163,9 @@ class _Lane:
     """Threads, and a queue for each client. It needs no lock, because only the event loop's thread uses it."""
 
     def __init__(self, name: str, concurrency: int, queue_length: int, prepare: Callable[[], None]) -> None:
-        self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix=name, initializer=prepare)
+        self._threads: list[threading.Thread] = []
+        self._prepare = prepare
+        self._executor = ThreadPoolExecutor(concurrency, thread_name_prefix=name, initializer=self._begin_thread)
         self._concurrency = concurrency
         self._queue_length = queue_length
         self._mean_s = _FIRST_GUESS_S
@@ -251,8 +253,17 @@ class _Lane:
             self._used_s, self._served_s = {}, 0.0
         self._dispatch(loop)
 
+    def _begin_thread(self) -> None:
+        self._threads.append(threading.current_thread())
+        self._prepare()
+
     def close(self) -> None:
         self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def join(self, deadline_s: float) -> None:
+        """Wait for running work until ``deadline_s`` of the monotonic clock; other pools' threads do not matter."""
+        for thread in self._threads:
+            thread.join(max(0.0, deadline_s - time.monotonic()))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +29,7 @@ _MAX_APART_RAD = np.radians(6.0)  # between a camera's rotation and the gyroscop
 _MAX_GAP_S = 0.1  # between readings; also this many median intervals
 _MAX_GAP_INTERVALS = 5
 _DRIFT_RAD_S = np.radians(0.1)  # … plus this for every second
+_MAX_AT_ONCE = 50_000  # orientations in memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,9 +121,8 @@ def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArr
     for fine in (False, False, True):
         slerp = Slerp(imu.times, orientations(imu, bias))
         fits = []
-        for candidate in (offset + _FINE_OFFSETS_S if fine else offsets).tolist():
-            turned = slerp(t + candidate)
-            gyro = (turned[:-1].inv() * turned[1:]).as_rotvec()
+        candidates = offset + _FINE_OFFSETS_S if fine else offsets
+        for candidate, gyro in zip(candidates.tolist(), _turns(slerp, t, candidates), strict=True):
             mounting = imu.R_camera_imu if imu.R_camera_imu is not None else aligning_rotation(gyro, camera)
             remaining = gyro - camera @ mounting
             drift = np.median(remaining / spans[:, None], axis=0)
@@ -141,6 +143,15 @@ def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArr
         0.0 if imu.R_camera_imu is not None else _mounting_sigma_deg(camera, sigma),
         float(np.degrees(typical)),
     )
+
+
+def _turns(slerp: Slerp, t: FloatArray, offsets: FloatArray) -> Iterator[FloatArray]:
+    """For each of the time offsets, the rotation vectors (N - 1, 3) between orientations at the times ``t`` (N,)."""
+    for some in np.array_split(offsets, math.ceil(len(offsets) * len(t) / _MAX_AT_ONCE)):
+        turned = slerp((some[:, None] + t).ravel())
+        vectors = np.zeros((len(some) * len(t), 3))
+        vectors[:-1] = (turned[:-1].inv() * turned[1:]).as_rotvec()
+        yield from vectors.reshape(len(some), len(t), 3)[:, :-1]
 
 
 def camera_rotations(imu: Imu, gyro: GyroCalibration, times: FloatArray) -> Rotation:
