@@ -23,7 +23,7 @@ serve: $(INSTALLED)
 # Where the environment forbids bytecode, each of hundreds of processes would compile every module anew.
 test test-all figures: export OPENBLAS_NUM_THREADS = 1
 test test-all figures: export OMP_NUM_THREADS = 1
-test test test-all: export PYTHONDONTWRITEBYTECODE =
+test test-all: export PYTHONDONTWRITEBYTECODE =
 # Databases wait for the disk longer than most tests compute: their files are kept in memory where 8 GB are free.
 MEMORY := $(shell [ "$$(df --output=avail /dev/shm 2>/dev/null | tail -1)" -gt 8000000 ] 2>/dev/null && echo /dev/shm)
 test test-all: export TMPDIR := $(or $(TMPDIR),$(MEMORY),/tmp)
