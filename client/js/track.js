@@ -49,7 +49,10 @@ export class TrackStream {
 
   close() {
     this.#onTracked = () => {};
-    if (this.#socket.readyState !== WebSocket.CONNECTING) return this.#socket.close();
+    if (this.#socket.readyState !== WebSocket.CONNECTING) {
+      this.#socket.close();
+      return;
+    }
     this.#socket.addEventListener("open", () => this.#socket.close()); // before that, the browser would log an error
     this.#fail();
   }

@@ -110,6 +110,13 @@ def test_what_shows_nothing_has_no_observations() -> None:
         Evidence(_NOTHING, [], [], []).observations(_sights(2))
 
 
+def test_photos_that_share_nothing_need_no_slower_walk() -> None:
+    sights = _sights(2)
+    photos = replace(sights, is_film=False, flow=replace(sights.flow, timed=False))
+    with pytest.raises(MappingFailed, match="No two pictures overlap enough. Take more pictures in between"):
+        Evidence(_NOTHING, [], [], []).observations(photos)
+
+
 def test_some_of_the_keyframes_keep_their_own() -> None:
     sights = replace(_sights(5), features=[_features(np.full((1, 2), k)) for k in range(5)])
     some = sights.take(np.array([1, 4]))
