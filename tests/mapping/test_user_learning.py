@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -22,6 +23,7 @@ from rholoc.mapping.learn.answered_query import AnsweredQuery
 from rholoc.mapping.learn.expected_sightings import Sights, agreeing
 from rholoc.mapping.learn.from_queries import learn_from_queries
 from rholoc.maps import Map, map_to_bytes, without_memory
+from rholoc.reports import QueriesReport, report_from_json, report_to_json
 
 HOUR_S = 3600.0
 
@@ -127,6 +129,13 @@ def test_the_report_says_what_was_learned(learned: Map, queries: list[AnsweredQu
     assert report.queries.recall_after >= report.queries.recall_before
     assert report.features_new is not None
     assert report.features_new > 0
+
+
+def test_a_report_reads_back_where_nothing_held_back_was_found(room_map: Map) -> None:
+    """Medians of nothing were written as null, which was no number: the map could not be opened again."""
+    none = user_learning._answers(Localizer(room_map), [])
+    report = QueriesReport(30, 30, 3, 2, 0, 0, none.recall, none.recall, none.median_m, none.median_m)
+    assert report_from_json(QueriesReport, json.loads(json.dumps(report_to_json(report)))) == report
 
 
 def test_the_changed_room_is_found_again(room_map: Map, learned: Map, changed_room: Any) -> None:

@@ -96,7 +96,7 @@ class QueriesReport:
         features_forgotten: how many features many of them should have seen and did not.
         held_back: how many it did not learn from, but was asked before and after.
         recall_before, recall_after: the share of those, whole and by halves, that were found within 5 cm and 5°.
-        median_before_m, median_after_m: of the errors of those found.
+        median_before_m, median_after_m: of the errors of those found; None where none was.
     """
 
     kept: int
@@ -107,8 +107,8 @@ class QueriesReport:
     held_back: int
     recall_before: float
     recall_after: float
-    median_before_m: float
-    median_after_m: float
+    median_before_m: float | None
+    median_after_m: float | None
     contradicted: int = 0
 
 

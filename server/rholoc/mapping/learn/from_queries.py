@@ -399,13 +399,13 @@ class _Answers:
         asked: number of queries.
         right: number of answers within 5 cm and 5°.
         wrong: number of answers off by more than 25 cm or 10°.
-        median_m: median error of the answers; infinite if there are none.
+        median_m: median error of the answers; None if there are none.
     """
 
     asked: int
     right: int
     wrong: int
-    median_m: float
+    median_m: float | None
 
     @property
     def recall(self) -> float:
@@ -421,7 +421,7 @@ def _answers(localizer: Localizer, frames: Sequence[tuple[Camera, FloatArray, Fe
             errors.append(pose_distances(pose.T_map_camera, T))
     distances, angles = np.array(errors).reshape(-1, 2).T
     right = int(((distances < _RIGHT_M) & (angles < _RIGHT_RAD)).sum())
-    median_m = float(np.median(distances)) if len(errors) else np.inf
+    median_m = float(np.median(distances)) if len(errors) else None
     wrong = int(((distances > _WRONG_M) | (angles > _WRONG_RAD)).sum())
     return _Answers(len(frames), right, wrong, median_m)
 
@@ -462,6 +462,8 @@ def _check_no_worse(before: _Answers, after: _Answers, of: str) -> None:
             f"wrongly, and places {before.right} and {before.wrong}.",
             "The map is unchanged.",
         )
+    if before.median_m is None or after.median_m is None:
+        return
     if after.median_m > before.median_m + _WORSE_M:
         raise MappingFailed(
             f"The map would be less exact: it would place {of} to {1000 * after.median_m:.0f} mm in the median, and "
