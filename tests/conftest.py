@@ -69,7 +69,7 @@ for _part in ("connect", "read", "write", "pool"):
     setattr(httpx._config.DEFAULT_TIMEOUT_CONFIG, _part, _PATIENCE_S)  # bound in the signatures of httpx's functions
 
 # What is not urgent runs with a low priority: beside other tests it would hardly advance, and its own test would wait.
-program.BACKGROUND_NICENESS = 0  # before any module imports it
+program.BACKGROUND_NICENESS = 0  # before a module copies it
 
 # httpx reads the certificates of all authorities for every request that has no client: 20 ms of each of thousands.
 _create_ssl_context = httpx._transports.default.create_ssl_context
@@ -110,7 +110,9 @@ def pytest_collection_finish() -> None:
 
 @functools.cache
 def _tree_of_commands(app: Any) -> Any:
-    """What Typer makes of a command's functions, 0.1 s each time; once for all runs in this process."""
+    """What Typer makes of a command's functions, 0.1 s each time; once for all runs in this process, for nothing
+    changes them.
+    """
     return _get_command(app)
 
 

@@ -94,7 +94,7 @@ export class Client {
    * @param {{camera?: object, dof?: string | number}} begin what holds for all frames
    * @param {(tracked: any) => void} onTracked hears what is known of the camera whenever that changes
    * @param {{signal?: AbortSignal}} how the signal ends it
-   * @throws {RholocError} what the service objects to, or that it cannot be reached
+   * @throws {RholocError} what the service objects to, or `unreachable`, also if the signal ends it while it connects
    */
   track(map, begin, onTracked, { signal } = {}) {
     const address = this.url(path`v1/maps/${map}/track`);

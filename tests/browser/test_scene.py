@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,11 +54,10 @@ PAINTED = """async () => {
 
 
 def test_both_painters_draw_the_same(desk_browser):
-    page = desk_browser.new_page()
-    page.route("http://page.test/**", _file)
-    page.goto("http://page.test/")
-    gl, plain = map(_pixels, page.evaluate(PAINTED))
-    page.close()
+    with closing(desk_browser.new_page()) as page:
+        page.route("http://page.test/**", _file)
+        page.goto("http://page.test/")
+        gl, plain = map(_pixels, page.evaluate(PAINTED))
     drawn = np.abs(plain - [0, 0, 51]).max(axis=2) > 20
     assert 0.02 < drawn.mean() < 0.5
     # edges may fall on neighbouring pixels; what is smoothed over a few of them must agree

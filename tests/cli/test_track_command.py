@@ -158,6 +158,7 @@ from rholoc.cli import main
 
 for arguments in json.loads(sys.argv[1]):
     sys.argv = ["rholoc", *arguments]
+    print(sys.argv, file=sys.stderr)
     try:
         main()
     except SystemExit as ended:

@@ -131,6 +131,14 @@ def test_the_report_says_what_was_learned(learned: Map, queries: list[AnsweredQu
     assert report.features_new > 0
 
 
+@pytest.mark.parametrize(("before", "after", "refused"), [(None, 0.1, False), (0.1, None, True), (None, None, False)])
+def test_a_map_that_finds_nothing_any_more_is_refused(before: float | None, after: float | None, refused: bool) -> None:
+    """Of queries that were neither right nor wrong before."""
+    answers = [user_learning._Answers(20, 0, 0, median_m) for median_m in (before, after)]
+    with pytest.raises(MappingFailed, match="none of 20 queries any more") if refused else nullcontext():
+        user_learning._check_no_worse(*answers, "queries")
+
+
 def test_a_report_reads_back_where_nothing_held_back_was_found(room_map: Map) -> None:
     """Medians of nothing were written as null, which was no number: the map could not be opened again."""
     none = user_learning._answers(Localizer(room_map), [])

@@ -146,9 +146,7 @@ def write_mars(folder: Path) -> None:
 def write_mars_ios(folder: Path) -> None:
     _, _, rate, felt = truth(imu_times)
     write_video(folder / "movie.mp4")
-    header = (
-        "#Recording starts at Mon\nTimestamp[sec], gx[rad/s], gy[rad/s], gz[rad/s], ax[m/s^2], ay[m/s^2], az[m/s^2]"
-    )
+    header = "#Recording starts\nTimestamp [seconds], gx[rad/s], gy[rad/s], gz[rad/s], ax[m/s^2], ay[m/s^2], az[m/s^2]"
     write_rows(folder / "raw_accel_gyro.csv", header, np.column_stack([imu_times, rate, felt]).tolist(), ", ")
     header = "Timestamp[sec], fx[px], fy[px], cx[px], cy[px], exposure duration[sec]"
     write_rows(folder / "movie_metadata.csv", header, [[t, *INTRINSICS, 0.01] for t in frame_times], ", ")

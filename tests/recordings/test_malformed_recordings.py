@@ -184,6 +184,7 @@ REFUSED: list[tuple[str, Callable[[Path], Path], str, str]] = [
     ("NaN in an IMU", edited("rholoc", "imu.csv", cell(9, 3, "NaN")), "invalid_recording", "imu.csv, row 10: 'NaN' under az"),
     ("NaN in an IMU, MARS logger", edited("mars-android", "gyro_accel.csv", cell(5, 2, "nan")), "invalid_recording", "'nan' under gy"),
     ("times in an unknown unit, MARS logger", edited("mars-android", "gyro_accel.csv", cell(0, 0, "Timestamp[millisec]")), "invalid_recording", "times in [millisec]"),
+    ("a unit of any length, MARS logger", edited("mars-android", "gyro_accel.csv", cell(0, 0, f"Timestamp[{'m' * 300}]")), "invalid_recording", f"times in [{'m' * 20}]"),
     ("infinity in a gyroscope, ADVIO", edited("advio", "iphone/gyro.csv", cell(3, 1, "inf")), "invalid_recording", "'inf' under column 2"),
     ("a gyroscope beyond all bounds", edited("opencamera", "20260101_101010/VID_1_gyro.csv", cell(3, 1, "-1e308")), "invalid_recording", "reads 1e+308"),
     ("a number of a million digits", edited("android-csv", "gyroscope.csv", cell(3, 1, "7" * 10**6)), "invalid_recording", "is not a finite number"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import sys
 import threading
 import time
 from collections import Counter
@@ -13,6 +15,7 @@ from rholoc.errors import Busy
 from rholoc.service.caller import CLIENT
 from rholoc.service.threads import compute
 from rholoc.service.threads.compute import ComputePool, Effort
+from rholoc.service.threads.niceness import make_thread_nice
 
 
 def work_for(seconds: float):
@@ -133,6 +136,37 @@ def test_a_full_queue_has_room_for_a_client_that_has_less_in_it():
         pool.close()
 
     asyncio.run(main())
+
+
+def test_a_pool_that_ends_does_not_wait_for_another_ones_work():
+    async def main() -> float:
+        busy, idle = ComputePool(2, 16), ComputePool(2, 16)
+        working = asyncio.create_task(busy.run(lambda: time.sleep(2)))
+        await ask(idle, "anyone", 0.001)
+        begun_s = time.perf_counter()
+        idle.close()
+        took_s = time.perf_counter() - begun_s
+        await working
+        busy.close()
+        return took_s
+
+    assert asyncio.run(main()) < 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have no priorities of their own")
+def test_what_is_nicer_already_stays_so():
+    """Without root's rights a service that ran by ``nice`` could not raise its threads' priority, and lost them."""
+    found = []
+
+    def work() -> None:
+        for niceness in (7, 5):
+            make_thread_nice(niceness)
+            found.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [max(7, os.getpriority(os.PRIO_PROCESS, 0))] * 2
 
 
 def test_a_lone_client_has_all_threads_whatever_its_frames_cost(monkeypatch):

@@ -14,7 +14,6 @@ from PIL import Image
 from rholoc.errors import InvalidInput, UnknownRecording
 from rholoc.library.maps import MapLibrary
 from rholoc.library.recordings import RecordingStore
-from rholoc.localization import MapFinder
 from rholoc.maps import FloorPlan
 from rholoc.maps.floor_plan import check_plan
 from rholoc.service.settings import KeyPolicy
@@ -90,9 +89,9 @@ def test_a_picture_is_refused_by_its_header_before_it_is_decoded(running, pictur
     assert not decoded
 
 
-def test_a_large_site_is_stored(serve, picture_world, monkeypatch):
-    monkeypatch.setattr(MapFinder, "refresh", lambda *_: None)  # 600 maps' views are beside the point
+def test_a_large_site_is_stored(serve, picture_world):
     running = serve()
+    running.app.state.rholoc.operation.watch.stop()  # 600 maps' views are beside the point
     names = [f"m{number}" for number in range(600)]
     content = picture_world.rho()
     for name in names:

@@ -51,7 +51,7 @@ export class Client {
      * @param {{camera?: object, dof?: string | number}} begin what holds for all frames
      * @param {(tracked: any) => void} onTracked hears what is known of the camera whenever that changes
      * @param {{signal?: AbortSignal}} how the signal ends it
-     * @throws {RholocError} what the service objects to, or that it cannot be reached
+     * @throws {RholocError} what the service objects to, or `unreachable`, also if the signal ends it while it connects
      */
     track(map: string, begin: {
         camera?: object;

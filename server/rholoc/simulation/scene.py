@@ -104,8 +104,8 @@ class Box:
         return np.asarray(self.centre + (_CORNERS * self.size) @ self.axes)
 
     def cuts(self, start: FloatArray, end: FloatArray, margin: float) -> BoolArray:
-        """Mask (N,) of the lines from points ``start`` to points ``end`` (N, 3) that pass through the box, less
-        ``margin`` of them at either end.
+        """Mask (N,) of the lines from points ``start`` to points ``end`` (N, 3) that pass through the box, without
+        the share ``margin`` at either end.
         """
         axes = self.axes.astype(np.float32)
         half = (0.5 * self.size).astype(np.float32)
@@ -167,10 +167,10 @@ class Scene:
         low, high = np.minimum(start, end).T.copy(), np.maximum(start, end).T.copy()  # (3, N)
         hit = np.zeros(len(start), dtype=bool)
         for box in self.boxes:
-            near = ~hit
+            candidates = ~hit
             for axis, (least, most) in enumerate(zip(box.corners.min(axis=0), box.corners.max(axis=0), strict=True)):
-                near &= (low[axis] < most + _NEAR_M) & (high[axis] > least - _NEAR_M)
-            rows = np.flatnonzero(near)
+                candidates &= (low[axis] < most + _NEAR_M) & (high[axis] > least - _NEAR_M)
+            rows = np.flatnonzero(candidates)
             hit[rows] = box.cuts(start[rows], end[rows], margin)
         return hit.reshape(shape)
 

@@ -53,7 +53,7 @@ def test_boxes_stand_in_their_rooms_and_do_not_overlap(seed: int) -> None:
     samples = np.random.default_rng(0).uniform(-0.499, 0.499, (60, 3))
     for name, room in zip(made.names, made.rooms, strict=True):
         centres, sizes, axes = (
-            np.array([getattr(box, what) for box in room.boxes]) for what in ("centre", "size", "axes")
+            np.array([getattr(box, attribute) for box in room.boxes]) for attribute in ("centre", "size", "axes")
         )
         for i, box in enumerate(room.boxes):
             points = box.centre + (samples * box.size) @ box.axes

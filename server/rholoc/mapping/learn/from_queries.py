@@ -452,8 +452,8 @@ def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, Fe
 
 def _check_no_worse(before: _Answers, after: _Answers, of: str) -> None:
     """Compare answers before and after learning. ``of`` names the test queries in messages. Raises MappingFailed: fewer
-    answers are right, a further wrong one is not outweighed by three right ones, or the median error grew by more than
-    a centimetre.
+    answers are right, a further wrong one is not outweighed by three right ones, nothing is found any more, or the
+    median error grew by more than a centimetre.
     """
     gained = after.right - before.right
     if gained < 0 or _RIGHT_PER_WRONG * (after.wrong - before.wrong) > gained:
@@ -462,8 +462,10 @@ def _check_no_worse(before: _Answers, after: _Answers, of: str) -> None:
             f"wrongly, and places {before.right} and {before.wrong}.",
             "The map is unchanged.",
         )
-    if before.median_m is None or after.median_m is None:
+    if before.median_m is None:
         return
+    if after.median_m is None:
+        raise MappingFailed(f"The map would find none of {before.asked} {of} any more.", "The map is unchanged.")
     if after.median_m > before.median_m + _WORSE_M:
         raise MappingFailed(
             f"The map would be less exact: it would place {of} to {1000 * after.median_m:.0f} mm in the median, and "

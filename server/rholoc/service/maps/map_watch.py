@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-import os
 import threading
 
 from rholoc.localization import MapFinder
+from rholoc.service.threads.niceness import make_thread_nice
 
 _EVERY_S = 1.0
 _STOP_S = 5.0
@@ -38,8 +38,7 @@ class MapWatch:
             self._finder.close()
 
     def _run(self) -> None:
-        if hasattr(os, "setpriority"):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+        make_thread_nice(_NICENESS)
         said = ""
         while not self._stopped.is_set():
             try:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import math
-import os
-import sys
 import threading
 import time
 from collections import deque
@@ -23,6 +21,7 @@ import faiss
 
 from rholoc.errors import Busy
 from rholoc.service.caller import CLIENT
+from rholoc.service.threads.niceness import make_thread_nice
 
 _T = TypeVar("_T")
 _SMOOTHING = 0.2  # weight of the newest duration in the running mean
@@ -261,7 +260,7 @@ class _Lane:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def join(self, deadline_s: float) -> None:
-        """Wait for running work until ``deadline_s`` of the monotonic clock; other pools' threads do not matter."""
+        """Wait until ``deadline_s`` [monotonic clock] for the threads of this lane."""
         for thread in self._threads:
             thread.join(max(0.0, deadline_s - time.monotonic()))
 
@@ -291,7 +290,6 @@ def _keep_to_one_core() -> None:
 
 
 def lower_priority() -> None:
-    """Let faiss in this thread, and OpenCV, use one core; on Linux also lower the thread's priority."""
+    """Let faiss in this thread, and OpenCV, use one core; also lower the thread's priority."""
     _keep_to_one_core()
-    if sys.platform == "linux":  # which has priorities per thread
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+    make_thread_nice(_NICENESS)

@@ -147,11 +147,11 @@ def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArr
 
 def _turns(slerp: Slerp, t: FloatArray, offsets: FloatArray) -> Iterator[FloatArray]:
     """For each of the time offsets, the rotation vectors (N - 1, 3) between orientations at the times ``t`` (N,)."""
-    for some in np.array_split(offsets, math.ceil(len(offsets) * len(t) / _MAX_AT_ONCE)):
-        turned = slerp((some[:, None] + t).ravel())
-        vectors = np.zeros((len(some) * len(t), 3))
+    for batch in np.array_split(offsets, min(len(offsets), math.ceil(len(offsets) * len(t) / _MAX_AT_ONCE))):
+        turned = slerp((batch[:, None] + t).ravel())
+        vectors = np.zeros((len(batch) * len(t), 3))
         vectors[:-1] = (turned[:-1].inv() * turned[1:]).as_rotvec()
-        yield from vectors.reshape(len(some), len(t), 3)[:, :-1]
+        yield from vectors.reshape(len(batch), len(t), 3)[:, :-1]
 
 
 def camera_rotations(imu: Imu, gyro: GyroCalibration, times: FloatArray) -> Rotation:

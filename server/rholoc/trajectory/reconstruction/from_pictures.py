@@ -330,17 +330,17 @@ def _is_loose(found: Reconstruction) -> bool:
 
 
 def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
-    """The part of which another one confirms most; of equal ones the metric, then the smallest, which adds least. Where
-    less than half of all ``count`` pictures are confirmed, the largest of equal ones of which no other part contradicts
-    more than is confirmed.
+    """The part with the most pictures confirmed by another part. Ties: parts in metres first, then the smallest, which
+    adds least. If less than half of all ``count`` pictures are confirmed: parts of which no other one contradicts more
+    pictures than are confirmed first, then those in metres, then the largest.
     """
     confirmed = [_confirmed(part, parts) for part in parts]
     few = 2 * max(confirmed) < count
 
     def order(k: int) -> tuple[int, bool, bool, int]:
         part, much = parts[k], confirmed[k]
-        doubtful = few and 0 < much < _refuted(part, parts)
-        return much, part.in_metres, not doubtful, len(part.members) if few else -len(part.members)
+        refuted = few and 0 < much < _refuted(part, parts)  # a part of it may be right, but not the whole
+        return much, not refuted, part.in_metres, len(part.members) if few else -len(part.members)
 
     return parts[max(range(len(parts)), key=order)]
 

@@ -127,7 +127,7 @@ class Evidence:
         matched = matched.thinned(round(share * features))
         found = self.corners.thinned(round(share * _CORNERS_PER_KEYFRAME)).joined(matched)
         if len(found) == 0:
-            if not sights.flow.timed:
+            if not (sights.is_film or sights.flow.timed):
                 raise MappingFailed("No two pictures overlap enough.", DENSER)
             raise MappingFailed("The pictures show nothing that could be followed from one to the next.", ADVICE)
         return found

@@ -29,8 +29,8 @@ TABLES = ("*.csv", "frame_timestamps.txt")
 _IMU = ("timestamp", "gx", "gy", "gz", "ax", "ay", "az")
 _FRAMES = ("timestamp", "fx", "fy")
 _READOUT = "frame readout time"  # nanoseconds
-_STATED_UNIT = re.compile(r"timestamp\s*\[([^\]]*)\]")
-_UNITS = {"sec": "s", "s": "s", "nanosec": "ns", "ns": "ns"}
+_STATED_UNIT = re.compile(r"timestamp\s*\[\s*([^\]\s]+)\s*\]")
+_UNITS = {"sec": "s", "seconds": "s", "s": "s", "nanosec": "ns", "nanoseconds": "ns", "ns": "ns"}
 
 
 def recognises(folder: Path) -> bool:
@@ -76,14 +76,14 @@ def _with_columns(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 def _unit(path: Path) -> str:
     """Unit of times by the first line with ``Timestamp[…]``. Raises InvalidRecording if there is no such line, or the
-    unit is none that the app writes.
+    unit is neither seconds nor nanoseconds.
     """
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         stated = next((found[1] for line in file if (found := _STATED_UNIT.search(line.lower()))), None)
     if stated is None:
         raise InvalidRecording(f"{path.name} does not say the unit of its times.")
     if stated not in _UNITS:
-        raise InvalidRecording(f"{path.name} has times in [{stated}]. Write them in [sec] or [nanosec].")
+        raise InvalidRecording(f"{path.name} has times in [{stated[:20]}]. Write them in [sec] or [nanosec].")
     return _UNITS[stated]
 
 
