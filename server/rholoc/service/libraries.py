@@ -216,7 +216,7 @@ class AsyncRecordings:
         return self.sync.get(recording), self.sync.notes(recording)
 
     def _correct(self, recording: str, waypoints: tuple[RecordedWaypoint, ...] | None) -> NotedRecording:
-        """Replace a recording's waypoints; None: its own. Raises UnknownRecording, InvalidWaypoints, StorageFull."""
+        """Replace a recording's waypoints; None: by its own. Raises UnknownRecording, InvalidWaypoints, StorageFull."""
         notes = read_notes(self.sync.notes(recording))
         corrected = None if waypoints is None else waypoints_file(waypoints, notes)
         self.sync.note(recording, {WAYPOINTS_FILE: corrected})
@@ -283,7 +283,7 @@ class AsyncLearning:
         return self.store.delete(self._library.map_id(name), who)
 
     def submit(self, name: str) -> Job:
-        """Queue a job by which a map learns, in a thread.
+        """Queue a job by which a map learns. Blocks: call it in a thread.
 
         Raises:
             InvalidInput: the map has no memory, or fewer than ``MIN_QUERIES`` queries are kept.
@@ -314,7 +314,7 @@ class AsyncQuotas:
 
 
 class AsyncKeys:
-    """The API keys. ``chain`` goes by memory alone."""
+    """The API keys. ``chain`` reads memory alone, and does not block."""
 
     def __init__(self, keys: KeyStore, quotas: Quotas, lanes: StorageLanes) -> None:
         self.sync, self._quotas = keys, quotas

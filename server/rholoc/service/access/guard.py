@@ -109,8 +109,9 @@ class Guard:
 
         Raises:
             CrossSite: another site sent it.
-            Unauthorized, Forbidden: it needs a key, or one that allows more, or nobody may use the route.
-            UnknownRoute, MethodNotAllowed: no route takes it; only clients that may read anything learn this.
+            Unauthorized: it needs a key, and has none or an invalid one.
+            Forbidden: its key's scope is too small, or the route declares no access.
+            UnknownRoute, MethodNotAllowed: no route takes it; only clients of at least the scope READ learn this.
             InvalidRequest: the query has a name that the route does not know.
         """
         if scope["type"] in ("http", "websocket"):
@@ -136,7 +137,7 @@ class Guard:
 
     def _receive_while_valid(self, scope: Scope, receive: Receive) -> Receive:
         """A receive function for the request's body that raises Unauthorized once its key is invalid; ``receive``
-        without a key.
+        itself for a WebSocket or without a key.
         """
         key = request_key(scope) if scope["type"] == "http" else None
         if key is None:
@@ -195,7 +196,7 @@ def _authorization(scope: Scope, headers: Headers) -> str:
 
 
 def check_query(scope: Scope, route: RouteAccess) -> None:
-    """Raise InvalidRequest for a query parameter that an API route does not know: a typing error would be ignored."""
+    """Raise InvalidRequest for a query parameter that an API route does not know, so no typing error is ignored."""
     if not route.path.startswith(API_PATHS):
         return
     given = QueryParams(scope["query_string"])

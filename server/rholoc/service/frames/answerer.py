@@ -89,9 +89,10 @@ class Answerer:
     async def localize(self, frame: Frame, maps: MapChoice, clock: Stopwatch, private: bool = False) -> LocalizationOut:
         """The most confident answer of several maps for one frame; at the deadline one without a pose.
 
-        It is counted, and shown live; of a ``private`` frame nothing is kept or learned.
+        It is counted, and shown live. Neither picture nor features of a ``private`` frame are kept.
 
         Raises:
+            DeadlineExceeded: the deadline passed while the map was being loaded.
             Busy: too many frames wait. UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors,
                 InvalidInput: what was sent is not valid.
         """
@@ -180,7 +181,7 @@ class Answerer:
         return answer
 
     async def _late(self, name: str, clock: Stopwatch) -> LocalizationOut:
-        """The answer without a pose at the deadline. Raises DeadlineExceeded if loading takes half a second more."""
+        """The answer without a pose at the deadline. Raises DeadlineExceeded if the map is not loaded 0.5 s later."""
         try:
             async with asyncio.timeout(_LOADING_GRACE_S):
                 localizer = await self.localizer(name)

@@ -77,6 +77,7 @@ def likeliest_places(
     Raises:
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
             valid; with several maps, only if none could be used.
+        DeadlineExceeded, MapNotHereError: as :func:`localize_frame` does.
     """
     features = FrameFeatures(frame, settings, clock, frame_deadline_s(frame.options.deadline_ms, settings))
     places: list[PlaceOut] = []

@@ -26,7 +26,7 @@ _OVERRIDE = "X-HTTP-Method-Override"
 
 
 class Tus:
-    """ASGI middleware for the protocol's requirements on every request and answer."""
+    """ASGI middleware for the protocol's requirements on every request and answer, method override included."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

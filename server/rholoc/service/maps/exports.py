@@ -68,7 +68,7 @@ def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: 
 
 
 class Exports:
-    """Makes exports, one at a time. Use it from the event loop's thread only."""
+    """Makes exports, one at a time, each within ``time_limit_s``. Use it from the event loop's thread only."""
 
     def __init__(self, time_limit_s: float) -> None:
         self._time_limit_s = time_limit_s

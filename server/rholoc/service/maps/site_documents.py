@@ -115,6 +115,7 @@ def _frame(given: FramePoseIn) -> FramePose:
 
 
 def site_out(name: str, site: Site, present: Collection[str]) -> SiteOut:
+    """A site as it is sent; ``present`` are the names of all existing maps."""
     maps = [
         SiteMapOut(
             map=one.map,

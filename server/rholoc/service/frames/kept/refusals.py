@@ -74,7 +74,7 @@ class Refusals:
         self.wanted = most > 0
 
     def keep(self, answer: LocalizationOut, image: bytes) -> None:
-        """Keep a JPEG of at most 480 px of a picture, with the diagnosis; nothing if it was localized or has none.
+        """Keep a picture as a JPEG of at most 480 px a side, with its diagnosis; nothing if localized or without one.
 
         Raises:
             InvalidImage: it cannot be decoded.
@@ -131,8 +131,8 @@ def likeness(localizer: AnyLocalizer, refusal: Refusal) -> LikenessOut:
 
 
 def lines_between(features: FeatureSet, size: tuple[int, int], map_: Map, view: int, metric: Metric) -> FloatArray:
-    """At most 60 mutual matches (M, 4) of a picture with a map's view: u, v in it, u, v in the view, as shares of width
-    and height.
+    """At most 60 mutual matches (M, 4) of a picture with a map's view: u, v in the picture, u, v in the view, as shares
+    of width and height. Empty if the map does not have the view's pixels.
 
     Args:
         features: of the picture.
