@@ -123,8 +123,8 @@ class Worker:
             pass
 
     def _take(self) -> bool:
-        """Take a job and start it in a thread of its own. Returns False if the worker is full or stops, or there is no
-        job.
+        """Take a job and start it in a thread of its own. Returns False if the worker is full or stops, or no job
+        can be taken.
         """
         if self._running.is_full or self._stopping.is_set():
             return False
