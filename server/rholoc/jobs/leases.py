@@ -251,8 +251,8 @@ def shortened(text: str) -> str:
 
 
 def overall(stage: Stage, fraction: float) -> float:
-    """The progress 0..1 over all stages, of ``fraction`` (clipped to 0..1) within ``stage``; links are a job of their
-    own.
+    """The progress 0..1 over all stages, of ``fraction`` (clipped to 0..1) within ``stage``. ``Stage.LINKS`` is the
+    only stage of its job.
     """
     within = min(1.0, max(0.0, fraction))
     if stage is Stage.LINKS:

@@ -92,7 +92,7 @@ class MapLibrary:
             return self._catalogue.local(self.stat(name))
 
     def map_id(self, name: str) -> str:
-        """The id of a map, which all its versions have. Raises InvalidName, UnknownMap, InvalidMap,
+        """The id of a map, which updates and corrections keep. Raises InvalidName, UnknownMap, InvalidMap,
         StorageUnavailable.
         """
         return self.stat(name).map_id or self.outline(name).info.id

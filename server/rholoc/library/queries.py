@@ -133,7 +133,7 @@ class QueryStore:
         """Keep a query, and evict others above the limits.
 
         Raises:
-            StorageUnavailable, StorageFull: the query is not kept.
+            StorageUnavailable, StorageFull: the query is not kept, or others are not evicted yet.
         """
         place = place_of(query.T_map_camera)
         name = f"{round(1000 * query.time_s):013d}-{place}-{query.asker}-{uuid.uuid4().hex[:8]}{_SUFFIX}"

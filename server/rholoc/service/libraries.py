@@ -85,7 +85,7 @@ class AsyncMaps:
         return found
 
     def _detail(self, name: str, published: Map | None = None) -> MapDetail:
-        """Description of a map, its file's size and settings of this server included. Raises what :meth:`get` raises.
+        """Description of a map, its file's size and settings of this server included. Raises the errors of :meth:`get`.
         ``published`` is the map that the request just published: the library's may be newer, or not visible here yet.
         """
         library, settings = self.sync, self._settings
@@ -147,7 +147,7 @@ class AsyncSites:
         self.earth_of = lanes.database.offload(self._earth_of)
 
     def _earth_of(self, map_name: str) -> SiteOnEarth | None:
-        """Pose on Earth of a map by the first site that has placed it; None without one, or without a site's."""
+        """Pose on Earth of a map, by the first site that has placed it; None if none has, or the site has none."""
         name = self._sync.site_of(map_name)
         try:
             return None if name is None else self._sync.get(name).earth_of(map_name)

@@ -135,7 +135,7 @@ class JobFolders:
         return inputs
 
     def _link_maps(self, names: Sequence[str], folder: Path) -> None:
-        """Give the files of the named maps a second name in the folder, unless they have it. Raises UnknownMap and as
+        """Link the files of the named maps into the folder, unless they are there. Raises UnknownMap, and the errors of
         :meth:`task`.
         """
         for name in names:

@@ -152,7 +152,7 @@ def run_worker(
 ) -> None:
     """Work until SIGINT, SIGTERM or ``stop``. Call it in the main thread of a process that does nothing else.
 
-    Raises: as :class:`Worker` and its ``start`` do.
+    Raises the errors of :class:`Worker` and :meth:`Worker.start`.
     """
     stop = stop or threading.Event()
 

@@ -88,7 +88,7 @@ def site_of(given: SiteIn) -> Site:
     """The site that was sent, checked, with given poses only.
 
     Raises:
-        InvalidInput, InvalidName: it cannot be one.
+        InvalidInput, InvalidName: it is not a valid site.
     """
     return check_site(
         Site(

@@ -148,7 +148,7 @@ class _Cost:
 
     @property
     def per_result_s(self) -> float:
-        """Core time per useful result [s], of which at least 5 % of calls are assumed."""
+        """Core time per useful result [s]; at least 5 % of the calls count as useful."""
         return self.mean_s / max(self.useful, _MIN_USEFUL)
 
 
@@ -264,7 +264,7 @@ class _Lane:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def join(self, deadline_s: float) -> None:
-        """Wait for running work until ``deadline_s`` of the monotonic clock; other pools' threads do not matter."""
+        """Wait for this lane's running work until ``deadline_s`` of the monotonic clock."""
         for thread in self._threads:
             thread.join(max(0.0, deadline_s - time.monotonic()))
 
