@@ -134,7 +134,7 @@ export interface FramePoseOut {
   inliers: number;
 }
 
-/** The same rotation as angles in degrees: about z, then the new y, then the new x; 0, 0, 0 looks east. */
+/** The rotation of a GeoQuaternion as angles in degrees: about z, the new y, then the new x; 0, 0, 0 looks east. */
 export interface GeoAngles {
   /** counter-clockwise from east */
   yaw: number;

@@ -95,7 +95,7 @@ def main() -> None:
 
 
 def _missing(error: ModuleNotFoundError) -> tuple[str, str]:
-    """Message and hint for a command of which a library is not installed: the extra that has it."""
+    """Message and hint for a command that needs a missing library: the extra that has it."""
     extra = "mapping" if error.name in _OF_MAPPING else "server"
     return f"This command needs {error.name}, which is not installed.", f"pip install 'rholoc[{extra}]'."
 

@@ -118,7 +118,7 @@ def localize(
 
 
 def _only_answer(answer: Localization, metric: bool) -> dict[str, str]:
-    """The pose and its sureness, for a page that shows one frame; empty if it was not localized."""
+    """Position, heading and probabilities of an answer, as texts by name; empty if it was not localized."""
     from rholoc.localization.index.map_error import rms_position_error
 
     if not answer.localized or answer.pose is None:
@@ -134,7 +134,7 @@ def _only_answer(answer: Localization, metric: bool) -> dict[str, str]:
 
 
 def _guessed(recording: Recording) -> Camera:
-    """Nominal camera for an unknown focal length: the longer side of the frames, the centre, no distortion."""
+    """Nominal camera with the frames' longer side as its focal length, their centre, and no distortion."""
     from rholoc.geometry import Camera
 
     width, height = recording.frames.size
@@ -193,7 +193,7 @@ def _write_bag(path: Path, times: FloatArray, answers: Sequence[Localization], T
 
 
 def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | int]]:
-    """Causes of failures, their frames, message and hint (of the first frame), the most frequent first."""
+    """Causes of failures, with their number of frames, and the first frame's message and hint; most frequent first."""
     found = [answer.diagnosis for answer in answers if answer.diagnosis is not None]
     counts = Counter(diagnosis.cause for diagnosis in found)
     example = {diagnosis.cause: diagnosis for diagnosis in reversed(found)}
@@ -206,7 +206,7 @@ def most_likely_causes(answers: Sequence[Localization]) -> list[dict[str, str | 
 def trajectory_table(
     frames: FrameSource, rows: Sequence[int], answers: Sequence[Localization | rholoc_client.Localization]
 ) -> TrajectoryTable:
-    """Table 6 of the answers with a pose; ``rows`` are the answers' frames, of the same number."""
+    """Table 6 of the answers with a pose; ``rows`` are the frames of the answers, one each."""
     from rholoc.maps import TrajectoryTable
 
     placed = [(row, answer, answer.pose) for row, answer in zip(rows, answers, strict=True) if answer.localized]

@@ -35,7 +35,7 @@ def info(
     """Describe a recording: what it is, its problems, and what to do better next time."""
     from rholoc.recordings import describe_recording, read_recording
 
-    read = read_recording(recording, camera=camera, frames=frames, topics=topic or ())
+    read = read_recording(recording, camera=options.named_camera(camera), frames=frames, topics=topic or ())
     description = describe_recording(read)
     if as_json:
         print_json(description)

@@ -34,7 +34,7 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
     A job in progress is abandoned.
 
     Raises:
-        RholocError: it does not answer.
+        RholocError: it does not answer within 200 s, or ends.
     """
     port = _free_port()
     server = RunningServer(f"http://127.0.0.1:{port}", log)

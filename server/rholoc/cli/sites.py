@@ -44,7 +44,7 @@ def list_sites(maps: Maps = _MAPS, as_json: options.Json = False) -> None:
 
 @app.command()
 def show(name: Name, maps: Maps = _MAPS, as_json: options.Json = False) -> None:
-    """Show a site: where its maps lie, and the links that this follows from."""
+    """Show a site: the poses of its maps, and the links that they follow from."""
     from rholoc.library.sites import SiteLibrary
 
     _print(name, SiteLibrary(maps).get(name), maps, as_json)
@@ -57,7 +57,7 @@ def put(
     maps: Maps = _MAPS,
     as_json: options.Json = False,
 ) -> None:
-    """Store a site, and find the poses that nobody gave from its links."""
+    """Store a site, and find the poses that are not given from its links."""
     from pydantic import ValidationError
 
     from rholoc.library.maps import MapLibrary

@@ -92,6 +92,7 @@ class Leases:
         """Take the job whose turn it is, of those that fit a worker. Any earlier lease on the job is lost.
 
         If that job has to wait for free memory, so do all jobs after it; otherwise long walks might wait for ever.
+        A job whose memory is not known yet fits every worker.
 
         Args:
             worker: the worker's id.
@@ -99,7 +100,7 @@ class Leases:
             free_bytes: the free part of it.
 
         Returns:
-            The job; None if there is none, or another worker was quicker.
+            The job; None if there is none, it has to wait for free memory, or another worker was quicker.
         """
         fits = [jobs_table.c.state == JobState.QUEUED]
         if math.isfinite(memory_bytes):
@@ -250,8 +251,8 @@ def shortened(text: str) -> str:
 
 
 def overall(stage: Stage, fraction: float) -> float:
-    """The progress 0..1 over all stages, of ``fraction`` (clipped to 0..1) within ``stage``; links are a job of their
-    own.
+    """The progress 0..1 over all stages, of ``fraction`` (clipped to 0..1) within ``stage``. ``Stage.LINKS`` is the
+    only stage of its job.
     """
     within = min(1.0, max(0.0, fraction))
     if stage is Stage.LINKS:

@@ -55,12 +55,12 @@ class JobQueue:
     def submit(
         self, recording_id: str, map_name: str, options: JobOptions | None = None, job_id: str | None = None
     ) -> Job:
-        """Queue the building of a map.
+        """Queue a job that makes a map: by building, updating or learning, as ``options.kind`` says.
 
         Args:
             recording_id: of the recording; empty if the job needs none.
             map_name: name to publish the map under.
-            options: of the job.
+            options: of the job; None for the defaults.
             job_id: 32 hex digits, or None for a new id. Submitting the same id again changes nothing.
 
         Raises:
@@ -141,7 +141,7 @@ class JobQueue:
 
         Raises:
             UnknownJob: no job has this id.
-            Conflict: it has ended.
+            Conflict: it has ended, or its map is being published.
         """
         self._jobs.get(job_id)
         with reporting_full_database():
@@ -198,9 +198,9 @@ class JobQueue:
         self._recordings.delete(recording_id)
 
     def delete_mapped_recordings(self, retention_s: float) -> None:
-        """Delete the recordings of which all jobs published their maps more than ``retention_s`` [s] ago.
+        """Delete each recording whose jobs all published their maps more than ``retention_s`` ago.
 
-        Recordings that another job failed on, or still needs, are kept.
+        A recording with a failed, cancelled or unfinished job is kept.
         """
         for recording_id in self._jobs.mapped_before(time.time() - retention_s):
             with suppress(UnknownRecording):  # it was deleted before

@@ -204,7 +204,7 @@ _kind_of_row = jobs_table.c.options["kind"].as_string()
 
 
 def _learns(map_name: str) -> sa.ColumnElement[bool]:
-    """Condition on the table of jobs: the map learns from its queries by it."""
+    """Condition on the table of jobs: a job by which the map learns from its queries."""
     return sa.and_(jobs_table.c.map_name == map_name, _kind_of_row == JobKind.LEARN)
 
 

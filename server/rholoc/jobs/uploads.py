@@ -231,7 +231,7 @@ class UploadStore:
         return Upload(upload_id, entry.size_bytes, entry.size_bytes, job=job)
 
     def _take(self, upload_id: str, piece: _Piece) -> bool:
-        """Advance the upload by a piece, if the piece begins at its offset. Whether it did. Raises StorageFull."""
+        """Advance the upload by a piece, if that begins at its offset. Returns whether it does. Raises StorageFull."""
         stands = sa.and_(uploads_table.c.id == upload_id, uploads_table.c.offset == piece.start)
         values = {"offset": piece.start + piece.size_bytes, "touched": time.time()}
         with reporting_full_database(), self._engine.begin() as connection:

@@ -31,7 +31,7 @@ class WorkerOffer:
 
 
 def process_name(pid: int | None = None) -> str:
-    """Name of a process among all machines, by default this one's. Ids of its workers are this, a dash and more."""
+    """Name of a process across machines, by default of this one. Its workers' ids are the name, a dash and a suffix."""
     return f"{socket.gethostname()[:40]}-{os.getpid() if pid is None else pid}"
 
 

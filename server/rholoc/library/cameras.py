@@ -55,9 +55,7 @@ class CameraLibrary(NamedDocuments[CameraProfile]):
         Raises:
             InvalidName, UnknownCamera: no camera is called this. InvalidCamera: its file is damaged.
         """
-        if text is None or "," in text or text == Lens.EQUIRECTANGULAR:
-            return text
-        return self.get(text).camera
+        return text if text is None or not names_a_camera(text) else self.get(text).camera
 
     def _parsed(self, name: str, content: bytes) -> CameraProfile:
         try:
@@ -70,6 +68,11 @@ class CameraLibrary(NamedDocuments[CameraProfile]):
 
     def _unreadable(self, name: str) -> InvalidInput:
         return InvalidCamera(f"The camera {name} cannot be read.", "Calibrate or add it again.")
+
+
+def names_a_camera(text: str) -> bool:
+    """Whether a text names a stored camera; else it is for :meth:`Camera.parse`: numbers, or a panorama."""
+    return "," not in text and text != Lens.EQUIRECTANGULAR
 
 
 def check_camera_name(name: str) -> str:

@@ -58,7 +58,7 @@ def import_data(
     Names that the stores have already are skipped, so that an interrupted copy can be repeated.
 
     Args:
-        maps_dir, data_dir: the folders.
+        maps_dir, data_dir: the single server's folders.
         stores: open stores to copy to.
         advance: called with the fraction done, 0..1.
 

@@ -24,7 +24,7 @@ class MapFile:
     Attributes:
         key: in its catalogue.
         size_bytes: its size.
-        modified: when it was published, seconds since 1970, UTC.
+        modified: when it was published [s since the epoch]; 0 if unknown.
         signature: changes whenever the file is replaced.
         map_id, version: of the map; None if only the file has them.
     """

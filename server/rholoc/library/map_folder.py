@@ -21,7 +21,7 @@ _BEGUN, _DECIDED = ".change-begun", ".change-decided"  # folders with a change's
 
 
 def place_of(name: str, number: int = 0) -> str:
-    """Path below the folder of a map's file (``number`` 0), or of its version ``number`` from 1."""
+    """Path, relative to the folder, of a map's file (``number`` 0), or of its replaced files (1 is the last)."""
     if number == 0:
         return name + SUFFIX
     return f"{_PREVIOUS}/{name}{SUFFIX}" + (f".{number}" if number > 1 else "")

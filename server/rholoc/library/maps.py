@@ -26,8 +26,8 @@ _PIECE_BYTES = 2**20
 class MapLibrary:
     """Maps by name. Safe to share between threads and processes.
 
-    A map returned by :meth:`get` does not change when it is replaced or deleted. Each method with a name raises
-    InvalidName if it is not valid, and UnknownMap if no map has it.
+    A map returned by :meth:`get` does not change when it is replaced or deleted. Methods that need
+    a map raise InvalidName if its name is not valid, and UnknownMap if no map has it.
 
     Args:
         maps: the folder of the maps, or another catalogue of them.
@@ -92,7 +92,7 @@ class MapLibrary:
             return self._catalogue.local(self.stat(name))
 
     def map_id(self, name: str) -> str:
-        """The id of a map, which all its versions have. Raises InvalidName, UnknownMap, InvalidMap,
+        """The id of a map, which updates and corrections keep. Raises InvalidName, UnknownMap, InvalidMap,
         StorageUnavailable.
         """
         return self.stat(name).map_id or self.outline(name).info.id
@@ -184,7 +184,7 @@ class MapLibrary:
             check: raises if the map must not be published.
 
         Raises:
-            InvalidMap, InvalidInput, StorageUnavailable, StorageFull, and what ``check`` raises: nothing was replaced.
+            InvalidMap, InvalidInput, StorageUnavailable, StorageFull, errors of ``check``: nothing was replaced.
         """
         called = check_map_name(name) + SUFFIX
 
@@ -211,9 +211,9 @@ class MapLibrary:
         self._put(name, map_to_bytes(next_version), lambda _: next_version, instead_of=file)
 
     def furnish(self, name: str, before: Path, furnished: Path) -> None:
-        """Put a map's file with more to show in the place of the file ``before``, which is not kept as a version.
+        """Replace a map's file by ``furnished``, the same map with more to show, without keeping a version.
 
-        Nothing happens if the map has changed or was deleted since.
+        Nothing happens if the library's map is no longer that of the file ``before``.
 
         Raises:
             InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.
@@ -264,9 +264,9 @@ class MapLibrary:
         return map_
 
     def holds(self, name: str, file: Path) -> bool:
-        """Whether a map has the same content as a file, by their checksums; False if no map has the name.
+        """Whether a map has the same content as a file: by their checksums, or byte by byte if one of them is no map.
 
-        Raises InvalidName, StorageUnavailable, StorageFull, and InvalidMap if ``file`` is none.
+        False if no map has the name. Raises InvalidName, StorageUnavailable, StorageFull.
         """
         try:
             return self.outline(name).checksum == load_outline(file).checksum

@@ -133,7 +133,7 @@ class QueryStore:
         """Keep a query, and evict others above the limits.
 
         Raises:
-            StorageUnavailable, StorageFull: the query is not kept.
+            StorageUnavailable, StorageFull: the query is not kept, or others are not evicted yet.
         """
         place = place_of(query.T_map_camera)
         name = f"{round(1000 * query.time_s):013d}-{place}-{query.asker}-{uuid.uuid4().hex[:8]}{_SUFFIX}"
@@ -257,7 +257,7 @@ def _folder(map_id: str) -> str:
 
 
 def _gives_way(entries: Sequence[_Entry]) -> _Entry:
-    """Oldest query from the most frequent place of the asker with the most queries, so that none evicts another's."""
+    """Oldest query from the most frequent place of the asker with the most queries, so that nobody evicts another's."""
     asker, _ = Counter(one.asker for one in entries).most_common(1)[0]
     own = [one for one in entries if one.asker == asker]
     place, _ = Counter(one.place for one in own).most_common(1)[0]

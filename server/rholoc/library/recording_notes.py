@@ -75,8 +75,8 @@ class RecordingNotes:
 
 
 def notes_of(recording: Recording) -> dict[str, bytes]:
-    """Files with notes on a recording and a small picture of its first second, by name; without the picture if it is
-    damaged.
+    """Files with notes on a recording and a small picture of 1 s after its start, by name; without the picture if that
+    frame is damaged.
     """
     times, (width, height) = recording.frames.times, recording.frames.size
     notes = RecordingNotes(

@@ -220,7 +220,7 @@ class RecordingStore:
     def create(self, files: Iterable[tuple[str, Iterable[bytes]]], max_bytes: int | None = None) -> RecordingEntry:
         """Store files, each a name and its chunks. After an error, nothing is left behind.
 
-        Raises Conflict, TooLarge, InvalidRecording, StorageFull, StorageUnavailable, and what ``files`` raises.
+        Raises Conflict, TooLarge, InvalidRecording, StorageFull, StorageUnavailable, and the errors of ``files``.
         """
         with self.begin(max_bytes) as pending:
             for name, chunks in files:
@@ -246,7 +246,7 @@ class RecordingStore:
         return entry
 
     def take_in(self, folder: Path, entry: RecordingEntry) -> None:
-        """Store a copy of a recording from a folder elsewhere, which stays; does nothing to a recording that is stored.
+        """Store a copy of a recording from a folder elsewhere, which stays. Storing it again changes nothing.
 
         Raises:
             StorageUnavailable, StorageFull: it is not stored.

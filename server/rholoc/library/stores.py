@@ -55,7 +55,7 @@ class Stores:
         cache_bytes: memory for cached maps.
 
     Raises:
-        InvalidInput: an URL is not valid.
+        InvalidInput: a URL is not valid.
     """
 
     def __init__(

@@ -107,7 +107,9 @@ Errors have one shape: `{code, message, hint, request_id}`. "No pose" is an answ
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
-    """The service as an ASGI application, ``None``: by the environment. Its threads and worker live while it runs."""
+    """The service as an ASGI application, by default with the environment's settings. Its threads and worker live while
+    it runs.
+    """
     settings, metrics = settings or Settings(), Metrics()
     stores = settings.stores()
     keys, audit, lanes = KeyStore(stores.documents(KEYS)), AuditLog(stores.engine), StorageLanes()
@@ -226,7 +228,7 @@ def _start(
         compute,
         learner,
         Live(settings.live, settings.keep_failures),
-        Refusals(settings.keep_refused),
+        Refusals(settings.keep_refused, settings.max_image_pixels),
         metrics,
         lanes,
     )

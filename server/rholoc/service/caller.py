@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextvars import ContextVar
 
 ASKER: ContextVar[str] = ContextVar("asker", default="")
-"""Whose request is being answered: the name of its key, or its address where no key is required."""
+"""Sender of the current request: the name of its key, or its address where no key is required."""
 
 CLIENT: ContextVar[str] = ContextVar("client", default="")
-"""Whom the request that is being answered counts to."""
+"""Client that the current request counts to: the name of its key's root, or its address where no key is required."""

@@ -171,7 +171,9 @@ def error_classes() -> Iterator[type[RholocError]]:
 
 
 def as_rholoc_error(error: Exception) -> RholocError | None:
-    """The error to report to the client: itself, or what a full disk, database or pydantic means; None for a bug."""
+    """The error to report to the client: a RholocError itself, else one for a full or unwritable disk, an unavailable
+    database, or input that pydantic refuses; None for a bug.
+    """
     if isinstance(error, RholocError):
         return error
     if isinstance(error, OSError) and is_full(error):

@@ -58,8 +58,8 @@ def _learn(state: State) -> None:
 
 
 def learn_tonight(state: State, now: datetime) -> None:
-    """Queue a learning job for each map with ``MIN_QUERIES`` queries of the last day and none; once a night for all
-    servers.
+    """Queue a learning job for each map that has ``MIN_QUERIES`` queries of the last day and no unfinished learning
+    job; once a night for all servers.
     """
     options = JobOptions(kind=JobKind.LEARN, priority=JobPriority.LOW)
     for name in state.maps.sync.names():

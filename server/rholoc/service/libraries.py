@@ -85,7 +85,7 @@ class AsyncMaps:
         return found
 
     def _detail(self, name: str, published: Map | None = None) -> MapDetail:
-        """Description of a map, its file's size and settings of this server included. Raises what :meth:`get` raises.
+        """Description of a map, its file's size and settings of this server included. Raises the errors of :meth:`get`.
         ``published`` is the map that the request just published: the library's may be newer, or not visible here yet.
         """
         library, settings = self.sync, self._settings
@@ -147,7 +147,7 @@ class AsyncSites:
         self.earth_of = lanes.database.offload(self._earth_of)
 
     def _earth_of(self, map_name: str) -> SiteOnEarth | None:
-        """Pose on Earth of a map by the first site that has placed it; None without one, or without a site's."""
+        """Pose on Earth of a map, by the first site that has placed it; None if none has, or the site has none."""
         name = self._sync.site_of(map_name)
         try:
             return None if name is None else self._sync.get(name).earth_of(map_name)
@@ -216,7 +216,7 @@ class AsyncRecordings:
         return self.sync.get(recording), self.sync.notes(recording)
 
     def _correct(self, recording: str, waypoints: tuple[RecordedWaypoint, ...] | None) -> NotedRecording:
-        """Replace a recording's waypoints; None: its own. Raises UnknownRecording, InvalidWaypoints, StorageFull."""
+        """Replace a recording's waypoints; None: by its own. Raises UnknownRecording, InvalidWaypoints, StorageFull."""
         notes = read_notes(self.sync.notes(recording))
         corrected = None if waypoints is None else waypoints_file(waypoints, notes)
         self.sync.note(recording, {WAYPOINTS_FILE: corrected})
@@ -283,7 +283,7 @@ class AsyncLearning:
         return self.store.delete(self._library.map_id(name), who)
 
     def submit(self, name: str) -> Job:
-        """Queue a job by which a map learns, in a thread.
+        """Queue a job by which a map learns. Blocks: call it in a thread.
 
         Raises:
             InvalidInput: the map has no memory, or fewer than ``MIN_QUERIES`` queries are kept.
@@ -314,7 +314,7 @@ class AsyncQuotas:
 
 
 class AsyncKeys:
-    """The API keys. ``chain`` goes by memory alone."""
+    """The API keys. ``chain`` reads memory alone, and does not block."""
 
     def __init__(self, keys: KeyStore, quotas: Quotas, lanes: StorageLanes) -> None:
         self.sync, self._quotas = keys, quotas

@@ -32,7 +32,7 @@ def qr_for_terminal(text: str) -> str:
 
 
 def _dark_modules(text: str) -> np.ndarray:
-    """Which modules (N, N) of a text's QR code are dark, with four light ones around it."""
+    """Which modules (N, N) of a text's QR code are dark, with four light ones around it. Raises InvalidInput."""
     options = cv2.QRCodeEncoder.Params()
     options.correction_level = cv2.QRCodeEncoder_CORRECT_LEVEL_M
     if any(sign == "\0" or "\ud800" <= sign <= "\udfff" for sign in text):

@@ -33,6 +33,7 @@ def keys_needed(policy: KeyPolicy, host: str) -> bool:
 
 
 def is_loopback(host: str) -> bool:
+    """Whether a host is ``localhost`` or a loopback address; False for any other name."""
     if host == "localhost":  # names below it may be anybody's, where a resolver does not keep them here
         return True
     try:
@@ -231,7 +232,7 @@ class Settings(BaseModel):
         """The service's stores, not opened.
 
         Raises:
-            InvalidInput: an URL is not valid.
+            InvalidInput: a URL is not valid.
         """
         return Stores(
             self.maps_dir,

@@ -73,7 +73,7 @@ class EmbeddedWorker:
             self._program.stop(_STOP_TIMEOUT_S)
 
     def _spawn(self) -> Program:
-        # Through the standard input, not the command line: an URL may hold a password.
+        # Through the standard input, not the command line: a URL may hold a password.
         return Program("rholoc.worker", first_input=self._setup.to_line(), keep_errors=True)
 
     def _keep_running(self) -> None:
@@ -120,8 +120,8 @@ def reason_of_death(status: int, errors: Sequence[str]) -> str:
 
 
 def _error_in(line: str) -> str:
-    """The error in a line of a log, at most 300 characters: plain text, or a JSON entry from "warning" on. Empty if it
-    has none.
+    """The error in a line of a log, at most 300 characters: plain text, or a JSON entry of level warning or
+    above. Empty if it has none.
     """
     try:
         entry = json.loads(line)

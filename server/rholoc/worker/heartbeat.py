@@ -36,7 +36,7 @@ class Heartbeat:
     Args:
         worker: the worker's id.
         leases: on the jobs of the queue.
-        workers: of the queue.
+        workers: the table of workers.
         running: jobs that the worker works on.
         timing: when a worker counts as dead.
     """

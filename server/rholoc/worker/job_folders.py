@@ -10,7 +10,7 @@ from rholoc.disk import link_file, reporting_full_disk
 from rholoc.jobs.job import JobKind
 from rholoc.jobs.leases import Lease
 from rholoc.jobs.table import JobWork
-from rholoc.library.cameras import CameraLibrary
+from rholoc.library.cameras import CameraLibrary, names_a_camera
 from rholoc.library.map_folder import place_of
 from rholoc.library.maps import MapLibrary
 from rholoc.library.queries import QueryStore
@@ -129,13 +129,13 @@ class JobFolders:
         if work.options.kind is JobKind.LEARN:
             queries = QueryStore(self._stores.objects)
             queries.fetch(self._stores.library.map_id(work.map_name), inputs)
-        if work.options.camera is not None and "," not in work.options.camera:
+        if work.options.camera is not None and names_a_camera(work.options.camera):
             cameras = CameraLibrary(self._stores.documents(CAMERAS))
             CameraLibrary(inputs).put(work.options.camera, cameras.get(work.options.camera))
         return inputs
 
     def _link_maps(self, names: Sequence[str], folder: Path) -> None:
-        """Give the files of the named maps a second name in the folder, unless they have it. Raises UnknownMap and as
+        """Link the files of the named maps into the folder, unless they are there. Raises UnknownMap, and the errors of
         :meth:`task`.
         """
         for name in names:

@@ -64,7 +64,7 @@ class JobRunner:
 
     Args:
         leases: on the jobs of the queue.
-        workers: of the queue.
+        workers: the table of workers.
         folders: where inputs and built files are.
         pipeline: how maps are built and published.
         running: jobs of this worker.

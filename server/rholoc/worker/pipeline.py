@@ -36,11 +36,11 @@ class MappingTask:
     Attributes:
         recording: the uploaded file or folder; None if the job needs none.
         built_file: output of the build, a map or the links of a site. It exists only once it is complete.
-        maps_dir: folder with maps and cameras for the build.
+        maps_dir: folder with the maps, cameras and sites that the build needs.
         map_name: name to publish the map under; empty if there is none.
         options: of the job.
         max_frame_pixels: maximum pixels of a video frame.
-        folder: notes on the recording, and waypoints that replace its own.
+        folder: with notes on the recording, and waypoints that replace its own; None without a recording.
         data_dir: folder of the kept queries to learn from.
         memory_bytes: memory granted to the job.
     """
@@ -101,7 +101,7 @@ class MappingPipeline:
 
         Reading the recording shows the required memory; if that is too much, the build ends.
 
-        Raises what :func:`rholoc.recordings.read_recording` raises, and :func:`rholoc.mapping.build_map`,
+        Raises the errors of :func:`rholoc.recordings.read_recording`, and of :func:`rholoc.mapping.build_map`,
         ``update_map``, ``learn_from_queries`` or :func:`rholoc.worker.site_placing.write_links`.
         """
         if task.built_file.exists():
@@ -135,7 +135,7 @@ class MappingPipeline:
     def furnish(self, task: MappingTask, library: MapLibrary, check: Callable[[], object], limits: Limits) -> None:
         """Draw the room's surfaces from the recording, in a child process, and put them into the map if there are any.
 
-        Raises Cancelled by ``check``, RholocError, or how the child died.
+        Raises RholocError, such as Cancelled from ``check``, and the errors of :func:`run_in_child`.
         """
         furnished = task.built_file.with_name(f"room-{task.built_file.name}")
         draw = run_in_child(
@@ -146,10 +146,10 @@ class MappingPipeline:
 
 
 def write_room(task: MappingTask, target: Path, progress: ProgressListener) -> bool:
-    """Write the task's built map with the surfaces of its room to ``target``. Returns False, without a file, if none
-    are shown.
+    """Write the task's built map with the surfaces of its room to ``target``. Returns False, without a file, if there
+    are none to draw.
 
-    Raises what :func:`read_recording` raises, and Cancelled.
+    Raises the errors of :func:`read_recording`, and Cancelled.
     """
     map_ = load_map(task.built_file)
     drawn = draw_room(map_, [_recording_of(task)], progress)

@@ -123,8 +123,8 @@ class Worker:
             pass
 
     def _take(self) -> bool:
-        """Take a job and start it in a thread of its own. Returns False if the worker is full or stops, or there is no
-        job.
+        """Take a job and start it in a thread of its own. Returns False if the worker is full or stops, or no job
+        can be taken.
         """
         if self._running.is_full or self._stopping.is_set():
             return False
@@ -152,7 +152,7 @@ def run_worker(
 ) -> None:
     """Work until SIGINT, SIGTERM or ``stop``. Call it in the main thread of a process that does nothing else.
 
-    Raises: as :class:`Worker` and its ``start`` do.
+    Raises the errors of :class:`Worker` and :meth:`Worker.start`.
     """
     stop = stop or threading.Event()
 

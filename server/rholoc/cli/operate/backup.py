@@ -46,8 +46,8 @@ def restore(
     data: Data = None,
     as_json: Json = False,
 ) -> None:
-    """Bring back what is in a backup, but for maps whose files are damaged. Where something of it exists and is
-    different, nothing is restored.
+    """Restore a backup, except maps whose files are damaged. If anything in it exists already and differs, nothing is
+    restored.
     """
     from rholoc.service.operate.backup import restore as bring_back
 

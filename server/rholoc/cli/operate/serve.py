@@ -238,7 +238,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
     Raises:
         InvalidInput: ``host`` is not an address.
-        Conflict: the port is taken.
+        Conflict: the port is taken, or may not be used.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:

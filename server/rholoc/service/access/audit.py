@@ -56,7 +56,7 @@ class AuditLog:
     """The changes of all servers that share a database. Keeps the last 100 000. Safe to share between threads.
 
     Args:
-        engine: the database's, with rholoc's tables in it.
+        engine: of a database that has rholoc's tables.
     """
 
     def __init__(self, engine: sa.Engine) -> None:
@@ -71,7 +71,7 @@ class AuditLog:
                 connection.execute(changes_table.delete().where(changes_table.c.id <= number - _ROWS))
 
     def changes(self, most: int, map_name: str | None = None) -> list[Change]:
-        """The last ``most`` changes, the newest first; only those of ``map_name`` if given. Raises SQLAlchemyError."""
+        """The last ``most`` changes, the newest first; if given, only those to ``map_name``. Raises SQLAlchemyError."""
         fields = [column for column in changes_table.c if column.name != "id"]
         wanted = sa.select(*fields).order_by(changes_table.c.id.desc()).limit(most)
         if map_name is not None:
@@ -81,7 +81,9 @@ class AuditLog:
 
 
 class Audited:
-    """ASGI middleware that logs requests that changed something, before their answers are sent.
+    """ASGI middleware that logs successful requests to change something (scope map or admin) before they are answered.
+
+    A change that cannot be noted is only a warning in the service's log.
 
     Args:
         app: the next application.

@@ -109,8 +109,9 @@ class Guard:
 
         Raises:
             CrossSite: another site sent it.
-            Unauthorized, Forbidden: it needs a key, or one that allows more, or nobody may use the route.
-            UnknownRoute, MethodNotAllowed: no route takes it; only clients that may read anything learn this.
+            Unauthorized: it needs a key, and has none or an invalid one.
+            Forbidden: its key's scope is too small, or the route declares no access.
+            UnknownRoute, MethodNotAllowed: no route takes it; only clients of at least the scope READ learn this.
             InvalidRequest: the query has a name that the route does not know.
         """
         if scope["type"] in ("http", "websocket"):
@@ -122,7 +123,7 @@ class Guard:
                 raise undeclared()
             if access.scope is not None:
                 is_open = found.route is not None and found.route.path in self._open_paths
-                key = None if is_open else await self._check_key(_authorization(scope, headers), access.scope, scope)
+                key = None if is_open else await self._check_key(_authorization(scope, headers), access.scope)
                 grant(scope, access.scope if is_open else KeyScope.ADMIN if key is None else key.scope, key)
                 ASKER.set(_address(scope) if key is None else key.name)
                 note_client(scope, _address(scope) if key is None else self._keys.chain(key)[-1].name)
@@ -136,7 +137,7 @@ class Guard:
 
     def _receive_while_valid(self, scope: Scope, receive: Receive) -> Receive:
         """A receive function for the request's body that raises Unauthorized once its key is invalid; ``receive``
-        without a key.
+        itself for a WebSocket or without a key.
         """
         key = request_key(scope) if scope["type"] == "http" else None
         if key is None:
@@ -150,7 +151,7 @@ class Guard:
 
         return receive_checked
 
-    async def _known(self, secret: str, scope: Scope) -> ApiKey | None:
+    async def _known(self, secret: str) -> ApiKey | None:
         """The key of a secret; unless in memory, all keys are read again, in a thread. None if there is none."""
         key = self._keys.find(secret)
         if key is None:
@@ -160,7 +161,7 @@ class Guard:
             key = self._keys.find(secret)
         return key
 
-    async def _check_key(self, authorization: str, needed: KeyScope, scope: Scope) -> ApiKey | None:
+    async def _check_key(self, authorization: str, needed: KeyScope) -> ApiKey | None:
         """The key that allows the request, of at least the scope ``needed``; None if the server needs no keys.
 
         Raises:
@@ -172,7 +173,7 @@ class Guard:
         kind, _, secret = authorization.partition(" ")
         if kind.lower() != "bearer" or not secret.strip():
             raise Unauthorized("This server requires an API key.", _KEY_HINT)
-        key = await self._known(secret.strip(), scope)
+        key = await self._known(secret.strip())
         if key is None:
             raise Unauthorized("This API key is unknown, or was revoked.", _KEY_HINT)
         if not self._keys.is_valid(key):
@@ -195,7 +196,7 @@ def _authorization(scope: Scope, headers: Headers) -> str:
 
 
 def check_query(scope: Scope, route: RouteAccess) -> None:
-    """Raise InvalidRequest for a query parameter that an API route does not know: a typing error would be ignored."""
+    """Raise InvalidRequest for a query parameter that an API route does not know, so no typing error is ignored."""
     if not route.path.startswith(API_PATHS):
         return
     given = QueryParams(scope["query_string"])

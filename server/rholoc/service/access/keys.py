@@ -50,8 +50,8 @@ class KeyLimits:
 
     Attributes:
         requests_per_s: to each server.
-        burst: maximum number of requests at once; None for those of one second, at least one.
-        maps: maximum number, including maps of its jobs.
+        burst: maximum number of requests at once; None for one second's worth, at least 1.
+        maps: maximum number, including maps that its jobs will publish.
         stored_bytes: of its maps and recordings.
         jobs: maximum number of queued and running jobs.
     """
@@ -68,7 +68,7 @@ class KeyLimits:
         return any(limit is not None for limit in (self.maps, self.stored_bytes, self.jobs))
 
     def within(self, other: KeyLimits) -> KeyLimits:
-        """The lower of each limit of the two; None if both have none."""
+        """The lower of the two limits, one by one; None where neither has one."""
         both = ((getattr(self, one.name), getattr(other, one.name)) for one in fields(self))
         return KeyLimits(*(min((one for one in pair if one is not None), default=None) for pair in both))
 
@@ -81,7 +81,7 @@ class ApiKey:
         name: unique.
         scope: of the key.
         created: seconds since the epoch.
-        expires: seconds since the epoch, or None.
+        expires: seconds since the epoch; None for never.
         limits: of the key.
         holder: id of the key that handed it on, whose limits include this key; empty if there is none.
         id: hash of the secret.
@@ -107,8 +107,8 @@ class KeyStore:
     """The keys of a service: a file each, named by the key's SHA-256. Safe to share between threads and processes.
 
     A key has 32 random bytes, so a slow hash is not needed. A handed-on key is valid as long as all keys above it are.
-    :meth:`find`, :meth:`is_valid` and :meth:`chain` use the keys in memory, which each change here and each
-    :meth:`refresh` updates; all other methods read the files.
+    :meth:`find`, :meth:`is_valid`, :meth:`chain` and :meth:`family` use the keys in memory, which each change here and
+    each :meth:`refresh` updates; all other methods read the files.
 
     Args:
         files: of the keys; or the folder of data, in which they are ``keys/SHA256``.
@@ -149,9 +149,9 @@ class KeyStore:
             name: unique name.
             scope: of the key.
             lifetime_s: None for an unlimited lifetime.
-            limits: of the key.
-            handed_by: parent key. Its limits cap the new key's, which is invalid as soon as the parent is; its scope is
-                for the caller to check.
+            limits: of the key; None for none of its own.
+            handed_by: parent key. Its limits cap the new key's; the new key is invalid as soon as the parent is. The
+                caller checks that the parent's scope includes ``scope``.
             site: only site that a key of scope ``visit`` is for; empty for all.
 
         Raises:
@@ -184,7 +184,7 @@ class KeyStore:
             limits: of the key.
             by: parent key; None if the server needs no keys.
             site: only site that a key of scope ``visit`` is for; empty for all.
-            name: what the key's name ends in; empty for a random one.
+            name: end of the key's name, after ``handed-``; empty for a random one.
 
         Raises:
             InvalidName: the name is too long or not printable.

@@ -40,6 +40,8 @@ class OpenStream:
         key: of its request; None if none is needed.
         path: of its request.
         since: time of its opening [s since the epoch].
+        timeout: of the block that serves it; None before that begins.
+        ended_by: the reason given to :meth:`end`; None until then.
     """
 
     id: str
@@ -52,7 +54,7 @@ class OpenStream:
     ended_by: RholocError | None = None
 
     def end(self, reason: RholocError) -> None:
-        """Raise ``reason`` where the stream is served, now or as soon as that begins; a first reason stays."""
+        """Raise ``reason`` where the stream is served, now or as soon as that begins; only the first reason counts."""
         self.ended_by = self.ended_by or reason
         if self.timeout is not None and not self.timeout.expired():
             self.timeout.reschedule(asyncio.get_running_loop().time())
@@ -159,7 +161,9 @@ class EventStream(StreamingResponse):
 
 
 def stream_limits(max_streams: int, max_connections: int) -> tuple[Mapping[StreamKind, int], Mapping[StreamKind, int]]:
-    """Maximum numbers of open streams by kind, for all clients and for one (half the frames, a fifth of the events)."""
+    """Maximum numbers of open streams by kind: for all clients (events: half of ``max_connections``), and for one
+    client (half of these frames, a fifth of these events, rounded up).
+    """
     events = max(1, max_connections // 2)
     return (
         {StreamKind.FRAMES: max_streams, StreamKind.EVENTS: events},

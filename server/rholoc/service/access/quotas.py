@@ -52,14 +52,14 @@ class HeldUpload:
 
 @dataclass(frozen=True)
 class _Present:
-    """Existing maps, recordings or uploads, and jobs that have not ended (job id → map name)."""
+    """Existing maps, recordings and uploads by name or id, and the map name of each unended job or upload by its id."""
 
     maps: frozenset[str]
     recordings: frozenset[str]
     jobs: dict[str, str]
 
     def has(self, holding: Holding) -> bool:
-        """Whether the held thing exists: of a map also, whether an unended job makes it."""
+        """Whether the held thing exists; for a map, also whether an unended job will make it."""
         if holding.kind is Kind.MAP:
             return holding.name in self.maps or holding.name in self.jobs.values()
         return holding.name in (self.jobs if holding.kind is Kind.JOB else self.recordings)
@@ -97,8 +97,8 @@ class Quotas:
             yield
 
     def check_upload(self, key: ApiKey | None, max_of_client: int) -> None:
-        """Raise QuotaExceeded if the key's root has ``max_of_client`` unfinished uploads with all keys below; None: no
-        key is needed.
+        """Raise QuotaExceeded if the key's root and all keys below it have ``max_of_client`` unfinished uploads. A key
+        of None passes.
         """
         if key is None:
             return
@@ -137,7 +137,7 @@ class Quotas:
 
         Args:
             key: of the request; None if no key is needed, which allows everything.
-            stores: name of the map to store, replacing the key's map of that name.
+            stores: name of the map to store, replacing the key's map of that name; None if none is stored.
             size_bytes: size to store.
             job_for: name of the map that a job to queue will make; empty if it makes none; None without a job.
 
@@ -164,7 +164,7 @@ class Quotas:
                 _check("unfinished jobs", used.jobs + 1, one.limits.jobs, used.jobs, one.name)
 
     def usage(self, name: str) -> Usage:
-        """Usage of the key called ``name`` with all keys below it; also of what a revoked key holds."""
+        """Usage of the key called ``name`` with all keys below it; of a revoked key, usage by what it still holds."""
         present = self._present()
         return self._usage(
             [one for one in self._holdings.of(self._keys.family(name) or [name]) if present.has(one)], present

@@ -13,7 +13,7 @@ from rholoc.service.access.keys import ApiKey, KeyStore
 from rholoc.service.access.scopes import request_key
 from rholoc.service.errors import TooManyRequests
 
-_MAX_BUCKETS = 10_000  # beyond, the longest unused ones are dropped
+_MAX_BUCKETS = 10_000  # from here on, those unused for ``_LONG_S`` are dropped
 _LONG_S = 3600.0
 
 
@@ -40,7 +40,7 @@ class Rates:
         """Take a token from the bucket of each key with a rate, or from none.
 
         Raises:
-            TooManyRequests: the bucket of one of them is empty; says when it has a token again.
+            TooManyRequests: a bucket has less than a token; ``retry_after_s`` until it has one.
         """
         limited = [key for key in keys if key.limits.requests_per_s is not None]
         buckets = [self._filled(key) for key in limited]
@@ -56,7 +56,7 @@ class Rates:
             bucket.tokens -= 1
 
     def _filled(self, key: ApiKey) -> _Bucket:
-        """The key's bucket, created full, refilled to the present time. Beyond 10,000, those unused for an hour go."""
+        """The key's bucket, created full, refilled to the present time. At 10,000 buckets, those an hour unused go."""
         now_s = self._clock()
         if len(self._buckets) >= _MAX_BUCKETS:
             self._buckets = {name: one for name, one in self._buckets.items() if now_s - one.counted_s < _LONG_S}

@@ -148,6 +148,7 @@ class RouteAccess:
         access: None without a declaration.
         query: the names of its query parameters.
         parses_body: whether the framework reads and parses its body.
+        context: the framework's, which matches requests.
     """
 
     path: str

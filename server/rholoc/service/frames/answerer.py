@@ -89,9 +89,10 @@ class Answerer:
     async def localize(self, frame: Frame, maps: MapChoice, clock: Stopwatch, private: bool = False) -> LocalizationOut:
         """The most confident answer of several maps for one frame; at the deadline one without a pose.
 
-        It is counted, and shown live; of a ``private`` frame nothing is kept or learned.
+        It is counted. Of a ``private`` frame neither picture nor features are kept, and it is not shown live.
 
         Raises:
+            DeadlineExceeded: the deadline passed while the map was being loaded.
             Busy: too many frames wait. UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors,
                 InvalidInput: what was sent is not valid.
         """
@@ -103,10 +104,12 @@ class Answerer:
             clock,
             frame_deadline_s(frame.options.deadline_ms, self.settings),
             frame.effort,
-            None if prior is None else prior.position,
             frame.options.geopose,
         )
-        if self.refusals.wanted and not private and frame.image is not None:
+        if private:
+            return answer
+        self.live.note(answer, None if prior is None else prior.position)
+        if self.refusals.wanted and frame.image is not None:
             await run_in_threadpool(self.refusals.keep, answer, frame.image)
         return answer
 
@@ -117,14 +120,16 @@ class Answerer:
     async def localize_together(self, frames: Frames, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
         """The most confident answer of several maps for several frames; raises the errors of :meth:`localize`."""
         deadline_s = frame_deadline_s(frames.query.deadline_ms, self.settings)
-        return await self._by_deadline(
+        answer = await self._by_deadline(
             lambda localizers: localize_frames(frames, maps, localizers, self.settings, clock, deadline_s),
             maps,
             clock,
             deadline_s,
             Effort.LARGE,
-            geopose=frames.query.geopose,
+            frames.query.geopose,
         )
+        self.live.note(answer, None)
+        return answer
 
     async def places(self, frame: Frame, maps: MapChoice, clock: Stopwatch, most: int) -> PlacesOut:
         """The views of maps that a frame resembles most, at most ``most``, best first. Raises the errors of
@@ -152,11 +157,10 @@ class Answerer:
         clock: Stopwatch,
         deadline_s: float,
         effort: Effort,
-        expected: Sequence[float] | None = None,
-        geopose: GeoPoseKind | None = None,
+        geopose: GeoPoseKind | None,
     ) -> LocalizationOut:
         """Answer of ``localize`` in a thread, with the pose in a site and on Earth; without a pose at the deadline. It
-        is counted, and noted with ``expected``, the prior's position. Raises Busy, and as ``localize``.
+        is counted. Raises Busy, and as ``localize``.
         """
 
         def work(localizers: LocalizerSource) -> LocalizationOut:
@@ -176,11 +180,10 @@ class Answerer:
         except (TimeoutError, DeadlineExceeded):
             answer = await self._late(maps.first, clock)
         self.metrics.localization(answer.map, answer.reason, answer.timings_ms)
-        self.live.note(answer, expected)
         return answer
 
     async def _late(self, name: str, clock: Stopwatch) -> LocalizationOut:
-        """The answer without a pose at the deadline. Raises DeadlineExceeded if loading takes half a second more."""
+        """The answer without a pose at the deadline. Raises DeadlineExceeded if the map is not loaded 0.5 s later."""
         try:
             async with asyncio.timeout(_LOADING_GRACE_S):
                 localizer = await self.localizer(name)

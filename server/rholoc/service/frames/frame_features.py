@@ -20,7 +20,10 @@ from rholoc.service.settings import Settings
 
 
 class FrameFeatures:
-    """The frame's features by extractor; the image is decoded once, each extractor runs once."""
+    """The frame's features by extractor; the image is decoded once, each extractor runs once.
+
+    Raises InvalidImage: the image's header cannot be read, or names too many pixels. ``deadline_s`` is by ``clock``.
+    """
 
     def __init__(self, frame: Frame, settings: Settings, clock: Stopwatch, deadline_s: float) -> None:
         self._frame = frame
@@ -49,7 +52,7 @@ class FrameFeatures:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the image [px], by its header or as sent with features; else InvalidCamera."""
+        """Width and height of the image [px], by its header, or as sent with features. Else raises InvalidCamera."""
         if self._frame.image is not None:
             return self._image_size
         camera = self._frame.options.camera
@@ -60,8 +63,8 @@ class FrameFeatures:
         return camera.width, camera.height
 
     def by(self, extractor: Extractor) -> FeatureSet:
-        """The features by this extractor, once; or those sent. Raises InvalidDescriptors if those do not fit it,
-        InvalidImage, DeadlineExceeded.
+        """The image's features by this extractor, or the features that were sent. Raises InvalidDescriptors if these
+        do not fit the extractor, InvalidImage, DeadlineExceeded.
         """
         if extractor not in self._extracted:
             if self.image is not None:
@@ -75,7 +78,7 @@ class FrameFeatures:
         return self._extracted[extractor]
 
     def by_quick(self, extractor: Extractor) -> FeatureSet:
-        """The features by the extractor's quick variant, once; or those sent. Raises the errors of :meth:`by`."""
+        """The features by the extractor's quick variant, or those sent. Raises the errors of :meth:`by`."""
         return self.by(extractor.quick)
 
     def more_by(self, extractor: Extractor) -> Callable[[], FeatureSet] | None:

@@ -40,7 +40,7 @@ class GeoQuaternion(AnswerModel):
 
 
 class GeoAngles(AnswerModel):
-    """The same rotation as angles in degrees: about z, then the new y, then the new x; 0, 0, 0 looks east."""
+    """The rotation of a GeoQuaternion as angles in degrees: about z, the new y, then the new x; 0, 0, 0 looks east."""
 
     yaw: float = Field(description="counter-clockwise from east")
     pitch: float = Field(description="downwards")

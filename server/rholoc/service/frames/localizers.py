@@ -32,7 +32,7 @@ class Localizers:
     """Keeps one localizer per map name. Safe to call from several threads.
 
     A localizer is dropped when its map is evicted from memory. A request keeps its localizer, and so its map, even if
-    the map is replaced meanwhile.
+    the map is replaced meanwhile. Poses are withheld if the probability of their place is below ``min_recognized``.
     """
 
     def __init__(self, library: MapLibrary, min_recognized: float) -> None:

@@ -15,7 +15,7 @@ from rholoc.service.frames.localizers import LocalizerSource, MapNotHereError
 from rholoc.service.http.stopwatch import Stopwatch
 
 MAX_ASKED = 5
-"""Maps that a frame is localized in; of more, the index over all views chooses."""
+"""Maximum number of maps that a frame is localized in; of more, the index over all views chooses."""
 
 _ASKED_AT_FIRST = 2
 CONCLUSIVE = 0.9
@@ -86,7 +86,10 @@ class Candidates:
         return bool(self.scores)
 
     def at_first(self) -> Candidates:
-        """The likeliest map and those with 0.8 of its score, at least two, for the search with the quick features."""
+        """The likeliest map and those with 0.8 of its score, at least two, for the search with the quick features.
+
+        Requires :attr:`are_ranked`.
+        """
         rivals = sum(score >= _RIVAL_SHARE * self.scores[0] for score in self.scores)
         return self._take(range(min(len(self.names), max(rivals, _ASKED_AT_FIRST))))
 
@@ -96,16 +99,14 @@ class Candidates:
         return self._take(new[: MAX_ASKED - len(asked.names)])
 
     def _take(self, rows: Sequence[int]) -> Candidates:
-        return replace(
-            self, names=tuple(self.names[row] for row in rows), scores=tuple(self.scores[row] for row in rows)
-        )
+        scores = tuple(self.scores[row] for row in rows) if self.scores else ()
+        return replace(self, names=tuple(self.names[row] for row in rows), scores=scores)
 
     def is_settled(self, asked: int, best: int, recognized: float) -> bool:
-        """Whether the first ``asked`` maps suffice: the best is number ``best``, with a pose of probability
-        ``recognized``.
+        """Whether the first ``asked`` maps suffice: row ``best`` is best, its pose of probability ``recognized``.
 
-        That must be at least ``CONCLUSIVE``, and the scores of the maps not asked below 0.8 of its own. False without
-        scores.
+        ``recognized`` must be at least ``CONCLUSIVE``, and the score of each map not asked below 0.8 of the best map's.
+        False without scores.
         """
         if recognized < CONCLUSIVE or not self.scores:
             return False

@@ -199,8 +199,8 @@ def _check_one_each(given: Sized, n: int, named: str, hint: str) -> None:
 
 
 def _sizes(given: list[float] | None, n: int) -> FloatArray:
-    """Diameters (N,) [px], 0 where unknown or if ``given`` is None. Raises InvalidDescriptors for a wrong number or
-    value.
+    """Diameters (N,) [px], 0 where unknown or if ``given`` is None. Raises InvalidDescriptors: not ``n``, or one is
+    negative or not finite.
     """
     if given is None:
         return np.zeros(n)
@@ -214,7 +214,9 @@ def _sizes(given: list[float] | None, n: int) -> FloatArray:
 
 
 def _angles(given: list[float | None] | None, n: int) -> FloatArray:
-    """Angles (N,) [rad] in [0, 2 π), NaN where unknown or if ``given`` is None. Raises InvalidDescriptors."""
+    """Angles (N,) [rad] in [0, 2 π), NaN where unknown or if ``given`` is None. Raises InvalidDescriptors: not ``n``,
+    or one is infinite.
+    """
     if given is None:
         return np.full(n, np.nan)
     _check_one_each(given, n, "angles_deg", "Send one per feature, null where unknown.")

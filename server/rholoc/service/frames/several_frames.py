@@ -42,10 +42,11 @@ class Frames:
 
     @classmethod
     def of(cls, query: FramesQuery, images: dict[int, bytes], stored: dict[str, Camera]) -> Frames:
-        """From a request, the pictures sent beside it by number, and the stored cameras by name.
+        """The frames of a request, with the pictures sent beside it by number, and the stored cameras by name.
 
         Raises:
-            InvalidInput: too few or too many frames, or one without a picture or features, or with both.
+            InvalidInput: too few or too many frames, a picture without a frame, or a frame with neither a picture nor
+                features, or both.
             InvalidImage: a picture is not base64.
         """
         count = len(query.frames)
@@ -95,6 +96,7 @@ def localize_frames(
     Raises:
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
             valid; with several maps, only if none could be used.
+        DeadlineExceeded, MapNotHereError: as :func:`rholoc.service.frames.single_frame.localize_frame` does.
     """
     clock.stages_ms["queue"] = 1000 * clock.elapsed_s
     features = []
@@ -163,7 +165,7 @@ def _localize(
 
 
 def _relative_pose(number: int, one: FrameIn) -> np.ndarray:
-    """A frame's pose (4, 4) among the others; ``number`` is for messages. Raises InvalidInput: a number is not finite,
+    """A frame's T_common_camera (4, 4); ``number`` is for messages. Raises InvalidInput: a number is not finite,
     or the quaternion's length is more than 0.01 from 1.
     """
     position = finite(f"frames[{number}].position", one.position)

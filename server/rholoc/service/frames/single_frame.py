@@ -77,6 +77,7 @@ def likeliest_places(
     Raises:
         UnknownMap, InvalidMap, InvalidImage, InvalidCamera, InvalidDescriptors, InvalidInput: what was sent is not
             valid; with several maps, only if none could be used.
+        DeadlineExceeded, MapNotHereError: as :func:`localize_frame` does.
     """
     features = FrameFeatures(frame, settings, clock, frame_deadline_s(frame.options.deadline_ms, settings))
     places: list[PlaceOut] = []
@@ -119,7 +120,12 @@ def _looking_twice(
     if not answers or _rank(answers[0][2]) < (True, CONCLUSIVE):
         others = choose_candidates(maps, features.by, clock).besides(at_first)
         if others.names:
-            answers.append(surest(others))
+            try:
+                answers.append(surest(others))
+            except DeadlineExceeded:
+                raise
+            except RholocError as error:
+                refused = refused or error
     if not answers and refused is not None:
         raise refused
     return max(answers, key=lambda answer: _rank(answer[2]))

@@ -97,7 +97,7 @@ class HeldBodies:
 
 
 async def read_body(request: Request, max_bytes: int, on_piece: PieceListener = lambda _: None) -> bytes:
-    """The whole body; calls ``on_piece`` with each piece as it arrives. Raises what that raises, TooLarge
+    """The whole body; calls ``on_piece`` with each piece as it arrives. Raises the errors of ``on_piece``, TooLarge
     over ``max_bytes``, and ClientDisconnect.
     """
     chunks = []

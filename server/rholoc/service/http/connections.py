@@ -27,12 +27,12 @@ _STREAMED_BYTES = 8 * 2**20  # of one message of a WebSocket
 
 
 class PatientProtocol(H11Protocol):
-    """Uvicorn's HTTP/1.1, which closes a connection whose request's head does not arrive in time.
+    """Uvicorn's HTTP/1.1, which closes a connection whose request's head takes over ``head_timeout_s``.
 
     Uvicorn itself closes connections that are silent between requests, but not those that send a byte now and then. At
-    the limit of connections, a new one replaces the one idle for longest. If none is idle, ``_FOR_PROBES`` more are
-    accepted for probes only; each further one replaces the oldest of these. A connection is aborted if its client does
-    not read.
+    the limit of connections, a new one replaces the one idle for longest, over 1 s. If none is, ``_FOR_PROBES`` more
+    are accepted for probes only; each further one replaces the oldest of these. A connection is aborted if its client
+    does not read for ``stalled_reader_s``.
     """
 
     head_timeout_s = _HEAD_TIMEOUT_S
@@ -129,8 +129,8 @@ def protocol_of(max_connections: int, stalled_reader_s: float = _STALLED_READER_
 
 
 def websocket_options(max_request_bytes: int) -> dict[str, Any]:
-    """Uvicorn's options for WebSockets: messages up to ``max_request_bytes`` or 8 MiB, without compression, which hides
-    length.
+    """Uvicorn's options for WebSockets: messages up to the smaller of ``max_request_bytes`` and 8 MiB, uncompressed,
+    because compression hides their length.
     """
     return {
         "ws": "websockets-sansio",
@@ -193,7 +193,7 @@ class SlowBodies:
 
     Args:
         app: the next application.
-        silence_s: maximum silence, and maximum lag behind ``_MIN_BYTES_PER_S``.
+        silence_s: maximum silence, and maximum lag behind 500 bytes/s.
     """
 
     def __init__(self, app: ASGIApp, silence_s: float) -> None:

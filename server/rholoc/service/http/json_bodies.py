@@ -28,7 +28,7 @@ _BYTES_PER_VALUE = 4
 
 @dataclass(frozen=True)
 class JsonLimits:
-    """Limits on a JSON body.
+    """Limits on a JSON body. Commas, brackets and colons are counted, also those inside strings.
 
     Attributes:
         length: [bytes].

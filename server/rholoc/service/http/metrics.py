@@ -141,7 +141,7 @@ class Metered:
 
 
 class Traced:
-    """ASGI middleware that traces requests to routes that need a key, so neither the page nor probes.
+    """ASGI middleware that traces requests to paths of the API, so neither the page nor probes, while telemetry is on.
 
     Args:
         app: the next application.

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import hashlib
 import hmac
 from email.utils import formatdate
@@ -26,7 +25,7 @@ _OVERRIDE = "X-HTTP-Method-Override"
 
 
 class Tus:
-    """ASGI middleware for the protocol's requirements on every request and answer."""
+    """ASGI middleware for the protocol's requirements on every request and answer, method override included."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -91,7 +90,7 @@ def read_metadata(text: str) -> dict[str, str]:
         key, _, value = part.partition(" ")
         try:
             pairs[key] = base64.b64decode(value, validate=True).decode("utf-8")
-        except (binascii.Error, UnicodeDecodeError) as error:
+        except ValueError as error:  # binascii.Error and UnicodeDecodeError, too
             raise InvalidRequest(
                 f"Upload-Metadata: {key[:64]!r} is not base64 of UTF-8.", "Encode each value."
             ) from error
@@ -110,7 +109,7 @@ def check_checksum(text: str, data: bytes) -> None:
         raise InvalidRequest(f"There is no checksum {algorithm[:32]!r} here.", f"Use one of {', '.join(_CHECKSUMS)}.")
     try:
         expected = base64.b64decode(encoded, validate=True)
-    except binascii.Error as error:
+    except ValueError as error:
         raise InvalidRequest("Upload-Checksum is not base64.", "Send the algorithm, a space, and base64.") from error
     if not hmac.compare_digest(hashlib.new(algorithm, data, usedforsecurity=False).digest(), expected):
         raise ChecksumMismatch("The bytes received do not match the checksum.", "Send them again.")

@@ -170,7 +170,7 @@ def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
 
     Raises:
         Conflict: the map has another version by now, or the correction does not fit it.
-        InvalidInput: the correction makes no sense.
+        InvalidInput: a value of the correction is not valid.
     """
     if wanted.version not in (None, map_.info.version):
         raise Conflict(

@@ -163,7 +163,7 @@ def _summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str
 
 
 def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> MapDetail:
-    """Description of a map whose file has ``size_bytes`` bytes and replaced the map ``before``, None if none."""
+    """Description of a map with a file of ``size_bytes`` bytes; ``before`` is the map that it replaced, or None."""
     bounds, rotation = None, levelled(map_)
     outline = MapOutline(map_.info, len(map_), len(map_.views), room=len(map_.room))
     if len(map_):

@@ -55,7 +55,7 @@ class ExportRequest:
 
 
 def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: Sequence[int] | None) -> bool:
-    """Whether an export is made by a process of its own: it has over 4 million numbers (CSV, surfaces)."""
+    """Whether an export is made by a process of its own: CSV or surfaces of over 4 million numbers."""
     match format:
         case ExportFormat.CSV:
             powers = 1 + (_DEGREE if degree is None else max(0, degree))
@@ -68,7 +68,7 @@ def is_long(landmarks: int, format: ExportFormat, degree: int | None, features: 
 
 
 class Exports:
-    """Makes exports, one at a time. Use it from the event loop's thread only."""
+    """Makes exports, one at a time, each within ``time_limit_s``. Use it from the event loop's thread only."""
 
     def __init__(self, time_limit_s: float) -> None:
         self._time_limit_s = time_limit_s

@@ -17,7 +17,7 @@ from rholoc.service.settings import Settings
 
 
 def publish_file(library: MapLibrary, name: str, arrived: Path, settings: Settings) -> None:
-    """Publish a ``.rho`` file or a Table 5 under a name, if all operations of the service succeed on it.
+    """Publish a ``.rho`` file or a coefficient table (CSV) under a name, if the service's operations succeed on it.
 
     Raises:
         TooLarge, InvalidMap, InvalidInput, StorageUnavailable, StorageFull: nothing was replaced.

@@ -88,7 +88,7 @@ def site_of(given: SiteIn) -> Site:
     """The site that was sent, checked, with given poses only.
 
     Raises:
-        InvalidInput, InvalidName: it cannot be one.
+        InvalidInput, InvalidName: it is not a valid site.
     """
     return check_site(
         Site(
@@ -115,6 +115,7 @@ def _frame(given: FramePoseIn) -> FramePose:
 
 
 def site_out(name: str, site: Site, present: Collection[str]) -> SiteOut:
+    """A site as it is sent; ``present`` are the names of all existing maps."""
     maps = [
         SiteMapOut(
             map=one.map,

@@ -99,9 +99,9 @@ def restore(file: Path, stores: Stores) -> tuple[Manifest, ImportedData]:
     Identical data is skipped, so that an interrupted restoration can be repeated.
 
     Raises:
-        InvalidInput: the file is none, was cut off or changed, or cannot be read. Nothing was restored.
+        InvalidInput: the file is no backup, was cut off or changed, or cannot be read. Nothing was restored.
         Conflict: the stores have different data of the same name, as the message says. Nothing was restored.
-        StorageUnavailable, StorageFull: what came before is there; try again.
+        StorageUnavailable, StorageFull: some of it was restored; try again.
     """
     with temporary_folder(stores.data_dir) as folder:
         maps_dir, data_dir = folder / _MAPS, folder / _DATA
@@ -120,7 +120,7 @@ def unpack_backup(file: Path, maps_dir: Path, data_dir: Path) -> Manifest:
     """Unpack a backup into empty folders.
 
     Raises:
-        InvalidInput: it is none, was cut off or changed, or cannot be read.
+        InvalidInput: the file is no backup, was cut off or changed, or cannot be read.
         StorageFull: the disk is full.
     """
     with reporting_full_disk():
@@ -147,7 +147,7 @@ def _other_documents(folder: Path, stores: Stores) -> Iterator[str]:
 
 
 def _write(file: Path, sources: Iterable[tuple[str, Path]]) -> Manifest:
-    """Write a new backup of paths in it and files, each of which is read before the next is asked for.
+    """Write a new backup of ``sources``, pairs of a path in it and a file. Each file is read before the next pair.
 
     Raises:
         Conflict: the file exists.
@@ -180,7 +180,7 @@ def _write(file: Path, sources: Iterable[tuple[str, Path]]) -> Manifest:
 
 
 def _contents(stores: Stores, folder: Path, recordings: bool) -> Generator[tuple[str, Path]]:
-    """Iterate over paths in the backup and files; each file may be gone when the next one is requested."""
+    """Iterate over pairs of a path in the backup and a file, which may be gone when the next pair is requested."""
     for name, number, file in stores.library.snapshot():
         yield f"{_MAPS}/{place_of(name, number)}", file
     for kind, path in _FOLDERS.items():
@@ -247,8 +247,8 @@ def _add_manifest(tar: tarfile.TarFile, manifest: Manifest) -> None:
 
 
 def _unpacked(file: Path, staged: dict[str, Path]) -> Manifest:
-    """Unpack a backup into staging folders, and verify sizes and hashes. Raises InvalidInput: it is none, was cut off,
-    or differs from its manifest.
+    """Unpack a backup into staging folders, and verify sizes and hashes. Raises InvalidInput: it is no backup, was
+    cut off, or differs from its manifest.
     """
     found: dict[str, BackedUp] = {}
     manifest: Manifest | None = None

@@ -204,7 +204,7 @@ def _videos(_: Settings) -> _Found:
 
 
 def _is_decoded(path: Path) -> bool:
-    """Whether a clip is decoded, into frames of the mean grey value that it has."""
+    """Whether the first two frames of a clip are decoded, with its mean grey value (128 ± 12)."""
     try:
         frames = list(read_video(path).images([0, 1]))
     except InvalidRecording:

@@ -31,7 +31,7 @@ class LastKnown(Generic[T]):
     """The last value of a slow function, called in a background thread, once at a time.
 
     Args:
-        read: the function. An exception that it raises becomes the value.
+        read: the function. An exception that it raises becomes ``error``, and ``value`` stays.
         initial: the value until ``read`` has returned once.
     """
 
@@ -125,7 +125,7 @@ class Readings:
 
 
 def text_of(known: LastKnown[str], what: str) -> str:
-    """A reading in words: why it is out of date (:func:`unanswered`), else its value; ``what`` is read."""
+    """A reading in words: why it is out of date (:func:`unanswered`), else its value; ``what`` names the thing read."""
     return unanswered(known, what) or known.value
 
 

@@ -73,7 +73,7 @@ class HerePoseOut(AnswerModel):
     floor: str | None
     position: list[float] | None = Field(description="x, y, z in m, in the site's frame")
     heading: list[float] | None = Field(description="the optical axis, unit length, in the site's frame")
-    sigma_m: float | None = Field(description="one sigma of the position, m; null where it is not known")
+    sigma_m: float | None = Field(description="one sigma of x and y (root mean square), m; null where not known")
     message: str | None = Field(description="one sentence: why there is no pose, and what to try")
 
 

@@ -61,10 +61,10 @@ _FAILURES = (UnknownMap, InvalidName, InvalidMap)
     **declared(NEEDS_MAP, "Let a map learn from its users", *_FAILURES, InvalidInput, Conflict, StorageFull),
 )
 async def learn_from_users(map_name: str, request: Request, service: Service, response: Response) -> JobOut:
-    """A job learns from the queries that are kept for the map: views and landmarks of what was seen often, without what
-    many should have seen and did not. `Location` names the job. The map's next version takes the place of the present
-    one unless it would localize queries that were held back worse; then the job fails and says by how much. Where the
-    setting `learn` says so, maps learn by themselves each night."""
+    """A job learns from the queries that are kept for the map: it adds views and landmarks that were seen often, and
+    removes landmarks that many should have seen and did not. `Location` names the job. The map's next version replaces
+    the present one, unless it localizes queries that were held back worse; then the job fails and says by how much. If
+    the setting `learn` is on, maps learn by themselves each night."""
     key = request_key(request.scope)
     job = await service.jobs.begin(key, map_name, lambda _: service.learning.submit(map_name))
     return begun(job, response)

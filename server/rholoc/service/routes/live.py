@@ -83,13 +83,14 @@ async def watch_poses(map_name: str, request: Request, service: Service) -> Resp
     this map since the event before: by the name of its key, or its address where no key is required. An answer without
     a pose has no position, and `localized` false. Only if the setting `live` is on; nothing is stored."""
     await service.maps.stat(map_name)
-    first = service.frames.live.after(map_name, 0)
+    service.frames.live.after(map_name, 0)  # raises Conflict before the stream begins
     stream = service.streams.admit(StreamKind.EVENTS, request.scope)
-    return EventStream(_events(map_name, first, service), service.streams, stream)
+    return EventStream(_events(map_name, service), service.streams, stream)
 
 
-async def _events(map_name: str, first: list[Sighting], service: State) -> AsyncIterator[str]:
-    live, found = service.frames.live, first
+async def _events(map_name: str, service: State) -> AsyncIterator[str]:
+    live = service.frames.live
+    found = live.after(map_name, 0)
     while True:
         seen, changed = live.number, live.changed
         # A proxy would take a connection on which nothing comes for dead.

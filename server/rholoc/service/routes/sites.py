@@ -28,7 +28,7 @@ from rholoc.service.threads.compute import Effort
 
 
 class SiteLinkWanted(RequestModel):
-    """Two maps of a site, the pose between which is looked for."""
+    """Two maps of a site between which to find the pose."""
 
     first: str
     second: str
@@ -46,7 +46,7 @@ router = APIRouter(prefix="/v1/sites", tags=["sites"])
 
 @router.get("", **declared(NEEDS_READ, "All sites"))
 async def list_sites(service: Service) -> SiteList:
-    """The sites by name; files that are no sites are named apart."""
+    """The sites by name; files that cannot be read are listed separately."""
     found: list[SiteOut] = []
     unreadable: dict[str, str] = {}
     present = set(await service.maps.names())
@@ -81,8 +81,8 @@ async def get_site(site: str, service: Service) -> SiteOut:
 )
 async def put_site(site: str, wanted: SiteIn, service: Service, response: Response) -> SiteOut:
     """Stores a site. Poses that are not given are found from links; without any given pose the first map's frame is the
-    site's. Links that contradict each other are refused, with what is left over around them. Maps that nothing joins to
-    the others are the site's without a pose: frames are looked for in them, and answered in the map's frame alone.
+    site's. Links that contradict each other are refused, with the residual around their loop. A map that no link joins
+    to the others stays without a pose: frames are localized in it, and answered in the map's frame alone.
     """
     present = set(await service.maps.names())
     for one in wanted.maps:
@@ -109,8 +109,8 @@ async def delete_site(site: str, service: Service) -> None:
 )  # fmt: skip
 async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) -> SiteOut:
     """Finds the pose between two maps: by three measured or named points that both have, else by views of the second
-    localized in the first. The link takes the place of one that was found before, and poses that nobody gave follow
-    anew.
+    localized in the first. The link replaces one that was found before, and the poses that are not given are
+    solved anew.
     """
     before = await service.sites.get(site)
     for name in (wanted.first, wanted.second):
@@ -129,9 +129,9 @@ async def find_site_link(site: str, wanted: SiteLinkWanted, service: Service) ->
     **declared(NEEDS_MAP, "Place the maps of a site", UnknownSite, InvalidName, InvalidInput, Conflict, StorageFull),
 )
 async def place_site(site: str, request: Request, service: Service, response: Response) -> JobOut:
-    """A job holds pairs of maps against each other, as `links` does with one pair, until all are placed or no further
-    two overlap; `Location` names the job. What it finds is added to the site as it is then, and the job's `warnings`
-    say what is still not placed."""
+    """A job finds the poses between pairs of maps, as `POST …/links` does for one pair, until all are placed or no
+    further two overlap; `Location` names the job. What it finds is added to the site as it is then, and the job's
+    `warnings` say what is still not placed."""
     await service.sites.get(site)
     job = await service.jobs.begin(request_key(request.scope), "", lambda jobs: jobs.submit_placing(site))
     return begun(job, response)

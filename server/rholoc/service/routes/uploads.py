@@ -143,8 +143,8 @@ async def delete_recording(recording: str, service: Service) -> Response:
 
 
 async def _pieces(request: Request, max_bytes: int) -> AsyncIterator[bytes]:
-    """Iterate over the body in pieces of at least 1 MiB and the rest, which also comes if the body breaks off, then
-    raises.
+    """Iterate over the body in pieces of at least 1 MiB, then the rest. If the sender breaks off, yields the rest that
+    arrived and raises ClientDisconnect.
     """
     piece = bytearray()
     try:

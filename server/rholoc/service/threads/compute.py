@@ -92,7 +92,8 @@ class ComputePool:
             is_useful: whether a result is of use to the client, as a pose is and a refusal is not.
 
         Raises:
-            Busy: the queue is full, and no other client has more calls in it.
+            Busy: the queue is full, and no other client has more calls in it; or the call waited, and was displaced by
+                one of a client with fewer.
         """
         client = CLIENT.get()
         if effort is Effort.LARGE:
@@ -103,7 +104,9 @@ class ComputePool:
         return result
 
     def _is_costly(self, client: str) -> bool:
-        """Whether a client's useful results cost over 0.25 s, 3 × those of another client of the last 5 s."""
+        """Whether a client's useful results cost over 0.25 s of core time each, and over 3 × those of a client active
+        in the last 5 s.
+        """
         own, now_s = self._costs.get(client), time.monotonic()
         if own is None or own.per_result_s <= _COSTLY_S:
             return False
@@ -144,7 +147,7 @@ class _Cost:
 
     @property
     def per_result_s(self) -> float:
-        """Core time per useful result [s], of which at least 5 % of calls are assumed."""
+        """Core time per useful result [s]; at least 5 % of the calls count as useful."""
         return self.mean_s / max(self.useful, _MIN_USEFUL)
 
 

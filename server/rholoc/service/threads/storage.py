@@ -89,7 +89,7 @@ class StorageLanes:
         database: SQL, and small files of the data folder.
         files: maps and pictures on this machine.
         fetches: fetching maps from the storage.
-        transfers: storing maps and recordings, which may take long.
+        transfers: storing maps and recordings, within 300 s; the other lanes' calls may take 8 s.
     """
 
     database: StorageThreads = field(default_factory=lambda: StorageThreads(16, 8.0))

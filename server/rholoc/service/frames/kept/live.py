@@ -33,7 +33,7 @@ class Sighting:
         localized: whether this answer has a pose.
         reason: why it has no pose.
         confidence: 0 to 1.
-        sigma_m: the pose's standard deviation along its worst axis.
+        sigma_m: the largest standard deviation of the position along a map axis [m]; None without a pose.
     """
 
     number: int
@@ -56,7 +56,8 @@ class Failure:
     Attributes:
         map: name of the map.
         time: seconds since the epoch.
-        position, heading: of the unsure pose, else of the request's prior; None where there is neither.
+        position: of the unsure pose, else of the request's prior; None where there is neither.
+        heading: of the unsure pose; None where there is none.
         confidence: 0 to 1.
         reason: why there is no pose; None for an unsure one.
     """
@@ -83,7 +84,7 @@ class Live:
         self._failures: deque[Failure] = deque(maxlen=_MAX_FAILURES)
         self.number = 0
         self.changed = asyncio.Event()
-        """Set by the next answer, which puts another one in its place."""
+        """Set by the next answer, and then replaced by a new event."""
 
     def note(self, answer: LocalizationOut, expected: Sequence[float] | None = None) -> None:
         """Record an answer to the request's asker, and wake those who wait for ``changed``; ``expected`` is the prior's

@@ -24,7 +24,6 @@ from rholoc.service.frames.answers import LocalizationOut
 from rholoc.service.http.models import AnswerModel
 
 _PICTURE_PX, _QUALITY = 480, 75
-_MAX_PIXELS = 2**24
 _DAY_S = 24 * 3600.0
 _MAX_LINES = 60
 
@@ -66,15 +65,17 @@ class Refusals:
 
     Args:
         most: number of pictures; 0 keeps none.
+        max_pixels: of a picture as it was sent.
     """
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, most: int, max_pixels: int) -> None:
         self._kept: deque[Refusal] = deque(maxlen=most)
         self._numbers = count(1)
+        self._max_pixels = max_pixels
         self.wanted = most > 0
 
     def keep(self, answer: LocalizationOut, image: bytes) -> None:
-        """Keep a JPEG of at most 480 px of a picture, with the diagnosis; nothing if it was localized or has none.
+        """Keep a picture as a JPEG of at most 480 px a side, with its diagnosis; nothing if localized or without one.
 
         Raises:
             InvalidImage: it cannot be decoded.
@@ -82,7 +83,7 @@ class Refusals:
         why = answer.diagnosis
         if not self.wanted or answer.localized or why is None:
             return
-        whole = decode_image(image, _MAX_PIXELS, SENT_FORMATS)
+        whole = decode_image(image, self._max_pixels, SENT_FORMATS)
         scale = min(1.0, _PICTURE_PX / max(whole.shape[:2]))
         small = cv2.resize(whole, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         picture = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
@@ -120,7 +121,7 @@ class Refusals:
 
 def likeness(localizer: AnyLocalizer, refusal: Refusal) -> LikenessOut:
     """The view that a refused picture resembles most (None if none), and their matches as of :func:`lines_between`."""
-    image = decode_image(refusal.picture, _MAX_PIXELS, SENT_FORMATS)
+    image = decode_image(refusal.picture, _PICTURE_PX**2, SENT_FORMATS)
     features = localizer.extractor.extract(image)
     views = likeliest_views(localizer, features, 1)
     if not views:
@@ -131,8 +132,8 @@ def likeness(localizer: AnyLocalizer, refusal: Refusal) -> LikenessOut:
 
 
 def lines_between(features: FeatureSet, size: tuple[int, int], map_: Map, view: int, metric: Metric) -> FloatArray:
-    """At most 60 mutual matches (M, 4) of a picture with a map's view: u, v in it, u, v in the view, as shares of width
-    and height.
+    """At most 60 mutual matches (M, 4) of a picture with a map's view: u, v in the picture, u, v in the view, as shares
+    of width and height. Empty if the map does not have the view's pixels.
 
     Args:
         features: of the picture.

@@ -178,7 +178,7 @@ async def find_geopose(request: Request, service: Service, requested: Requested)
 
 def _accepted(request: Request) -> str:
     """The protocol's version that the client accepts, by its header: "1", "2", "1.0" or "2.0"; "2.0" if it says
-    nothing. Raises InvalidRequest: another than 1 and 2.
+    nothing. Raises InvalidRequest for another version.
     """
     asked = _VERSION.search(request.headers.get("accept", ""))
     version = "2.0" if asked is None else asked[1]

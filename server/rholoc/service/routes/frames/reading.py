@@ -127,8 +127,8 @@ async def read_frame(request: Request, options: OptionParameters, service: State
     block.
 
     Raises:
-        InvalidRequest, ValidationError, UnsupportedMediaType, TooLarge, InvalidImage, Busy: the body is none, or there
-            is no room.
+        InvalidRequest, ValidationError, UnsupportedMediaType, TooLarge, InvalidImage, Busy: the body is not a frame, or
+            there is no room.
         UnknownCamera, InvalidCamera: the request names a stored camera that there is not, or that is damaged.
     """
     settings, kind = service.settings, media_type(request)
