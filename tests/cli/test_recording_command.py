@@ -61,6 +61,16 @@ def test_it_tells_all_of_a_recording(walk: Path, tmp_path: Path, info: Run) -> N
     assert (drawn < 128).any(axis=2).mean() > 0.01  # lines, not a white page
 
 
+def test_a_stored_camera_is_named(
+    walk: Path, info: Run, command: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RHOLOC_MAPS_DIR", str(tmp_path / "maps"))
+    assert command("camera", "add", "robot", "50,50,31.5,23.5", "--size", "64x48")[0] == 0
+    status, printed, errors = info(walk, "--camera", "robot", "--json")
+    assert status == 0, errors
+    assert json.loads(printed)["camera"]["fx"] == 50
+
+
 def test_people_read_the_same_in_words(walk: Path, info: Run) -> None:
     status, printed, errors = info(walk)
     assert status == 0, errors

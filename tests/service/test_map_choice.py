@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import cast
+from types import SimpleNamespace
+from typing import Any, cast
 
 import httpx
 import pytest
 
+from rholoc.errors import InvalidMap
 from rholoc.library.map_cache import memory_bytes
 from rholoc.library.maps import MapLibrary
 from rholoc.maps import map_to_bytes, save_map
+from rholoc.service.frames import single_frame
 from rholoc.service.frames.localizers import Localizers
 from rholoc.service.frames.map_choice import MAX_ASKED, Candidates, each_map
 from rholoc.service.http.stopwatch import Stopwatch
@@ -91,6 +94,29 @@ def test_a_sure_answer_ends_the_search_unless_another_map_is_about_as_likely(
 ) -> None:
     maps = Candidates(("a", "b", "c"), passing_over=True, scores=scores)
     assert maps.is_settled(asked, 0, confidence) is settled
+
+
+def test_maps_that_could_not_be_ranked_leave_those_not_asked() -> None:
+    """Of maps whose index changed between two rankings."""
+    asked = Candidates(("a",), passing_over=True, scores=(1.0,))
+    assert Candidates(("a", "b"), passing_over=True).besides(asked) == Candidates(("b",), passing_over=True)
+
+
+def test_an_answer_outlives_further_maps_that_cannot_be_used(picture_world, monkeypatch) -> None:
+    """The first maps gave a pose that was not conclusive, all further ones were damaged: the request failed."""
+    found: Any = SimpleNamespace(localized=True, recognized=0.85)
+
+    def surest(asked: Candidates) -> tuple[str, None, Any]:
+        if asked.names == ("damaged",):
+            raise InvalidMap("The map is damaged.")
+        return "good", None, found
+
+    further = Candidates(("good", "damaged"), passing_over=True, scores=(1.0, 0.9))
+    monkeypatch.setattr(single_frame, "choose_candidates", lambda *_: further)
+    first = Candidates(("good",), passing_over=True, scores=(1.0,))
+    nothing: Any = None
+    frame: Any = SimpleNamespace(by=nothing)
+    assert single_frame._looking_twice(first, nothing, frame, cast(Any, surest), Stopwatch())[2] is found
 
 
 def test_a_map_that_leaves_memory_takes_its_localizer_along(tmp_path: Path, picture_world) -> None:

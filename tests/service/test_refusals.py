@@ -60,6 +60,14 @@ def test_the_last_refused_pictures_are_kept_with_their_cause_and_sender(keeping,
     assert all(0 <= share <= 1 for line in likeness["lines"] for share in line)
 
 
+def test_a_large_picture_is_answered_and_kept(keeping):
+    url, headers = keeping
+    answer = ask(url, headers, np.zeros((3600, 4800, 3), np.uint8))
+    assert (answer.get("localized"), answer.get("reason") is not None) == (False, True)
+    last = httpx.get(f"{url}/v1/maps/room/refusals", headers=headers[Scope.MAP]).json()["refusals"][0]
+    assert last["cause"] == "too_dark"
+
+
 def test_nothing_is_kept_unless_the_setting_says_so(service):
     answer = httpx.get(f"{service.url}/v1/maps/testsite/refusals")
     if answer.status_code != 404:

@@ -37,6 +37,13 @@ def begun(service, length=len(VIDEO), **options) -> str:
     return service.url + answer.headers["Location"]
 
 
+@pytest.mark.parametrize("value", ["filename \xe9", "filename a"])
+def test_metadata_that_are_no_base64_are_refused(service, value):
+    headers = {**TUS, "Upload-Length": "5", "Upload-Metadata": value.encode("latin-1")}
+    answer = httpx.post(service.url + "/v1/recordings", headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
+
+
 def patch(url, offset, data, **headers):
     kind = {"Content-Type": "application/offset+octet-stream"}
     return httpx.patch(url, content=data, headers={**TUS, **kind, "Upload-Offset": str(offset), **headers})

@@ -232,7 +232,7 @@ TURNED_HALL = {"position": [10.0, 0.0, 0.0], "quaternion_xyzw": [0.0, 0.0, np.sq
 @pytest.fixture(scope="module")
 def site(serve, picture_world):
     """A service with keys, and a site of two maps, of which one has no place in it."""
-    running = serve(keys=KeyPolicy.ALWAYS)
+    running = serve(keys=KeyPolicy.ALWAYS, live=True)
     store = KeyStore(running.settings.data_dir)
     keys = {
         "boss": store.create("boss", Scope.ADMIN),
@@ -285,6 +285,18 @@ def _black() -> bytes:
     import cv2
 
     return cv2.imencode(".png", np.zeros((480, 640, 3), np.uint8))[1].tobytes()
+
+
+def test_a_visitor_is_not_shown_live(site, picture_world):
+    running, headers = site
+    where = f"{running.url}/v1/here/campus/localize"
+    noted = running.app.state.rholoc.frames.live.number
+    for picture in (picture_world.png(), _black()):
+        httpx.post(where, content=picture, headers={**headers["visitor"], "Content-Type": "image/png"}, timeout=60)
+    assert running.app.state.rholoc.frames.live.number == noted
+    picture = {"content": picture_world.png(), "headers": {**headers["boss"], "Content-Type": "image/png"}}
+    httpx.post(f"{running.url}/v1/maps/hall/localize", **picture, timeout=60)
+    assert running.app.state.rholoc.frames.live.number == noted + 1
 
 
 def test_a_visitors_key_allows_nothing_else(site):

@@ -85,6 +85,13 @@ def test_a_failing_job_says_why_and_keeps_the_recording(
     assert name not in MapLibrary(busy_site.maps_dir).names()
 
 
+def test_a_panorama_is_no_stored_camera(busy_site: Site) -> None:
+    entry = busy_site.recordings.create([("walk.mp4", [b"a walk"])])
+    job = busy_site.queue.submit(entry.id, "round", JobOptions(camera="equirectangular"))
+    ended = busy_site.wait_for(job, JobState.PUBLISHED, JobState.FAILED)
+    assert (ended.state, ended.error_message) == (JobState.PUBLISHED, None)
+
+
 @pytest.mark.slow
 def test_a_failed_job_can_be_retried(busy_site: Site) -> None:
     job = busy_site.submit(b"unreadable at read", "retried")
