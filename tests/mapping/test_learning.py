@@ -266,6 +266,14 @@ def test_a_recording_of_another_room_is_refused(walks: Walks, another_room: Any,
     assert_untouched(walks.map_, before)
 
 
+def test_pictures_without_times_do_not_jump(walks: Walks, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows were taken for seconds: of pictures more than two rows apart none was left."""
+    frames = walks.recording.frames
+    monkeypatch.setattr(type(frames), "timed", False, raising=False)
+    monkeypatch.setattr(type(frames), "times", property(lambda self: 3.0 * np.arange(len(walks.poses))))
+    assert update_map(walks.map_, walks.recording).info.version == walks.map_.info.version + 1
+
+
 def test_a_recording_that_is_too_short_is_not_taken_for_one_of_another_place(walks: Walks) -> None:
     with pytest.raises(MappingFailed, match=r"Only 3 frames of .* show the place of the map; at least 5 are needed"):
         update_map(walks.map_, walk_of(walks.room, 2, walks.poses[:3]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from bag_messages import bag_messages
 from foxglove_client import PATIENCE_S, Foxglove
 from rholoc.errors import InvalidInput
-from rholoc.geometry import Camera
+from rholoc.geometry import Camera, Lens
 from rholoc.tracking import pose_messages
 from rholoc.tracking.live_view import LiveView
 from rholoc.tracking.pose_bag import PoseBag
@@ -24,6 +25,7 @@ from rholoc.tracking.users import MessagesOfTrack
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove.json"
 CAMERA = Camera(960, 720, 800.0, 810.0, 470.0, 350.0)
+RATIONAL = (0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6)
 
 
 @pytest.fixture
@@ -62,6 +64,27 @@ def test_all_that_the_layout_shows_is_sent_as_it_happens(view, step, point_room)
     assert (p.x, p.y, p.z) == (1, 2, 3)
     with Foxglove(view.port) as late:
         assert {topic for topic, _ in late.messages(1.0)} == {"/map/points", "/tf_static"}
+
+
+@pytest.mark.parametrize(
+    ("camera", "model", "coefficients"),
+    [
+        (replace(CAMERA, distortion=(0.1, 0.2, 0.0, 0.0)), "plumb_bob", (0.1, 0.2, 0, 0, 0)),
+        (replace(CAMERA, distortion=RATIONAL), "rational_polynomial", RATIONAL),
+        (replace(CAMERA, distortion=(0.1, 0.2, 0.3, 0.4), lens=Lens.FISHEYE), "equidistant", (0.1, 0.2, 0.3, 0.4)),
+    ],
+)
+def test_camera_info_has_the_cameras_lens(view, step, point_room, camera, model, coefficients):
+    user = MessagesOfTrack(view, point_room.map_of(point_room.walk(10), "walk"), camera)
+    found, now_s = {}, 100.0
+    with Foxglove(view.port) as foxglove:
+        deadline = time.monotonic() + PATIENCE_S
+        while "/camera/camera_info" not in found and time.monotonic() < deadline:
+            now_s += 1.25
+            user.take(step(now_s, np.eye(4), size=(720, 960)))
+            found |= dict(foxglove.messages(0.2))
+    info = found["/camera/camera_info"]
+    assert (info.distortion_model, tuple(info.d)) == (model, coefficients)
 
 
 def test_the_ellipsoid_holds_95_percent(tmp_path):

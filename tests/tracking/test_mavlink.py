@@ -150,7 +150,7 @@ def test_it_is_silent_until_the_place_is_known_and_when_it_is_lost(listener, ste
 
 
 @pytest.mark.parametrize(
-    "address", ["", "14550", ":14550", "host:", "127.0.0.1:0", "127.0.0.1:99999", "no.such.invalid:1"]
+    "address", ["", "14550", ":14550", "host:", "127.0.0.1:0", "127.0.0.1:99999", "no.such.invalid:1", "a..b:14550"]
 )
 def test_what_is_no_address_is_refused(address):
     with pytest.raises(InvalidInput):

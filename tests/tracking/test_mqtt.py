@@ -126,6 +126,16 @@ def test_what_is_no_broker_is_refused(url):
         MqttSender(url, "room", FORWARD)
 
 
+def test_a_topic_is_no_pattern():
+    with pytest.raises(InvalidInput, match=r"no \+ or #"):
+        MqttSender("mqtt://127.0.0.1/plant/+/pose", "room", FORWARD)
+    assert MqttSender("mqtt://127.0.0.1", "room+hall#2", FORWARD)._topic == "rholoc/room-hall-2"
+
+
+def test_a_broker_that_is_gone_in_the_end_does_not_hide_the_tracks_result():
+    MqttSender("mqtt://127.0.0.1:9", "room", FORWARD).__exit__(None, None, None)
+
+
 def test_a_broker_that_does_not_answer_is_said():
     with pytest.raises(InvalidInput, match="does not answer"), MqttSender("mqtt://127.0.0.1:9", "room", FORWARD):
         pass

@@ -147,3 +147,19 @@ def test_an_imu_that_cannot_place_the_camera_is_refused() -> None:
         part = replace(imu, times=imu.times[kept], acceleration=imu.acceleration[kept])
         with pytest.raises(MappingFailed, match="does not cover"):
             integrate_between_waypoints(part, waypoints((0, 1, 3)), at)
+
+
+def test_a_gap_at_a_waypoint_and_two_waypoints_at_once_are_said() -> None:
+    imu, *_ = walk()
+    kept = np.abs(imu.times - STOPS[1]) > 0.5
+    part = replace(
+        imu,
+        times=imu.times[kept],
+        acceleration=imu.acceleration[kept],
+        angular_velocity=imu.angular_velocity[kept],
+    )
+    with pytest.raises(MappingFailed, match="no readings at the waypoint"):
+        integrate_between_waypoints(part, waypoints((0, 1, 3)), np.array([2.0]))
+    first, second, third = waypoints((0, 1, 3))
+    with pytest.raises(MappingFailed, match="the same time"):
+        integrate_between_waypoints(imu, [first, replace(second, time=third.time), third], np.array([2.0]))

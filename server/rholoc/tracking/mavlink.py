@@ -143,7 +143,7 @@ class MavlinkSender:
             raise InvalidInput(f"'{address}' is not HOST:PORT.", _HINT)
         try:
             family, kind, _, _, found = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM)[0]
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             raise InvalidInput(f"There is no host {host}.", _HINT) from error
         self._address: Any = found
         self._socket = socket.socket(family, kind)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import threading
+from contextlib import suppress
 from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any
@@ -22,6 +24,7 @@ from rholoc_client.tracking.rigid import inverse, quaternion_of
 PASSWORD_VARIABLE = "RHOLOC_MQTT_PASSWORD"
 _INTERVAL_S = 0.1  # VDA 5050 asks for its visualization at most this often
 _PATIENCE_S = 5.0
+_WILDCARDS = re.compile("[+#]")
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _HINT = "Give --mqtt mqtt://USER@HOST:PORT/TOPIC, or mqtts:// for TLS."
 
@@ -52,7 +55,9 @@ class MqttSender:
             raise InvalidInput("That is not the address of an MQTT broker.", _HINT) from error
         if parts.scheme not in _PORTS or not parts.hostname:
             raise InvalidInput("That is not the address of an MQTT broker.", _HINT)
-        self._topic = unquote(parts.path).strip("/") or f"rholoc/{map_name}"
+        self._topic = unquote(parts.path).strip("/") or f"rholoc/{_WILDCARDS.sub('-', map_name)}"
+        if _WILDCARDS.search(self._topic):
+            raise InvalidInput("An MQTT topic to publish to has no + or #.", _HINT)
         self._map_name, self._T_camera_base = map_name, inverse(T_base_camera)
         self._score, self._count, self._last_s = 0.0, 0, -math.inf
         self._host, self._port = parts.hostname, port or _PORTS[parts.scheme]
@@ -83,7 +88,8 @@ class MqttSender:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._client.publish(self._topic, json.dumps({"status": "offline"})).wait_for_publish(_PATIENCE_S)
+        with suppress(RuntimeError, ValueError):  # the broker is gone, or its queue is full: it sends the will instead
+            self._client.publish(self._topic, json.dumps({"status": "offline"})).wait_for_publish(_PATIENCE_S)
         self._client.disconnect()
         self._client.loop_stop()
 

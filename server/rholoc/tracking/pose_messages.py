@@ -157,18 +157,21 @@ class PoseMessages(ABC):
         header = self._header(time_s, OPTICAL)
         sent = self._make("CompressedImage", "sensor_msgs", header=header, format="jpeg", data=jpeg.ravel())
         self._write("/camera/image/compressed", time_s, sent)
+        if camera.lens is Lens.EQUIRECTANGULAR:  # which the message has no model for
+            return
         self._write("/camera/camera_info", time_s, self._camera_info(header, camera, share, small.shape[1::-1]))
 
     def _camera_info(self, header: Any, camera: Camera, share: float, size: tuple[int, int]) -> Any:
         fx, fy = share * camera.fx, share * camera.fy
         cx, cy = (share * (value + 0.5) - 0.5 for value in (camera.cx, camera.cy))
-        d = (*camera.distortion, *[0.0] * 5)[: 4 if camera.lens is Lens.FISHEYE else 5]
+        model, count = _lens_model(camera)
+        d = (*camera.distortion, *[0.0] * count)[:count]
         no_region = self._make(
             "RegionOfInterest", "sensor_msgs", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )
         return self._make(
             "CameraInfo", "sensor_msgs", header=header, width=size[0], height=size[1],
-            distortion_model="equidistant" if camera.lens is Lens.FISHEYE else "plumb_bob",
+            distortion_model=model,
             d=np.array(d), k=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]), r=np.eye(3).ravel(),
             p=np.array([fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1.0, 0]), binning_x=0, binning_y=0, roi=no_region,
         )  # fmt: skip
@@ -230,3 +233,10 @@ class PoseMessages(ABC):
 
     def _make(self, kind: str, package: str = "geometry_msgs", **fields: Any) -> Any:
         return self._store.types[f"{package}/msg/{kind}"](**fields)
+
+
+def _lens_model(camera: Camera) -> tuple[str, int]:
+    """Name of the distortion model in CameraInfo, and its number of coefficients."""
+    if camera.lens is Lens.FISHEYE:
+        return "equidistant", 4
+    return ("rational_polynomial", 8) if len(camera.distortion) == 8 else ("plumb_bob", 5)

@@ -33,8 +33,8 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
 
     Raises:
         InvalidWaypoints: the waypoints do not fix a frame.
-        MappingFailed: the IMU's mounting is unknown, its acceleration excludes gravity, or it does not cover the
-            waypoints.
+        MappingFailed: the IMU's mounting is unknown, its acceleration excludes gravity, it has no readings at a
+            waypoint, or two waypoints have one time.
     """
     check_waypoints_fix_frame(waypoints)
     if imu.R_camera_imu is None or not imu.includes_gravity:
@@ -49,6 +49,13 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
         raise MappingFailed("The IMU does not cover the waypoints.", "Record the IMU for the whole walk.")
     rests = _rests(imu, stops)
     near = [np.abs(imu.times - stop) <= _PAUSE_S / 2 for stop in stops]
+    for waypoint, here in zip(ordered, near, strict=True):
+        if not here.any():
+            raise MappingFailed(
+                f"The IMU has no readings at the waypoint {waypoint.name}.", "Record it without gaps, or leave it out."
+            )
+    if (np.diff(stops) <= 0).any():
+        raise MappingFailed("Two waypoints have the same time.", "Give each the time when the camera was there.")
 
     def walked(bias: FloatArray) -> tuple[Rotation, Rotation, list[tuple[FloatArray, FloatArray]], FloatArray]:
         """Orientations, levelling rotation, path of every leg, and specific force at every stop in the level frame."""

@@ -583,9 +583,8 @@ def _comparison(
     stops = [waypoint.time for waypoint in found.frame.waypoints]
     between = (times >= min(stops)) & (times <= max(stops))
     gyro = found.imu.gyro
-    on_video_clock = replace(
-        recording.imu, times=recording.imu.times - gyro.time_offset_s, R_camera_imu=gyro.R_camera_imu
-    )
+    offset_s = gyro.time_offset_s + found.imu.clock_s
+    on_video_clock = replace(recording.imu, times=recording.imu.times - offset_s, R_camera_imu=gyro.R_camera_imu)
     try:
         poses = integrate_between_waypoints(on_video_clock, found.frame.waypoints, times[between])
     except RholocError as error:

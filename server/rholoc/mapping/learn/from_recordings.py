@@ -142,9 +142,9 @@ def update_map(
 
 
 def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, progress: ProgressListener) -> _Walk:
-    """Views of a recording from frames localized one by one, five per second, at most 240, without those that jump and
-    those less than 0.1 (metres plus radians) from the view before. Raises InvalidCamera without intrinsics,
-    InvalidRecording for a damaged frame, MappingFailed below five frames or a tenth.
+    """Views of a recording from frames localized one by one, five per second, at most 240, without those that jump, if
+    there are times, and those less than 0.1 (metres plus radians) from the view before. Raises InvalidCamera without
+    intrinsics, InvalidRecording for a damaged frame, MappingFailed below five frames or a tenth.
     """
     camera = _camera_of(recording, localizer.map.info)
     times = recording.frames.times
@@ -157,7 +157,8 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
         shown = [one._replace(features=shutter.at_once(k, one.features)) for k, one in enumerate(shown)]
     frames = [(camera, one.features) for one in shown]
     found = find_frames(localizer, frames, np.arange(len(rows)), recording.name, progress)
-    found = without_jumps(found, times[rows], recording.name)
+    if recording.frames.timed:
+        found = without_jumps(found, times[rows], recording.name)
     views = found.rows[choose_views(found.T_map_camera[found.rows], hold_out=False, step=_VIEW_STEP)[0]]
     figures = LearningReport(0, frames_tried=found.tried, frames_found=len(found.rows))
     return _Walk(
@@ -206,7 +207,8 @@ def _aligned_walk(
 
 
 def _frame_features(localizer: Localizer, recording: Recording, pictures: bool) -> FrameFeatures:
-    extractor = widened(get_extractor(localizer.map.info.features), recording.camera)
+    info = localizer.map.info
+    extractor = widened(get_extractor(info.features), recording.camera or info.camera)
     return FrameFeatures(recording.frames, extractor, pictures)
 
 
