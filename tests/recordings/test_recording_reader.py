@@ -393,6 +393,13 @@ def test_the_table_of_times_must_agree_with_the_video(own: Path, count: int, fit
             read_recording(own)
 
 
+def test_a_gap_in_the_table_of_times_is_refused(own: Path) -> None:
+    numbers = np.delete(np.arange(12), 5)
+    write_frames_csv(own / "frames.csv", numbers, 50 + numbers / 20)
+    with pytest.raises(InvalidRecording, match=r"frames\.csv has no time for frame 5 "):
+        read_recording(own)
+
+
 def test_several_videos_are_reported(own: Path, make_video) -> None:
     make_video(own / "second.mp4")
     check_whole(read_recording(own))  # video.mp4 is the one
