@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -396,6 +397,21 @@ def test_metashapes_scale_and_fourth_coefficient(tmp_path: Path) -> None:
     assert recording.poses is not None
     assert not recording.poses.metric
     assert [warning.kind for warning in recording.warnings] == [WarningKind.SCALE_UNKNOWN]
+
+
+def test_metashapes_cameras_of_one_label_are_left_out(tmp_path: Path) -> None:
+    path = phone.write_recording("metashape", tmp_path / "walk") / "cameras.xml"
+    text = path.read_text()
+    phone.write_images(tmp_path / "walk" / "other", ["DSC00003.JPG"])
+    path.write_text(text.replace('label="DSC00004"', 'label="DSC00003"'))
+    recording = read_recording(tmp_path / "walk")
+    assert recording.frames.numbers.tolist() == [0, 1, 2, *range(5, phone.FRAMES)]
+    (warning,) = [one for one in recording.warnings if "label" in one.text]
+    assert warning.kind is WarningKind.NOT_USED
+    assert "DSC00003" in warning.text
+    path.write_text(re.sub(r'label="DSC\d+"', 'label="DSC00003"', text))
+    with pytest.raises(InvalidRecording, match="shares its label"):
+        read_recording(tmp_path / "walk")
 
 
 def test_an_xml_file_with_entities_is_not_expanded(tmp_path: Path) -> None:
