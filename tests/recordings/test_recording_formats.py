@@ -153,6 +153,13 @@ def test_every_format_is_read_from_a_zip_file_wrapped_in_a_folder(name: str, tmp
     assert len(recording.frames.times) == phone.FRAMES
 
 
+def test_a_folder_of_the_format_at_the_top_of_a_zip_file_stays(tmp_path: Path) -> None:
+    folder = phone.write_recording("polycam", tmp_path / "walk")
+    (folder / "mesh_info.json").unlink()
+    packed = shutil.make_archive(str(tmp_path / "walk"), "zip", folder)
+    assert read_recording(Path(packed)).format is RecordingFormat.POLYCAM
+
+
 def test_every_reader_has_a_format_of_its_own_and_a_walk_here() -> None:
     formats = [reader.format for reader in READERS]
     assert len(set(formats)) == len(formats)

@@ -446,6 +446,12 @@ def test_a_zip_file_that_reaches_outside_is_refused(tmp_path: Path, name: str) -
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["deep", "evil.zip", "work"]
 
 
+def test_a_zip_files_own_folder_and_apples_files_are_ignored(make_images, tmp_path: Path) -> None:
+    (image,) = list(make_images(tmp_path / "walk").iterdir())[:1]
+    entries = {"./": b"", "0.png": image.read_bytes(), "._0.png": b"\0\5\x16\7"}
+    assert len(read_recording(raw_zip(tmp_path / "walk.zip", entries)).frames.times) == 1
+
+
 def test_a_zip_file_with_a_link_is_refused(tmp_path: Path) -> None:
     path = raw_zip(tmp_path / "link.zip", {"imu.csv": b"/etc/passwd"}, {"imu.csv": 0o120777})
     with pytest.raises(InvalidRecording, match="link"):
