@@ -13,7 +13,7 @@ import phone_recordings as phone
 import pycolmap
 import pytest
 
-from rholoc.errors import InvalidRecording, InvalidTrajectory
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, Lens
 from rholoc.recordings import (
     CameraFile,
@@ -246,6 +246,17 @@ def test_waypoints_and_intrinsics_may_be_added_to_any_format(tmp_path: Path) -> 
     assert recording.imu is not None
     np.testing.assert_array_equal(recording.imu.R_camera_imu, phone.R_PORTRAIT_CAMERA_IMU)
     assert recording.readout_s == 0.02
+
+
+def test_one_camera_is_refused_for_resampled_pictures(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    cameras = folder / "sparse" / "0" / "cameras.txt"
+    cameras.write_text(cameras.read_text() + "2 PINHOLE 64 48 70 71 32 24\n")
+    path = folder / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace(" 1 walk/frame0004.png", " 2 walk/frame0004.png"))
+    write_camera_json(folder / "camera.json", CameraFile(Camera(*phone.SIZE, *phone.INTRINSICS)))
+    with pytest.raises(InvalidCamera, match="One camera is given"):
+        read_recording(folder)
 
 
 def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
