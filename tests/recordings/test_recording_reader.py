@@ -90,6 +90,12 @@ def test_times_come_from_a_table_or_from_fps(make_images, tmp_path: Path) -> Non
         read_recording(folder)
 
 
+@pytest.mark.parametrize("text", [f"{2**63}:", f":{10**20}", f"::{10**20}"])
+def test_frames_beyond_64_bits_are_refused(make_images, tmp_path: Path, text: str) -> None:
+    with pytest.raises(InvalidRecording, match="not a valid selection"):
+        read_recording(make_images(tmp_path / "walk"), frames=text)
+
+
 @pytest.mark.parametrize("text", ["2:5", "2:5:1", ":", "::2", "1:", ":3", "1:6:3"])
 def test_frames_are_chosen_by_number_as_slices_are(make_images, tmp_path: Path, text: str) -> None:
     parts = [int(part) if part else None for part in text.split(":")]
