@@ -287,12 +287,23 @@ def test_lenses_of_camera_info(
     assert read(tmp_path, fill, kind).camera == Camera(*SIZE, 40.0, 41.0, 31.5, 23.5, expected, lens)
 
 
-def test_rectified_pictures_have_the_projections_camera(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("topic", "encoding"), [("/cam/image_rect", "bgr8"), ("/cam/image_rect/compressed", "jpeg")])
+def test_rectified_pictures_have_the_projections_camera(topic: str, encoding: str, tmp_path: Path) -> None:
     def fill(writing: Bag) -> None:
-        pictures(writing, "/cam/image_rect", 3)
+        for number in range(3):
+            writing.picture(topic, number, shade(number), encoding)
         writing.info("/cam/camera_info", "plumb_bob", (0.1, -0.05, 0.001, 0.002, 0.003))
 
     assert read(tmp_path, fill).camera == Camera(*SIZE, 50.0, 51.0, 30.0, 22.0)
+
+
+def test_the_nearest_camera_info_describes_the_pictures(tmp_path: Path) -> None:
+    def fill(writing: Bag) -> None:
+        writing.info("/camera_info", "plumb_bob", (0.5, 0.0, 0.0, 0.0, 0.0))
+        pictures(writing, "/front/image_raw", 3)
+        writing.info("/front/camera_info", "plumb_bob", ())
+
+    assert read(tmp_path, fill).camera == Camera(*SIZE, 40.0, 41.0, 31.5, 23.5)
 
 
 def test_a_part_of_the_sensor_has_its_own_principal_point(tmp_path: Path) -> None:

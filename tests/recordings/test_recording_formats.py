@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import phone_recordings as phone
 import pycolmap
 import pytest
 
-from rholoc.errors import InvalidRecording, InvalidTrajectory
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, Lens
 from rholoc.recordings import (
     CameraFile,
@@ -152,6 +153,13 @@ def test_every_format_is_read_from_a_zip_file_wrapped_in_a_folder(name: str, tmp
     assert len(recording.frames.times) == phone.FRAMES
 
 
+def test_a_folder_of_the_format_at_the_top_of_a_zip_file_stays(tmp_path: Path) -> None:
+    folder = phone.write_recording("polycam", tmp_path / "walk")
+    (folder / "mesh_info.json").unlink()
+    packed = shutil.make_archive(str(tmp_path / "walk"), "zip", folder)
+    assert read_recording(Path(packed)).format is RecordingFormat.POLYCAM
+
+
 def test_every_reader_has_a_format_of_its_own_and_a_walk_here() -> None:
     formats = [reader.format for reader in READERS]
     assert len(set(formats)) == len(formats)
@@ -238,6 +246,17 @@ def test_waypoints_and_intrinsics_may_be_added_to_any_format(tmp_path: Path) -> 
     assert recording.imu is not None
     np.testing.assert_array_equal(recording.imu.R_camera_imu, phone.R_PORTRAIT_CAMERA_IMU)
     assert recording.readout_s == 0.02
+
+
+def test_one_camera_is_refused_for_resampled_pictures(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    cameras = folder / "sparse" / "0" / "cameras.txt"
+    cameras.write_text(cameras.read_text() + "2 PINHOLE 64 48 70 71 32 24\n")
+    path = folder / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace(" 1 walk/frame0004.png", " 2 walk/frame0004.png"))
+    write_camera_json(folder / "camera.json", CameraFile(Camera(*phone.SIZE, *phone.INTRINSICS)))
+    with pytest.raises(InvalidCamera, match="One camera is given"):
+        read_recording(folder)
 
 
 def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
@@ -396,6 +415,21 @@ def test_metashapes_scale_and_fourth_coefficient(tmp_path: Path) -> None:
     assert recording.poses is not None
     assert not recording.poses.metric
     assert [warning.kind for warning in recording.warnings] == [WarningKind.SCALE_UNKNOWN]
+
+
+def test_metashapes_cameras_of_one_label_are_left_out(tmp_path: Path) -> None:
+    path = phone.write_recording("metashape", tmp_path / "walk") / "cameras.xml"
+    text = path.read_text()
+    phone.write_images(tmp_path / "walk" / "other", ["DSC00003.JPG"])
+    path.write_text(text.replace('label="DSC00004"', 'label="DSC00003"'))
+    recording = read_recording(tmp_path / "walk")
+    assert recording.frames.numbers.tolist() == [0, 1, 2, *range(5, phone.FRAMES)]
+    (warning,) = [one for one in recording.warnings if "label" in one.text]
+    assert warning.kind is WarningKind.NOT_USED
+    assert "DSC00003" in warning.text
+    path.write_text(re.sub(r'label="DSC\d+"', 'label="DSC00003"', text))
+    with pytest.raises(InvalidRecording, match="shares its label"):
+        read_recording(tmp_path / "walk")
 
 
 def test_an_xml_file_with_entities_is_not_expanded(tmp_path: Path) -> None:

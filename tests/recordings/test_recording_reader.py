@@ -90,6 +90,12 @@ def test_times_come_from_a_table_or_from_fps(make_images, tmp_path: Path) -> Non
         read_recording(folder)
 
 
+@pytest.mark.parametrize("text", [f"{2**63}:", f":{10**20}", f"::{10**20}"])
+def test_frames_beyond_64_bits_are_refused(make_images, tmp_path: Path, text: str) -> None:
+    with pytest.raises(InvalidRecording, match="not a valid selection"):
+        read_recording(make_images(tmp_path / "walk"), frames=text)
+
+
 @pytest.mark.parametrize("text", ["2:5", "2:5:1", ":", "::2", "1:", ":3", "1:6:3"])
 def test_frames_are_chosen_by_number_as_slices_are(make_images, tmp_path: Path, text: str) -> None:
     parts = [int(part) if part else None for part in text.split(":")]
@@ -393,6 +399,13 @@ def test_the_table_of_times_must_agree_with_the_video(own: Path, count: int, fit
             read_recording(own)
 
 
+def test_a_gap_in_the_table_of_times_is_refused(own: Path) -> None:
+    numbers = np.delete(np.arange(12), 5)
+    write_frames_csv(own / "frames.csv", numbers, 50 + numbers / 20)
+    with pytest.raises(InvalidRecording, match=r"frames\.csv has no time for frame 5 "):
+        read_recording(own)
+
+
 def test_several_videos_are_reported(own: Path, make_video) -> None:
     make_video(own / "second.mp4")
     check_whole(read_recording(own))  # video.mp4 is the one
@@ -437,6 +450,12 @@ def test_a_zip_file_that_reaches_outside_is_refused(tmp_path: Path, name: str) -
     with pytest.raises(InvalidRecording, match="outside"):
         read_recording(raw_zip(tmp_path / "evil.zip", {name: b"x"}), workdir=workdir)
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["deep", "evil.zip", "work"]
+
+
+def test_a_zip_files_own_folder_and_apples_files_are_ignored(make_images, tmp_path: Path) -> None:
+    (image,) = list(make_images(tmp_path / "walk").iterdir())[:1]
+    entries = {"./": b"", "0.png": image.read_bytes(), "._0.png": b"\0\5\x16\7"}
+    assert len(read_recording(raw_zip(tmp_path / "walk.zip", entries)).frames.times) == 1
 
 
 def test_a_zip_file_with_a_link_is_refused(tmp_path: Path) -> None:

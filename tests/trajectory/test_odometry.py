@@ -65,6 +65,17 @@ def test_without_sigmas_they_grow_with_the_way(tmp_path: Path) -> None:
     assert 0 < found.sigma_m[2] <= 1e-3
 
 
+def test_each_sigma_may_be_given_without_the_other(tmp_path: Path) -> None:
+    rows = ("0,0,0,0,0,0,0,1", "1,0,0,2,0,0,0,1")
+    usual = read_odometry_csv(written(tmp_path, "\n".join([POSE, *rows])))
+    metres, degrees = (
+        read_odometry_csv(written(tmp_path, "\n".join([f"{POSE},{name}", *(f"{row},0.5" for row in rows)])))
+        for name in ("sigma_m", "sigma_deg")
+    )
+    np.testing.assert_array_equal([metres.sigma_m, degrees.sigma_rad], [[0.5] * 2, np.radians([0.5] * 2)])
+    np.testing.assert_array_equal([degrees.sigma_m, metres.sigma_rad], [usual.sigma_m, usual.sigma_rad])
+
+
 def test_velocities_in_the_cameras_axes_are_integrated(tmp_path: Path) -> None:
     """A quarter of a circle of radius 1 m to the right, in a second."""
     times, rate = np.linspace(0, 1, 101), np.pi / 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, align_poses, pose_matrix
-from rholoc.recordings import Recording, read_recording
+from rholoc.recordings import Recording, RecordingFormat, WarningKind, read_recording
 from rholoc.recordings.frame_slice import select_frames
 from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk
 from rholoc.trajectory import PoseMethod, Scale
@@ -67,6 +68,30 @@ def write_euroc(folder: Path, pictures: Pictures, camera: Camera, moments: int =
 
 
 WRITERS = {"kapture": write_kapture, "euroc": write_euroc}
+
+
+def test_kaptures_folder_at_the_top_of_a_zip_file_stays(tmp_path: Path) -> None:
+    write_kapture(tmp_path / "walk", shade, SMALL)
+    packed = shutil.make_archive(str(tmp_path / "walk"), "zip", tmp_path / "walk")
+    assert read_recording(Path(packed)).format is RecordingFormat.KAPTURE
+
+
+def test_kaptures_optional_tables_may_be_empty(tmp_path: Path) -> None:
+    write_kapture(tmp_path / "walk", shade, SMALL)
+    for name in ("rigs", "trajectories", "records_accelerometer", "records_gyroscope"):
+        (tmp_path / "walk" / "sensors" / f"{name}.txt").write_text("# kapture format: 1.1\n")
+    recording = read_recording(tmp_path / "walk")
+    assert (recording.imu, recording.poses, recording.mounted) == (None, None, ())
+
+
+def test_kaptures_imu_is_read_with_its_warnings(tmp_path: Path) -> None:
+    write_kapture(tmp_path / "walk", shade, SMALL)
+    for name, values in (("accelerometer", "0, 1, 0"), ("gyroscope", "0, 0, 0.1")):  # g, rad/s
+        rows = [f"{10**18 + 5 * 10**6 * row}, imu, {values}" for row in range(220)]
+        (tmp_path / "walk" / "sensors" / f"records_{name}.txt").write_text("\n".join(rows))
+    recording = read_recording(tmp_path / "walk")
+    assert recording.imu is not None
+    assert WarningKind.ACCELERATION_UNIT in [warning.kind for warning in recording.warnings]
 
 
 def shades(recording: Recording) -> dict[int, float]:

@@ -26,12 +26,15 @@ _PACK_AGAIN = "Pack the recording's own files, and nothing else."
 _RATIO_FREE_BYTES = 2**20  # below this size the ratio does not matter
 
 _IGNORED = frozenset({"__MACOSX", ".DS_Store", "Thumbs.db"})
+_APPLE_DOUBLE = "._"  # how the names of macOS's files of attributes start
+_FORMATS_FOLDERS = ("frames", "images", "keyframes", "sensors")  # of rholoc, Polycam and kapture
 
 
 def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> Path:
     """Unpack a ZIP file into ``folder``; returns the folder of the recording in it.
 
-    The recording's folder is ``folder`` itself, or the only folder in the archive if everything is in one.
+    The recording's folder is ``folder`` itself, or the only folder in the archive if everything is in one
+    that is not a format's own, like ``frames``.
 
     Raises:
         InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that is a link, leads out of the folder,
@@ -103,15 +106,24 @@ def _check_directory(archive: Path, max_files: int) -> None:
 
 
 def _checked_entries(packed: zipfile.ZipFile, archive: Path, max_bytes: int) -> list[zipfile.ZipInfo]:
-    entries = [entry for entry in packed.infolist() if _IGNORED.isdisjoint(PurePosixPath(entry.filename).parts)]
+    entries = [entry for entry in packed.infolist() if not _is_ignored(_path(entry))]
     _check(entries, archive, max_bytes)
     return entries
 
 
+def _path(entry: zipfile.ZipInfo) -> PurePosixPath:
+    return PurePosixPath(entry.filename.replace("\\", "/"))
+
+
+def _is_ignored(path: PurePosixPath) -> bool:
+    """Whether a path is the archive's own folder (``./``), or a file that an operating system added."""
+    return not path.parts or path.name.startswith(_APPLE_DOUBLE) or not _IGNORED.isdisjoint(path.parts)
+
+
 def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> None:
     for entry in entries:
-        path = PurePosixPath(entry.filename.replace("\\", "/"))
-        if path.is_absolute() or ".." in path.parts or ":" in path.parts[0] if path.parts else True:
+        path = _path(entry)
+        if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
             raise InvalidRecording(f"{archive.name} holds a file outside its folder: '{entry.filename}'.", _PACK_AGAIN)
         kind = stat.S_IFMT(entry.external_attr >> 16)
         if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
@@ -132,7 +144,7 @@ def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> Non
 
 
 def _unpack_entry(packed: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> None:
-    target = folder / PurePosixPath(entry.filename.replace("\\", "/"))
+    target = folder / _path(entry)
     if entry.is_dir():
         target.mkdir(parents=True, exist_ok=True)
         return
@@ -148,5 +160,5 @@ def _unpack_entry(packed: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path)
 
 def _recording_folder(folder: Path) -> Path:
     inside = list(folder.iterdir())
-    wrapped = len(inside) == 1 and inside[0].is_dir() and inside[0].name not in ("frames", "images")
+    wrapped = len(inside) == 1 and inside[0].is_dir() and inside[0].name not in _FORMATS_FOLDERS
     return inside[0] if wrapped else folder

@@ -11,6 +11,8 @@ from rholoc.errors import InvalidRecording
 from rholoc.geometry import ByteArray, FloatArray, IntArray
 from rholoc.recordings.recording import FrameSource, Recording, Waypoint
 
+_NUMBERS = 2**63  # what an int64 holds
+
 
 @dataclass(frozen=True, eq=False)
 class SelectedFrames:
@@ -48,14 +50,15 @@ def parse_frame_slice(text: str) -> slice:
     """Parse ``start:stop[:step]``, each a frame number or empty, as in Python's slices (``stop`` excluded).
 
     Raises:
-        InvalidRecording: the text is something else, a number is negative, or the step is 0.
+        InvalidRecording: the text is something else, a number is negative or 2⁶³ or more, or the step is 0.
     """
     parts = text.split(":")
     try:
         values = [int(part) if part.strip() else None for part in parts]
     except ValueError:
         values = []
-    if not 2 <= len(values) <= 3 or any(value is not None and value < 0 for value in values) or values[2:] == [0]:
+    are_numbers = all(value is None or 0 <= value < _NUMBERS for value in values)
+    if not 2 <= len(values) <= 3 or not are_numbers or values[2:] == [0]:
         raise InvalidRecording(
             f"'{text}' is not a valid selection of frames.", "Give start:stop or start:stop:step, like 400:1000."
         )

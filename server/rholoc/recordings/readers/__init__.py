@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rholoc.errors import InvalidRecording
-from rholoc.recordings.frames.unified_pictures import with_logged_intrinsics
+from rholoc.recordings.frames.unified_pictures import require_one_camera, with_logged_intrinsics
 from rholoc.recordings.readers import bag, own
 from rholoc.recordings.readers._unused import with_unused_files
 from rholoc.recordings.readers.apps import (
@@ -78,7 +78,8 @@ def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
 
     Raises:
         InvalidRecording: no frames, files of several formats, or a file that cannot be read or contradicts another.
-        InvalidCamera: the intrinsics are broken, or of another image shape than the frames.
+        InvalidCamera: the intrinsics are broken, or of another image shape than the frames, or ``camera.json`` lies
+            beside pictures of several sizes or lenses.
         InvalidWaypoints: ``waypoints.csv`` is broken.
         InvalidTrajectory: the poses are broken.
     """
@@ -104,6 +105,7 @@ def _with_additions(recording: Recording, folder: Path) -> Recording:
     """
     description = own.read_description(folder)
     if description.camera is not None and 0 not in recording.frames.size:
+        require_one_camera(recording.frames)
         recording = replace(recording, camera=description.camera.fitted(*recording.frames.size))
     else:
         recording = with_logged_intrinsics(recording)

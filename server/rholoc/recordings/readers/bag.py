@@ -207,9 +207,12 @@ def _camera(
     """
     infos = found.of_types(_CAMERA_INFO)
     asked = [one for one in infos if one.topic in found.asked]
-    nearest = asked or [one for one in infos if found.picture.topic.startswith(one.topic.rpartition("/")[0] + "/")]
-    if nearest:
-        return camera_of_info(_first(reader, nearest[0]), size, "rect" in found.picture.topic.rsplit("/", 1)[-1])
+    topic = found.picture.topic
+    matching = asked or [one for one in infos if topic.startswith(_namespace(one))]
+    if matching:
+        nearest = max(matching, key=lambda one: len(_namespace(one)))
+        is_rectified = "rect" in topic.removesuffix("/compressed").rsplit("/", 1)[-1]
+        return camera_of_info(_first(reader, nearest), size, is_rectified)
     sensors = (path if path.is_dir() else path.parent) / "sensors.txt"
     if not sensors.is_file():
         return None, ()
@@ -219,6 +222,11 @@ def _camera(
         return None, ()
     camera = cameras[pictures.index(found.picture.topic) if len(cameras) > 1 else 0]
     return None if camera is None else camera.fitted(*size), ()
+
+
+def _namespace(connection: Connection) -> str:
+    """The connection's topic up to and including its last slash."""
+    return connection.topic.rpartition("/")[0] + "/"
 
 
 # -- other measurements ------------------------------------------------------------------------------------------

@@ -15,7 +15,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from rholoc.errors import InvalidRecording
+from rholoc.geometry import IntArray
 from rholoc.recordings.camera_file import CameraFile, read_camera_json
 from rholoc.recordings.frames.image_folder import ImageFolderFrames, find_images, read_image_folder
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures, require_one_camera
@@ -88,7 +91,9 @@ def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tu
     times_csv = _first_file(folder, "frames.csv", "times.csv")
     video = find_video(folder)
     if video is not None and times_csv is not None:
-        times, unit_warnings = frame_times_s(read_frame_numbers(times_csv)[1], "s")
+        numbers, logged = read_frame_numbers(times_csv)
+        _require_no_gap(numbers, times_csv.name)
+        times, unit_warnings = frame_times_s(logged, "s")
         timed = timed_video(video, times, times_csv.name)
         return timed.frames, (*unit_warnings, *timed.warnings)
     if video is not None:
@@ -109,6 +114,16 @@ def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tu
         else f"The folder {folder.name} contains neither a video nor images.",
         "It needs video.mp4, or images (JPEG, PNG, WebP), here or in frames/.",
     )
+
+
+def _require_no_gap(numbers: IntArray, table: str) -> None:
+    """Raise InvalidRecording unless the frame numbers (N,) of a video's table are 0 … N - 1."""
+    gaps = np.flatnonzero(numbers != np.arange(len(numbers)))
+    if len(gaps):
+        raise InvalidRecording(
+            f"{table} has no time for frame {gaps[0]} of the video.",
+            "Frames count from 0, and rows may be missing only at the end.",
+        )
 
 
 def _first_file(folder: Path, *names: str) -> Path | None:

@@ -96,7 +96,8 @@ def read_odometry_csv(path: Path) -> Odometry:
     """Read odometry: poses of the camera in a frame that drifts, or its velocities in its own axes.
 
     ``timestamp,x,y,z,qx,qy,qz,qw`` (s, m) or ``timestamp,vx,vy,vz,wx,wy,wz`` (s, m/s, rad/s); optionally ``sigma_m``,
-    ``sigma_deg``: the standard deviations of the motion since the row before, by default 2 % of the way and 1° a metre.
+    ``sigma_deg`` or both: the standard deviations of the motion since the row before, by default 2 % of the way and
+    1° a metre.
 
     Raises:
         InvalidRecording: columns are missing, a value is not finite or a sigma not positive, or times do not increase.
@@ -107,17 +108,15 @@ def read_odometry_csv(path: Path) -> Odometry:
     columns = next((some for some in (_POSE, _VELOCITY) if set(some) <= given), None)
     if columns is None:
         raise InvalidRecording(f"{path.name} has neither poses nor velocities.", _ODOMETRY_HINT)
-    has_sigmas = set(_SIGMAS) <= given
-    table = read_numbers(path, (*columns, *(_SIGMAS if has_sigmas else ())))
+    table = read_numbers(path, (*columns, *(name for name in _SIGMAS if name in given)))
     times = table["timestamp"]
     require_increasing(times, path)
     rows = np.column_stack([table[name] for name in columns[1:]])
     T = poses_from_rows(rows, path.name) if columns is _POSE else _integrated(times, rows)
-    if has_sigmas:
-        sigma_m, sigma_rad = table["sigma_m"], np.radians(table["sigma_deg"])
-    else:
-        way_m = np.linalg.norm(np.diff(T[:, :3, 3], axis=0, prepend=T[:1, :3, 3]), axis=1)
-        sigma_m, sigma_rad = np.hypot(_USUAL_DRIFT * way_m, _LEAST_M), np.hypot(_USUAL_TURN_RAD_M * way_m, _LEAST_RAD)
+    way_m = np.linalg.norm(np.diff(T[:, :3, 3], axis=0, prepend=T[:1, :3, 3]), axis=1)
+    sigma_m, sigma_rad = np.hypot(_USUAL_DRIFT * way_m, _LEAST_M), np.hypot(_USUAL_TURN_RAD_M * way_m, _LEAST_RAD)
+    sigma_m = table.get("sigma_m", sigma_m)
+    sigma_rad = np.radians(table["sigma_deg"]) if "sigma_deg" in table else sigma_rad
     if not (sigma_m[1:].min(initial=1.0) > 0 and sigma_rad[1:].min(initial=1.0) > 0):
         raise InvalidRecording(f"{path.name} has a sigma that is not positive.", _ODOMETRY_HINT)
     return Odometry(times, T, sigma_m, sigma_rad)

@@ -35,6 +35,7 @@ from rholoc.recordings.tables.pose_table import poses_from_rows
 from rholoc.reports import RecordingWarning
 
 TABLES = ("sensors/*.txt", "reconstruction/*")
+_ADVICE = "Leave it as kapture wrote it."
 _Pose = dict[tuple[str, str], FloatArray]
 
 
@@ -56,8 +57,8 @@ def read(folder: Path) -> Recording:
     known = read_cameras(tables / "sensors.txt")
     stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
     is_timed = bool(np.any(np.diff(np.unique(stamps)) != 1))
-    rigs = _pose_table(tables / "rigs.txt") if (tables / "rigs.txt").is_file() else {}
-    imu = _imu(tables) if is_timed else None
+    rigs = _pose_table(tables / "rigs.txt")
+    imu, imu_warnings = _imu(tables) if is_timed else (None, ())
     sensors = {sensor for _, sensor, _ in records}
     if imu is None and len({sensor for _, sensor in rigs} & sensors) > 1:
         is_timed = False
@@ -78,7 +79,7 @@ def read(folder: Path) -> Recording:
         imu=imu,
         poses=_poses(tables, [taken[row] for row in timed.rows], rigs),
         mounted=() if is_timed else mounted_frames(timed, moments, T_rig_cameras),
-        warnings=(*unit_warnings, *timed.warnings, *warnings, SCALE_WARNING),
+        warnings=(*unit_warnings, *timed.warnings, *warnings, *imu_warnings, SCALE_WARNING),
     )
 
 
@@ -105,12 +106,21 @@ def read_cameras(path: Path) -> dict[str, Camera | None]:
 
 def _rows(path: Path, fewest: int, error: type[InvalidInput] = InvalidRecording) -> list[list[str]]:
     """The fields of each line; raises ``error`` if a line has fewer than ``fewest``, or there are no lines."""
+    rows = _optional_rows(path, fewest, error)
+    if not rows:
+        raise error(f"{path.name}: it has no lines.", _ADVICE)
+    return rows
+
+
+def _optional_rows(path: Path, fewest: int, error: type[InvalidInput] = InvalidRecording) -> list[list[str]]:
+    """The fields of each line, none without the file; raises ``error`` if a line has fewer than ``fewest``."""
+    if not path.is_file():
+        return []
     lines = [line for line in read_text(path, error).splitlines() if line.strip() and not line.startswith("#")]
     rows = [[field.strip() for field in line.split(",")] for line in lines]
     broken = next((row for row in rows if len(row) < fewest), None)
-    if broken is not None or not rows:
-        what = f"'{', '.join(broken)[:60]}' has too few fields" if broken else "it has no lines"
-        raise error(f"{path.name}: {what}.", "Leave it as kapture wrote it.")
+    if broken is not None:
+        raise error(f"{path.name}: '{', '.join(broken)[:60]}' has too few fields.", _ADVICE)
     return rows
 
 
@@ -147,18 +157,20 @@ def _frames(
     return TimedFrames(found.frames, order[found.rows], found.warnings, found.camera), warnings
 
 
-def _imu(tables: Path) -> Imu | None:
-    """The IMU of the first accelerometer and gyroscope listed; None if one is missing. Raises InvalidRecording."""
+def _imu(tables: Path) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    """The IMU of the first accelerometer and gyroscope listed, None if one is missing, and warnings. Raises
+    InvalidRecording.
+    """
     samples = []
     for name in ("accelerometer", "gyroscope"):
         path = tables / f"records_{name}.txt"
-        if not path.is_file():
-            return None
-        rows = _rows(path, 5)
+        rows = _optional_rows(path, 5)
+        if not rows:
+            return None, ()
         rows = [row for row in rows if row[1] == rows[0][1]]
         values = np.array([[_number(text, path.name) for text in (row[0], *row[2:5])] for row in rows])
         samples.append(Samples.from_rows(values[np.argsort(values[:, 0], kind="stable")]))
-    return normalise_imu(samples[0], samples[1], ImuConvention(time_unit="ns"))[0]
+    return normalise_imu(samples[0], samples[1], ImuConvention(time_unit="ns"))
 
 
 def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[str, FloatArray] | None]:
@@ -169,10 +181,7 @@ def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[st
 
 def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> GivenPoses | None:
     """T_world_camera of each picture, by its own trajectory or its rig's; None without. Raises InvalidTrajectory."""
-    path = tables / "trajectories.txt"
-    if not path.is_file():
-        return None
-    placed = _pose_table(path)
+    placed = _pose_table(tables / "trajectories.txt")
     T = np.full((len(records), 4, 4), np.nan)
     for row, (stamp, sensor) in enumerate(records):
         found = placed.get((stamp, sensor))
@@ -187,8 +196,10 @@ def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> Giv
 
 
 def _pose_table(path: Path) -> _Pose:
-    """The transform (4, 4) of each line, by its first two fields. Raises InvalidTrajectory."""
-    rows = _rows(path, 9, InvalidTrajectory)
+    """The transform (4, 4) of each line, by its first two fields; none without the file. Raises InvalidTrajectory."""
+    rows = _optional_rows(path, 9, InvalidTrajectory)
+    if not rows:
+        return {}
     try:
         numbers = np.array([[float(text) for text in row[2:9]] for row in rows])
     except ValueError as error:

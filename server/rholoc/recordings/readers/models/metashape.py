@@ -9,12 +9,14 @@
 
 A camera's transform is T_chunk_camera with OpenCV's camera axes; a component's takes the chunk to the reference, in
 metres. Without it the unit of length is not stated. Of a geocentric reference only the scale is used. A photo is found
-by its label, with or without its suffix; cameras that were not aligned are ignored.
+by its label, with or without its suffix; cameras that were not aligned are ignored, and so are cameras that share a
+label, whose photos cannot be told apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -29,7 +31,7 @@ from rholoc.recordings.readers._frames import untimed_images
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
-from rholoc.reports import RecordingWarning
+from rholoc.reports import RecordingWarning, WarningKind
 
 TABLES = ("*.xml", "*.psx", "*.files/*", "*.ply", "*.obj", "*.mtl")
 _LENSES = {
@@ -40,6 +42,7 @@ _LENSES = {
 }
 _ROTATION_TOLERANCE = 1e-3
 _GEOCENTRIC_M = 1e6  # a component's distance from the origin, beyond which its frame is geocentric
+_MAX_NAMED = 3
 _ADVICE = "Export the cameras again, as Agisoft XML."
 
 
@@ -52,23 +55,23 @@ def read(folder: Path) -> Recording:
     """Read a recording of this format from its folder.
 
     Raises:
-        InvalidRecording: no camera is aligned, or a photo is missing or broken.
+        InvalidRecording: no camera is aligned, none has a label of its own, or a photo is missing or broken.
         InvalidCamera: a calibration is broken.
         InvalidTrajectory: a transform is broken.
     """
     document = _document(folder)
     assert document is not None
-    placed = [one for one in document.iter("camera") if one.find("transform") is not None and one.get("label")]
+    placed = [one for one in document.iter("camera") if one.find("transform") is not None and _label(one)]
     if not placed:
         raise InvalidRecording("The cameras' file has no aligned camera.", "Align the photos, then export the cameras.")
     photos = _photos(folder)
-    labels = [str(one.get("label")) for one in placed]
-    missing = next((label for label in labels if label.lower() not in photos), None)
+    missing = next((_label(one) for one in placed if _label(one).lower() not in photos), None)
     if missing is not None:
         raise InvalidRecording(f"There is no photo {missing[:60]}.", "Put the photos beside the cameras' file.")
+    placed, label_warnings = _with_own_photos(placed, list(document.iter("camera")), photos)
     sensors = {sensor.get("id"): sensor for sensor in document.iter("sensor")}
     cameras, warnings = _cameras([sensors.get(one.get("sensor_id")) for one in placed])
-    timed = untimed_images([photos[label.lower()] for label in labels], cameras)
+    timed = untimed_images([photos[_label(one).lower()] for one in placed], cameras)
     frames = {one.get("id"): one.find("transform") for one in document.iter("component")}
     whole = document.find("chunk/transform")
     metric = any(one is not None and one.find("scale") is not None for one in (*frames.values(), whole))
@@ -79,7 +82,7 @@ def read(folder: Path) -> Recording:
         timed.frames,
         camera=timed.camera,
         poses=GivenPoses(np.ones(len(T), dtype=np.bool_), T, metric=metric),
-        warnings=(*timed.warnings, *warnings, *(() if metric else (SCALE_WARNING,))),
+        warnings=(*timed.warnings, *label_warnings, *warnings, *(() if metric else (SCALE_WARNING,))),
     )
 
 
@@ -106,6 +109,31 @@ def _photos(folder: Path) -> dict[str, Path]:
     """Photos below the folder, by their lower-case names with and without suffix; of equal names the first by path."""
     found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
     return {name.lower(): path for path in reversed(found) for name in (path.stem, path.name)}
+
+
+def _label(camera: Element) -> str:
+    return camera.get("label", "")
+
+
+def _with_own_photos(
+    placed: Sequence[Element], cameras: Sequence[Element], photos: Mapping[str, Path]
+) -> tuple[list[Element], tuple[RecordingWarning, ...]]:
+    """The ``placed`` cameras with a photo that no other of the ``cameras`` has, and a warning about the rest.
+
+    Raises InvalidRecording if none is left.
+    """
+    uses = Counter(photos.get(_label(one).lower()) for one in cameras)
+    own = [one for one in placed if uses[photos[_label(one).lower()]] == 1]
+    if not own:
+        hint = "Give each photo a name of its own, and export the cameras again."
+        raise InvalidRecording("Every aligned camera shares its label with another.", hint)
+    shared = sorted({_label(one) for one in placed} - {_label(one) for one in own})
+    if not shared:
+        return own, ()
+    more = f" and {len(shared) - _MAX_NAMED} more" if len(shared) > _MAX_NAMED else ""
+    listed = ", ".join(label[:60] for label in shared[:_MAX_NAMED]) + more
+    text = f"Cameras with the same label are left out, as their photos cannot be told apart: {listed}."
+    return own, (RecordingWarning(WarningKind.NOT_USED, text),)
 
 
 def _pose(camera: Element, frame: Element | None) -> FloatArray:
