@@ -84,6 +84,12 @@ def test_names_come_back_from_geojson_that_a_validator_accepts(earth):
     assert places(names_from_geojson(json.dumps(document).encode(), earth)) == places(NAMES)
 
 
+@pytest.mark.parametrize("kind", ["", "door"])
+def test_a_field_called_category_comes_back_from_geojson(kind):
+    names = MapNames((NamedPoint("a", (1.0, 2.0, 3.0), kind, {"category": "B"}),))
+    assert places(names_from_geojson(json.dumps(names_to_geojson(names, None)).encode(), None)) == places(names)
+
+
 @given(
     st.floats(-80, 80),
     st.floats(-179, 179),
