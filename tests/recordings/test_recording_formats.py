@@ -362,6 +362,27 @@ def test_pictures_of_a_scanner_app_with_their_own_focal_lengths_become_frames_of
     assert recording.frames.size == (recording.camera.width, recording.camera.height)
 
 
+@pytest.mark.parametrize("shift_s", [-0.001, 0.001])
+def test_intrinsics_of_arkit_scenes_may_be_a_millisecond_off(tmp_path: Path, shift_s: float) -> None:
+    folder = phone.write_recording("arkit-scenes", tmp_path / "walk")
+    for path in sorted(folder.rglob("*.pincam"), reverse=shift_s > 0):
+        scan, time = path.stem.split("_")
+        path.rename(path.with_name(f"{scan}_{float(time) + shift_s:.3f}.pincam"))
+    camera = read_recording(folder).camera
+    assert camera is not None
+    assert camera.fx == phone.INTRINSICS[0]
+
+
+def test_a_broken_depth_image_does_not_keep_a_scan_from_being_read(tmp_path: Path) -> None:
+    folder = phone.write_recording("scanner-app", tmp_path / "walk")
+    (folder / "depth_00000.png").write_bytes(b"cut off")
+    depth = read_recording(folder).depth
+    assert depth is not None
+    assert depth.camera is not None
+    assert depth.read(0) is None
+    assert depth.read(1) is not None
+
+
 def test_record3ds_own_file_is_read(tmp_path: Path) -> None:
     phone.write_recording("record3d", tmp_path / "walk")
     packed = Path(shutil.make_archive(str(tmp_path / "walk"), "zip", tmp_path / "walk"))
