@@ -321,6 +321,26 @@ def test_a_model_by_hloc_is_read_and_its_features_are_named_as_unused(tmp_path: 
     assert warning.text.endswith(": outputs/feats-superpoint-n4096-r1024.h5.")
 
 
+def test_blank_lines_before_the_images_of_a_colmap_model_are_skipped(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    path = folder / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace("\n", "\n\n", 1))
+    assert len(read_recording(folder).frames.times) == phone.FRAMES
+
+
+def test_pictures_of_a_colmap_model_are_sought_beside_a_folder_called_images(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    (folder / "images").rename(folder / "photos")
+    phone.write_images(folder / "images", ["thumbnail.png"])
+    assert len(read_recording(folder).frames.times) == phone.FRAMES
+
+
+def test_half_a_binary_colmap_model_does_not_hide_a_whole_one_of_text(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    (folder / "sparse" / "0" / "images.bin").write_bytes(b"left over")
+    assert len(read_recording(folder).frames.times) == phone.FRAMES
+
+
 @pytest.mark.parametrize("kept", [0, 7, 40, 100])
 def test_a_binary_colmap_model_that_is_cut_off_is_refused(kept: int, tmp_path: Path) -> None:
     folder = phone.write_recording("colmap", tmp_path / "walk")
