@@ -12,7 +12,7 @@ import phone_recordings as phone
 import pycolmap
 import pytest
 
-from rholoc.errors import InvalidRecording, InvalidTrajectory
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, Lens
 from rholoc.recordings import (
     CameraFile,
@@ -254,6 +254,17 @@ def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
         assert recording.camera is not None
         assert recording.camera.lens is Lens.FISHEYE
         assert recording.camera.distortion[:2] == DISTORTED[name][:2]  # nerfstudio's others are called k3 and k4
+
+
+def test_the_broken_camera_of_a_rig_is_named(tmp_path: Path) -> None:
+    root = phone.write_recording("euroc", tmp_path / "walk") / "mav0"
+    for name in ("imu0", "state_groundtruth_estimate0"):
+        shutil.rmtree(root / name)
+    shutil.copytree(root / "cam0", root / "cam1")
+    sensor = root / "cam1" / "sensor.yaml"
+    sensor.write_text(sensor.read_text().replace("intrinsics: [", "intrinsics: [wide, "))
+    with pytest.raises(InvalidCamera, match=r"^cam1/sensor\.yaml"):
+        read_recording(tmp_path / "walk")
 
 
 def test_a_frame_that_tracking_lost_has_no_pose(tmp_path: Path) -> None:
