@@ -240,6 +240,15 @@ def test_waypoints_and_intrinsics_may_be_added_to_any_format(tmp_path: Path) -> 
     assert recording.readout_s == 0.02
 
 
+@pytest.mark.parametrize("ending", ["_timestamps.csv", "_imu_timestamps.csv"])
+def test_times_of_opencamera_are_the_gyroscopes_sibling(tmp_path: Path, ending: str) -> None:
+    tables = phone.write_recording("opencamera", tmp_path / "walk") / "20260101_101010"
+    times = tables / "VID_1_timestamps.csv"
+    shutil.move(times, tables / f"VID_1{ending}")
+    phone.write_rows(tables / "VID_0_timestamps.csv", "", [[time] for time in phone.ns(phone.frame_times + 0.1)])
+    np.testing.assert_allclose(read_recording(tmp_path / "walk").frames.times, phone.frame_times, atol=1e-6)
+
+
 def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
     edits = {
         "euroc": ("mav0/cam0/sensor.yaml", "radial-tangential", "equidistant"),
