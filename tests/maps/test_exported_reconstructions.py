@@ -17,6 +17,7 @@ import pytest
 from rholoc.errors import InvalidInput
 from rholoc.exports import ExportFormat, export_map
 from rholoc.exports.reconstructions import reprojection_errors_px
+from rholoc.geometry import Camera
 from rholoc.maps import Map, without_memory
 from rholoc.recordings import read_recording
 
@@ -35,6 +36,11 @@ def written(map_: Map, form: ExportFormat) -> bytes:
 def with_distortion(map_: Map, *distortion: float) -> Map:
     sources = [replace(source, camera=replace(map_.info.camera, distortion=distortion)) for source in map_.info.sources]
     return replace(map_, info=replace(map_.info, sources=tuple(sources)))
+
+
+def with_camera(map_: Map, camera: Camera) -> Map:
+    sources = tuple(replace(source, camera=camera) for source in map_.info.sources)
+    return replace(map_, info=replace(map_.info, sources=sources))
 
 
 def unpacked(map_: Map, folder: Path) -> Path:
@@ -97,6 +103,32 @@ def test_what_a_lens_has_no_name_for_is_refused(hall: Map) -> None:
     assert [five["frames"][0][name] for name in ("k1", "k2", "p1", "p2", "k3")] == [0.1, 0.2, 0.01, 0.02, 0.3]
     with pytest.raises(InvalidInput, match=r"rational distortion.*as colmap"):
         written(with_distortion(hall, 0.1, 0.2, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0), ExportFormat.NERFSTUDIO)
+
+
+def test_a_panorama_has_nerfstudios_focal_lengths(hall: Map) -> None:
+    width, height = 2 * hall.info.camera.height, hall.info.camera.height
+    whole = Camera.panorama(width, height)
+    frame = json.loads(written(with_camera(hall, whole), ExportFormat.NERFSTUDIO))["frames"][0]
+    assert [frame[name] for name in ("fl_x", "fl_y", "cx", "cy")] == [width / 2, height, width / 2, height / 2]
+    part = replace(whole, height=height - 10)
+    for form in (ExportFormat.NERFSTUDIO, ExportFormat.COLMAP):
+        with pytest.raises(InvalidInput, match="panorama that is not whole"):
+            written(with_camera(hall, part), form)
+
+
+@pytest.mark.parametrize("turned", [1, None], ids=["one view", "all views"])
+def test_a_landmark_behind_a_camera_has_the_mean_error_of_its_other_views(
+    hall: Map, tmp_path: Path, turned: int | None
+) -> None:
+    seen, T = hall.observations, hall.views.T_map_camera.copy()
+    feature = int(np.argmax(np.bincount(seen.features)))
+    rows = np.flatnonzero(seen.features == feature)
+    T[seen.views[rows[:turned]]] @= np.diag([-1.0, 1, -1, 1])  # the landmark is behind them now
+    map_ = replace(hall, views=replace(hall.views, T_map_camera=T))
+    known = reprojection_errors_px(map_)[rows[len(rows[:turned]) :]]
+    lines = (unpacked(map_, tmp_path) / "points3D.txt").read_text().splitlines()
+    (error,) = [float(line.split()[7]) for line in lines if line.startswith(f"{feature + 1} ")]
+    assert error == pytest.approx(known.mean() if len(known) else 0.0, rel=1e-4)
 
 
 def test_a_map_without_observations_is_no_colmap_model(hall: Map) -> None:

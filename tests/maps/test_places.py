@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import zipfile
 
 import numpy as np
@@ -82,6 +83,12 @@ def test_names_come_back_from_geojson_that_a_validator_accepts(earth):
     assert np.sum(ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]) > 0  # counter-clockwise, as RFC 7946 wants
     assert (document.get("frame") == "map") == (earth is None)
     assert places(names_from_geojson(json.dumps(document).encode(), earth)) == places(NAMES)
+
+
+@pytest.mark.parametrize("kind", ["", "door"])
+def test_a_field_called_category_comes_back_from_geojson(kind):
+    names = MapNames((NamedPoint("a", (1.0, 2.0, 3.0), kind, {"category": "B"}),))
+    assert places(names_from_geojson(json.dumps(names_to_geojson(names, None)).encode(), None)) == places(names)
 
 
 @given(
@@ -204,6 +211,28 @@ def test_a_map_server_s_yaml_brings_its_picture_and_place(tmp_path, negate):
     np.testing.assert_array_equal(np.array(Image.open(io.BytesIO(content))), pixels)
     assert (plan.media_type, plan.corner, plan.m_per_unit) == ("image/png", (-1.5, 2.0), 0.05)
     assert plan.turn_deg == pytest.approx(math.degrees(0.5))
+
+
+def test_an_archive_by_macos_is_read_without_its_resource_forks():
+    picture = io.BytesIO()
+    Image.new("L", (4, 3)).save(picture, "PNG")
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("._hall.yaml", b"\0\5\x16\7")
+        archive.writestr("__MACOSX/hall.yaml", b"\0\5\x16\7")
+        archive.writestr("__MACOSX/hall.png", b"\0\5\x16\7")
+        archive.writestr("./hall.yaml", "image: hall.png\nresolution: 0.05\norigin: [0, 0, 0]\n")
+        archive.writestr("hall.png", picture.getvalue())
+    content, _ = plan_of_archive(packed.getvalue(), None)
+    assert Image.open(io.BytesIO(content)).size == (4, 3)
+
+
+def test_a_picture_older_than_zip_files_is_packed(tmp_path):
+    Image.new("L", (4, 3)).save(tmp_path / "hall.pgm")
+    os.utime(tmp_path / "hall.pgm", (0, 0))
+    (tmp_path / "hall.yaml").write_text("image: hall.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    content, _ = plan_of_archive(packed_yaml(tmp_path / "hall.yaml"), None)
+    assert Image.open(io.BytesIO(content)).size == (4, 3)
 
 
 @pytest.mark.parametrize(

@@ -259,6 +259,15 @@ def test_one_camera_is_refused_for_resampled_pictures(tmp_path: Path) -> None:
         read_recording(folder)
 
 
+@pytest.mark.parametrize("ending", ["_timestamps.csv", "_imu_timestamps.csv"])
+def test_times_of_opencamera_are_the_gyroscopes_sibling(tmp_path: Path, ending: str) -> None:
+    tables = phone.write_recording("opencamera", tmp_path / "walk") / "20260101_101010"
+    times = tables / "VID_1_timestamps.csv"
+    shutil.move(times, tables / f"VID_1{ending}")
+    phone.write_rows(tables / "VID_0_timestamps.csv", "", [[time] for time in phone.ns(phone.frame_times + 0.1)])
+    np.testing.assert_allclose(read_recording(tmp_path / "walk").frames.times, phone.frame_times, atol=1e-6)
+
+
 def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
     edits = {
         "euroc": ("mav0/cam0/sensor.yaml", "radial-tangential", "equidistant"),
@@ -273,6 +282,17 @@ def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
         assert recording.camera is not None
         assert recording.camera.lens is Lens.FISHEYE
         assert recording.camera.distortion[:2] == DISTORTED[name][:2]  # nerfstudio's others are called k3 and k4
+
+
+def test_the_broken_camera_of_a_rig_is_named(tmp_path: Path) -> None:
+    root = phone.write_recording("euroc", tmp_path / "walk") / "mav0"
+    for name in ("imu0", "state_groundtruth_estimate0"):
+        shutil.rmtree(root / name)
+    shutil.copytree(root / "cam0", root / "cam1")
+    sensor = root / "cam1" / "sensor.yaml"
+    sensor.write_text(sensor.read_text().replace("intrinsics: [", "intrinsics: [wide, "))
+    with pytest.raises(InvalidCamera, match=r"^cam1/sensor\.yaml"):
+        read_recording(tmp_path / "walk")
 
 
 def test_a_frame_that_tracking_lost_has_no_pose(tmp_path: Path) -> None:
@@ -340,6 +360,26 @@ def test_a_model_by_hloc_is_read_and_its_features_are_named_as_unused(tmp_path: 
     assert warning.text.endswith(": outputs/feats-superpoint-n4096-r1024.h5.")
 
 
+def test_blank_lines_before_the_images_of_a_colmap_model_are_skipped(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    path = folder / "sparse" / "0" / "images.txt"
+    path.write_text(path.read_text().replace("\n", "\n\n", 1))
+    assert len(read_recording(folder).frames.times) == phone.FRAMES
+
+
+def test_pictures_of_a_colmap_model_are_sought_beside_a_folder_called_images(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    (folder / "images").rename(folder / "photos")
+    phone.write_images(folder / "images", ["thumbnail.png"])
+    assert len(read_recording(folder).frames.times) == phone.FRAMES
+
+
+def test_half_a_binary_colmap_model_does_not_hide_a_whole_one_of_text(tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    (folder / "sparse" / "0" / "images.bin").write_bytes(b"left over")
+    assert len(read_recording(folder).frames.times) == phone.FRAMES
+
+
 @pytest.mark.parametrize("kept", [0, 7, 40, 100])
 def test_a_binary_colmap_model_that_is_cut_off_is_refused(kept: int, tmp_path: Path) -> None:
     folder = phone.write_recording("colmap", tmp_path / "walk")
@@ -379,6 +419,27 @@ def test_pictures_of_a_scanner_app_with_their_own_focal_lengths_become_frames_of
     assert recording.camera is not None
     assert 60 < recording.camera.fx < 60 + 0.1 * phone.FRAMES
     assert recording.frames.size == (recording.camera.width, recording.camera.height)
+
+
+@pytest.mark.parametrize("shift_s", [-0.001, 0.001])
+def test_intrinsics_of_arkit_scenes_may_be_a_millisecond_off(tmp_path: Path, shift_s: float) -> None:
+    folder = phone.write_recording("arkit-scenes", tmp_path / "walk")
+    for path in sorted(folder.rglob("*.pincam"), reverse=shift_s > 0):
+        scan, time = path.stem.split("_")
+        path.rename(path.with_name(f"{scan}_{float(time) + shift_s:.3f}.pincam"))
+    camera = read_recording(folder).camera
+    assert camera is not None
+    assert camera.fx == phone.INTRINSICS[0]
+
+
+def test_a_broken_depth_image_does_not_keep_a_scan_from_being_read(tmp_path: Path) -> None:
+    folder = phone.write_recording("scanner-app", tmp_path / "walk")
+    (folder / "depth_00000.png").write_bytes(b"cut off")
+    depth = read_recording(folder).depth
+    assert depth is not None
+    assert depth.camera is not None
+    assert depth.read(0) is None
+    assert depth.read(1) is not None
 
 
 def test_record3ds_own_file_is_read(tmp_path: Path) -> None:

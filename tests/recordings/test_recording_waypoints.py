@@ -73,6 +73,15 @@ def test_waypoints_come_back(tmp_path: Path) -> None:
     assert read_waypoints_csv(tmp_path / "w.csv", FRAMES) == waypoints
 
 
+def test_waypoints_at_the_ends_come_back_although_microseconds_lie_outside(tmp_path: Path) -> None:
+    frames = replace(FRAMES, times=np.linspace(4e-7, 2 / 3, 21))
+    first, last = frames.times[[0, -1]].tolist()
+    times = (first, 0.25, last)
+    waypoints = [Waypoint(f"W{i}", time, (i, i * i, 0)) for i, time in enumerate(times)]
+    write_waypoints_csv(tmp_path / "w.csv", waypoints)
+    assert [waypoint.time for waypoint in read_waypoints_csv(tmp_path / "w.csv", frames)] == [*times]
+
+
 def test_waypoints_may_come_in_order_alone(tmp_path: Path) -> None:
     path = written(tmp_path, "name,x,y,z\nW1,0,0,1\nW2,2,0,1\nE,2,3,1\n")
     found = read_waypoints_csv(path, FRAMES)

@@ -46,7 +46,8 @@ def nerfstudio_transforms(map_: Map) -> str:
     """The content of ``transforms.json``: intrinsics and pose of every view.
 
     Raises:
-        InvalidInput: the lenses are of several kinds, or one has a distortion without counterpart in nerfstudio.
+        InvalidInput: the lenses are of several kinds, one has a distortion without counterpart in nerfstudio, or one
+            shows a part of a panorama.
     """
     used = source_cameras(map_.info)
     model, *others = sorted({_NERFSTUDIO_MODELS[camera.lens] for camera in used})
@@ -68,10 +69,20 @@ def _name(view: int) -> str:
 def _nerfstudio_camera(camera: Camera) -> dict[str, Any]:
     if any(camera.distortion[5:]):
         raise InvalidInput("nerfstudio has no lens with a rational distortion.", "Export the map as colmap.")
+    fx, fy = camera.fx, camera.fy
+    if camera.lens is Lens.EQUIRECTANGULAR:
+        _require_whole(camera, "nerfstudio")
+        fx, fy = camera.width / 2, float(camera.height)  # nerfstudio's convention, not pixels per radian
     centre = {"cx": camera.cx + 0.5, "cy": camera.cy + 0.5}  # (0.5, 0.5) is the centre of the top-left pixel
     names = ("k1", "k2", "k3", "k4") if camera.lens is Lens.FISHEYE else ("k1", "k2", "p1", "p2", "k3")
     bent = dict(zip(names, camera.distortion, strict=False))
-    return {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy, **centre, **bent}
+    return {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, **centre, **bent}
+
+
+def _require_whole(camera: Camera, program: str) -> None:
+    """Raise InvalidInput, naming ``program``, if an equirectangular camera shows a part of a panorama."""
+    if camera != Camera.panorama(camera.width, camera.height):
+        raise InvalidInput(f"{program} has no panorama that is not whole.", "Export the map as ply.")
 
 
 def _cameras(map_: Map) -> Iterator[str]:
@@ -85,8 +96,7 @@ def _cameras(map_: Map) -> Iterator[str]:
 def _colmap_camera(camera: Camera) -> tuple[str, tuple[float, ...]]:
     """A camera's model as COLMAP calls it, and its parameters [px]. Raises InvalidInput for part of a panorama."""
     if camera.lens is Lens.EQUIRECTANGULAR:
-        if camera != Camera.panorama(camera.width, camera.height):
-            raise InvalidInput("COLMAP has no panorama that is not whole.", "Export the map as ply.")
+        _require_whole(camera, "COLMAP")
         return "EQUIRECTANGULAR", (camera.width, camera.height)
     bent = camera.distortion
     if camera.lens is Lens.FISHEYE:
@@ -128,7 +138,13 @@ def _points(map_: Map) -> Iterator[str]:
         colour = " ".join(map(str, map_.landmarks.known_colours[feature].tolist()))
         position = _numbers(map_.landmarks.positions[feature].astype(np.float64))
         track = " ".join(f"{view + 1} {place}" for view, place in zip(seen.views[rows], places[rows], strict=True))
-        yield f"{numbers[feature]} {position} {colour} {np.mean(errors[rows]):.6g} {track}"
+        yield f"{numbers[feature]} {position} {colour} {_mean_error_px(errors[rows]):.6g} {track}"
+
+
+def _mean_error_px(errors: FloatArray) -> float:
+    """Mean of the errors (V,) [px] that are not NaN; 0 if all are."""
+    known = errors[~np.isnan(errors)]
+    return float(known.mean()) if len(known) else 0.0
 
 
 def reprojection_errors_px(map_: Map) -> FloatArray:

@@ -45,8 +45,8 @@ def names_to_geojson(names: MapNames, earth: SiteOnEarth | None) -> dict[str, An
 def names_from_geojson(content: bytes, earth: SiteOnEarth | None) -> MapNames:
     """Names of a map from GeoJSON: points and polygons with a ``name`` among their properties.
 
-    ``kind``, or IMDF's ``category``, becomes the kind, other plain properties become fields. Features of IMDF without a
-    name are left out.
+    ``kind``, or without it IMDF's ``category``, becomes the kind; other plain properties become fields. Features of
+    IMDF without a name are left out.
 
     Args:
         content: a FeatureCollection or a Feature in UTF-8, of WGS 84, or of the map frame if its ``frame`` is ``map``.
@@ -184,13 +184,13 @@ def _properties(feature: Mapping[str, Any]) -> tuple[str, str, dict[str, FieldVa
     left out.
     """
     properties = feature.get("properties") or {}
-    kind = next((str(properties[key]) for key in ("kind", "category") if properties.get(key)), "")
+    kind_key = "kind" if "kind" in properties else "category"
     fields = {
         key: value
         for key, value in properties.items()
-        if key not in ("name", "kind", "category") and (value is None or isinstance(value, str | int | float))
+        if key not in ("name", kind_key) and (value is None or isinstance(value, str | int | float))
     }
-    return plain_label(properties.get("name")), kind, fields
+    return plain_label(properties.get("name")), str(properties.get(kind_key) or ""), fields
 
 
 def plain_label(label: object) -> str:

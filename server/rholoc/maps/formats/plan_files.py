@@ -75,13 +75,14 @@ def plan_of_archive(content: bytes, level: str | None) -> tuple[bytes, FloorPlan
         InvalidInput: it is neither, something is missing or damaged, or the level is not clear.
     """
     with _opened(content) as archive:
-        config = next((name for name in archive.namelist() if PurePosixPath(name).suffix in _YAML), None)
+        names = _names(archive)
+        config = next((name for name in names if PurePosixPath(name).suffix in _YAML), None)
         if config is None:
             collection = _level_features(archive, level)
             return json.dumps(collection, separators=(",", ":")).encode(), FloorPlan(GEOJSON, (0.0, 0.0), 0.0, 1.0)
         settings = _settings(_member(archive, config, _MAX_YAML_BYTES))
         wanted = PurePosixPath(str(settings["image"])).name
-        picture = next((name for name in archive.namelist() if PurePosixPath(name).name == wanted), None)
+        picture = next((name for name in names if PurePosixPath(name).name == wanted), None)
         if picture is None:
             raise InvalidInput(f"The archive has no {wanted[:60]}, which its yaml names.", "Pack both files.")
         return _placed_picture(_member(archive, picture, _MAX_EXPANDED_BYTES), settings)
@@ -135,7 +136,7 @@ def packed_yaml(path: Path) -> bytes:
     try:
         text = path.read_bytes()
         picture = path.parent / str(_settings(text)["image"])
-        with zipfile.ZipFile(packed, "w") as archive:
+        with zipfile.ZipFile(packed, "w", strict_timestamps=False) as archive:
             archive.writestr(path.name, text)
             archive.write(picture, picture.name)
     except OSError as error:
@@ -165,6 +166,12 @@ def _opened(content: bytes) -> zipfile.ZipFile:
             f"The archive holds more than {_MAX_EXPANDED_BYTES // 2**20} MB.", "Leave out other levels or pictures."
         )
     return archive
+
+
+def _names(archive: zipfile.ZipFile) -> list[str]:
+    """Names of an archive's files, without the resource forks that macOS adds."""
+    paths = {name: PurePosixPath(name) for name in archive.namelist()}
+    return [name for name, path in paths.items() if not path.name.startswith("._") and "__MACOSX" not in path.parts]
 
 
 def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
@@ -218,7 +225,7 @@ def _level_features(archive: zipfile.ZipFile, level: str | None, kinds: tuple[st
     """FeatureCollection of a level's features of the given types of IMDF. Raises InvalidInput if no or several levels
     match. ``level`` is a name, short name, ordinal or id; None is the only level.
     """
-    files = {PurePosixPath(name).name: name for name in archive.namelist()}
+    files = {PurePosixPath(name).name: name for name in _names(archive)}
     if "level.geojson" not in files:
         raise InvalidInput(
             "The archive is neither IMDF nor a picture with its yaml.", "IMDF has level.geojson and unit.geojson."

@@ -26,6 +26,7 @@ MIN_SIGMA_M, MAX_SIGMA_M = 0.001, 1.0
 MIN_SPREAD_RATIO = 0.02  # spread across the best-fitting line over spread along it
 
 _MAX_APART_M = 10_000.0
+_TIME_DIGIT_S = 1e-6  # of the times that are written, which may therefore lie outside the recording by as much
 _NAMES_SHOWN = 5
 _COLUMNS_HINT = (
     "The first row must be name,time,x,y,z or name,frame,x,y,z: seconds or a frame's number, metres; or name,x,y,z, "
@@ -59,6 +60,8 @@ def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
     ``crs`` names the reference system of coordinates on Earth, as :func:`places_in` takes it.
 
     A further column ``sigma`` is the standard deviation of each in metres; 0.02 if it is absent or empty.
+
+    Times up to a microsecond outside the recording become its first or last, as tables are written to microseconds.
 
     They may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
 
@@ -182,12 +185,12 @@ def _waypoint(
     when = parse_number(row[moment], path, line, moment, InvalidWaypoints)
     time = _time_of_frame(name, when, frames) if moment == "frame" else when
     first, last = float(frames.times[0]), float(frames.times[-1])
-    if not first <= time <= last:
+    if not first - _TIME_DIGIT_S <= time <= last + _TIME_DIGIT_S:
         raise InvalidWaypoints(
             f"Waypoint {name} is at {time:.3f} s, outside the recording's {first:.3f} to {last:.3f} s.",
             "Times must be on the recording's own clock.",
         )
-    return Waypoint(name, time, (x, y, z), sigma_m)
+    return Waypoint(name, min(max(time, first), last), (x, y, z), sigma_m)
 
 
 def _sigma_m(row: dict[str, str], line: int, path: Path) -> float:

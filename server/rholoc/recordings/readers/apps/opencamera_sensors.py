@@ -19,7 +19,8 @@ from rholoc.recordings.recording import Recording
 from rholoc.recordings.tables.logged_table import is_bare_table, read_logged_table
 
 TABLES = ("*_gyro.csv", "*_accel.csv", "*_timestamps.csv")
-_GYROSCOPE, _ACCELEROMETER, _TIMES = "_gyro.csv", "_accel.csv", "_timestamps.csv"
+_GYROSCOPE, _ACCELEROMETER = "_gyro.csv", "_accel.csv"
+_TIMES, _OLDER_TIMES = "_timestamps.csv", "_imu_timestamps.csv"
 
 
 def recognises(folder: Path) -> bool:
@@ -41,7 +42,7 @@ def read(folder: Path) -> Recording:
     """
     gyroscope = _find(folder, _GYROSCOPE)
     assert gyroscope is not None
-    times_csv = _find(gyroscope.parent, _TIMES)
+    times_csv = _times_csv(gyroscope)
     if times_csv is None:
         raise InvalidRecording(f"There is no table of the frames' times, *{_TIMES}.", "Pack all that the app wrote.")
     times, unit_warnings = frame_times_s(read_logged_table(times_csv).numbered(0)[:, 0], "ns")
@@ -61,6 +62,12 @@ def read(folder: Path) -> Recording:
 def _find(folder: Path, ending: str) -> Path | None:
     """The first file with such an ending, by name, in the folder, else in one of its folders; None if there is none."""
     return next(iter([*sorted(folder.glob(f"*{ending}")), *sorted(folder.glob(f"*/*{ending}"))]), None)
+
+
+def _times_csv(gyroscope: Path) -> Path | None:
+    """The gyroscope's table of the frames' times, else the first of its folder; None if there is none."""
+    named = (_sibling(gyroscope, ending) for ending in (_TIMES, _OLDER_TIMES))
+    return next((path for path in named if path.is_file()), None) or _find(gyroscope.parent, _TIMES)
 
 
 def _sibling(gyroscope: Path, ending: str) -> Path:

@@ -20,6 +20,7 @@ Record3D's depth, compressed by LZFSE or as OpenEXR, is not read.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rholoc.errors import InvalidCamera, InvalidInput, InvalidRecording, InvalidTrajectory
+from rholoc.errors import InvalidCamera, InvalidImage, InvalidInput, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, is_rotation, pose_matrix
 from rholoc.recordings.frames.depth import MILLIMETRE_M
 from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES, image_size
@@ -40,6 +41,7 @@ from rholoc.recordings.tables.logged_table import read_logged_table
 from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
 
 _ROTATION_TOLERANCE = 1e-3
+_PINCAM_SHIFT_S = 0.001  # between the times in the names of ARKitScenes' pictures and of their intrinsics
 _ADVICE = "Export all data again."
 
 
@@ -110,9 +112,14 @@ class ScanningApp:
 
 
 def _depth_camera(depths: Sequence[Path | None], camera: Camera) -> Camera | None:
-    """Intrinsics of the depth images: the pictures' own ``camera``, at the first depth image's size; None without."""
-    path = next((path for path in depths if path is not None and path.is_file()), None)
-    return None if path is None else camera.resized(*image_size(path))
+    """Intrinsics of the depth images: the pictures' own ``camera``, at the size of the first depth image
+    with a readable header; None if there is none.
+    """
+    for path in depths:
+        if path is not None and path.is_file():
+            with suppress(InvalidImage):
+                return camera.resized(*image_size(path))
+    return None
 
 
 def _scanner_app(folder: Path) -> list[_Shot]:
@@ -195,10 +202,20 @@ def _arkit_scenes(folder: Path) -> list[_Shot]:
     T = match_poses(PoseTable(rows[:, 0], np.linalg.inv(T_camera_map)), frames).T_map_camera
     shots = []
     for picture, time, pose in zip(pictures, frames.times.tolist(), T, strict=True):
-        pincam = root / "lowres_wide_intrinsics" / f"{picture.stem}.pincam"
+        pincam = _pincam(root / "lowres_wide_intrinsics", picture.stem)
         camera = _camera(read_logged_table(pincam).numbered(*range(6))[0])
         shots.append(_Shot(picture, camera, pose, time, root / "lowres_depth" / picture.name))
     return shots
+
+
+def _pincam(folder: Path, stem: str) -> Path:
+    """File of the intrinsics of picture ``stem``, whose name may differ from the picture's by a millisecond; the
+    picture's own name if there is none.
+    """
+    scan, _, time = stem.rpartition("_")
+    shifted = (f"{scan}_{float(time) + shift_s:.3f}" for shift_s in (-_PINCAM_SHIFT_S, _PINCAM_SHIFT_S))
+    paths = [folder / f"{name}.pincam" for name in (stem, *shifted)]
+    return next((path for path in paths if path.is_file()), paths[0])
 
 
 def _arkit_scenes_root(folder: Path) -> Path | None:

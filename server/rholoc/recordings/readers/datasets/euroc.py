@@ -73,7 +73,7 @@ def read(folder: Path) -> Recording:
     images = root / "cam0" / "data"
     timed = timed_images([listed_file(images, name) for name in table.text("filename")], times)
     sensor = _sensor(root / "cam0" / "sensor.yaml")
-    camera, camera_warnings = _camera(sensor, timed.frames.size)
+    camera, camera_warnings = _camera(sensor, timed.frames.size, "cam0")
     T_body_camera = _body(sensor)
     imu, imu_warnings = _imu(root / "imu0", T_body_camera)
     poses = _poses(root, T_body_camera, timed.frames)
@@ -102,7 +102,8 @@ def _rig(root: Path, first: Camera | None) -> Recording | None:
         table, sensor = read_logged_table(root / name / "data.csv"), _sensor(root / name / "sensor.yaml")
         T_body_camera = _body(sensor)
         listed = [listed_file(root / name / "data", one) for one in table.text("filename")]
-        camera = first if name == _RIG[0] else _camera(sensor, (first.width, first.height) if first else (0, 0))[0]
+        size = (first.width, first.height) if first else (0, 0)
+        camera = first if name == _RIG[0] else _camera(sensor, size, name)[0]
         if camera is None or T_body_camera is None:
             return None
         paths += listed
@@ -137,7 +138,12 @@ def _sensor(path: Path) -> dict[str, Any]:
     return values if isinstance(values, dict) else {}
 
 
-def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
+def _camera(
+    sensor: dict[str, Any], size: tuple[int, int], name: str
+) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
+    """The camera of a sensor's description, at the pictures' size; None, with a warning if its model is not supported.
+    Raises InvalidCamera, naming the folder ``name``, if it is broken.
+    """
     if "intrinsics" not in sensor:
         return None, ()
     distortion = str(sensor.get("distortion_model", "radial-tangential"))
@@ -148,7 +154,7 @@ def _camera(sensor: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         coefficients = tuple(float(value) for value in sensor.get("distortion_coefficients") or ())
         width, height = (int(value) for value in sensor.get("resolution") or size)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidCamera("cam0/sensor.yaml: a part of the intrinsics is not a number.") from error
+        raise InvalidCamera(f"{name}/sensor.yaml: a part of the intrinsics is not a number.") from error
     return Camera(width, height, fx, fy, cx, cy, coefficients, _LENSES[distortion]).fitted(*size), ()
 
 

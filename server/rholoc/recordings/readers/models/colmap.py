@@ -98,7 +98,7 @@ def read(folder: Path) -> Recording:
     """
     model = _model(folder)
     assert model is not None
-    if (model / "images.bin").is_file():
+    if _is_complete(model, "bin"):
         images, fields = _read_binary(model)
     else:
         images, fields = _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
@@ -115,22 +115,25 @@ def read(folder: Path) -> Recording:
 
 
 def _pictures_folder(folder: Path, name: str) -> Path:
-    """The folder that a picture's name is relative to: ``images``, else the first that has it. Raises
-    InvalidRecording.
+    """The folder that a picture's name is relative to: the first that has it of ``images``, the folder itself and its
+    other folders; if none has it, the first of them. Raises InvalidRecording.
     """
-    if (folder / "images").is_dir():
-        return folder / "images"
-    some = [path for path in (folder, *sorted(folder.iterdir())) if path.is_dir()]
-    return next((path for path in some if listed_file(path, name).is_file()), folder)
+    some = [path for path in (folder / "images", folder, *sorted(folder.iterdir())) if path.is_dir()]
+    return next((path for path in some if listed_file(path, name).is_file()), some[0])
 
 
 def _model(folder: Path) -> Path | None:
     by_hloc = sorted(path for pattern in ("sfm*", "outputs/sfm*") for path in folder.glob(pattern))
     for place in (folder / "sparse" / "0", folder / "sparse", folder, *by_hloc):
         for ending in ("bin", "txt"):
-            if all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
+            if _is_complete(place, ending):
                 return place
     return None
+
+
+def _is_complete(place: Path, ending: str) -> bool:
+    """Whether a folder has the files of the cameras and of the images with this ending."""
+    return all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images"))
 
 
 def _read_binary(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
@@ -176,12 +179,13 @@ def _binary_images(data: bytes) -> list[_Image]:
 
 
 def _read_images(path: Path) -> list[_Image]:
-    lines = [line for line in read_text(path).splitlines() if not line.startswith("#")]
+    lines = iter(read_text(path).splitlines())
     images = []
-    for line in lines[::2]:  # every other line lists points, and may be empty
-        parts = line.split(maxsplit=9)
-        if not parts:
+    for line in lines:
+        if not line.strip() or line.startswith("#"):
             continue
+        next(lines, None)  # lists the image's points, and may be empty
+        parts = line.split(maxsplit=9)
         try:
             qw, qx, qy, qz, tx, ty, tz = (float(part) for part in parts[1:8])
             images.append(_Image(parts[9].strip(), parts[8], [tx, ty, tz, qx, qy, qz, qw]))
