@@ -27,7 +27,6 @@ _PER_SECOND = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # divisors, which ar
 _LONGEST_IMU_INTERVAL_S = 0.4
 _SHORTEST_FRAME_INTERVAL_S = 0.002
 _LONGEST_FRAME_INTERVAL_S = 4.0
-_FAR_FUTURE_S = 1e11  # since 1970; as milliseconds, a time in 1973
 MAX_SPAN_S = 48 * 3600.0  # from the first row of a table to its last
 _MAX_DROPPED = 0.05  # maximum share of rows whose time does not advance
 _GAP_INTERVALS = 5.0  # a gap is this many usual intervals …
@@ -126,28 +125,17 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
 
 
 def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
-    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if it is plausible.
-
-    It is if the median interval is then 2 ms to 4 s. Seconds also are with longer intervals, as of photographs, unless
-    the times span over two days or are of the far future.
+    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if the median interval is then 2 ms to
+    4 s.
 
     Otherwise the unit follows from the interval, as for an IMU. Raises InvalidRecording if none fits or they span
     years.
     """
-    unit = says if _is_frame_unit(times, says) else time_unit(times, 1000 * _SHORTEST_FRAME_INTERVAL_S) or says
+    steps = np.abs(np.diff(times)) / _PER_SECOND[says]
+    plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
+    unit = says if plausible else time_unit(times, 1000 * _SHORTEST_FRAME_INTERVAL_S) or says
     warnings = () if unit == says else (_unit_warning("frames", unit, says),)
     return checked_span(times / _PER_SECOND[unit], "frames"), warnings
-
-
-def _is_frame_unit(times: FloatArray, unit: str) -> bool:
-    """Whether times (N,) of frames are plausible in a unit."""
-    if len(times) < 2:
-        return True
-    seconds = times / _PER_SECOND[unit]
-    interval_s = float(np.median(np.abs(np.diff(seconds))))
-    if unit == "s" and interval_s > _LONGEST_FRAME_INTERVAL_S:
-        return float(np.ptp(seconds)) <= MAX_SPAN_S and float(np.abs(seconds).max()) < _FAR_FUTURE_S
-    return _SHORTEST_FRAME_INTERVAL_S < interval_s <= _LONGEST_FRAME_INTERVAL_S
 
 
 def checked_span(times: FloatArray, what: str) -> FloatArray:
