@@ -152,7 +152,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
     count = int(np.clip(wanted, MIN_FOUND, _MAX_FRAMES))
     rows = np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.int64))
     shutter = rolling_shutter_of(recording, rows, progress)
-    shown = _collected(_frame_features(localizer, recording, pictures).of(rows.tolist()), len(rows), progress)
+    shown = _collected(_frame_features(localizer, recording, camera, pictures).of(rows.tolist()), len(rows), progress)
     if shutter is not None:
         shown = [one._replace(features=shutter.at_once(k, one.features)) for k, one in enumerate(shown)]
     frames = [(camera, one.features) for one in shown]
@@ -179,7 +179,7 @@ def _aligned_walk(
     """The recording's own trajectory, aligned with those of at most 24 of its frames that can be localized. Raises
     MappingFailed for fewer than five views or frames found, or if the two disagree; InvalidRecording.
     """
-    frame_features = _frame_features(localizer, recording, pictures)
+    frame_features = _frame_features(localizer, recording, recording.camera, pictures)
     trajectory = estimate_trajectory(recording, method, progress, frame_features.show)
     views, _ = choose_views(trajectory.T_map_camera, hold_out=False, step=_VIEW_STEP)
     if len(views) < MIN_FOUND:
@@ -206,9 +206,8 @@ def _aligned_walk(
     )
 
 
-def _frame_features(localizer: Localizer, recording: Recording, pictures: bool) -> FrameFeatures:
-    info = localizer.map.info
-    extractor = widened(get_extractor(info.features), recording.camera or info.camera)
+def _frame_features(localizer: Localizer, recording: Recording, camera: Camera | None, pictures: bool) -> FrameFeatures:
+    extractor = widened(get_extractor(localizer.map.info.features), camera)
     return FrameFeatures(recording.frames, extractor, pictures)
 
 
