@@ -8,12 +8,19 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from pathlib import Path, PurePath
 from uuid import uuid4
 
 from rholoc.errors import InvalidInput, StorageFull
 
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+_SYSTEM_FILES = frozenset({"__MACOSX", ".DS_Store", "Thumbs.db"})
+_APPLE_DOUBLE = "._"  # how the names of macOS's files of attributes start
+
+
+def is_system_file(path: PurePath) -> bool:
+    """Whether an operating system adds a file or folder of this path to those of people."""
+    return path.name.startswith(_APPLE_DOUBLE) or not _SYSTEM_FILES.isdisjoint(path.parts)
 
 
 def is_full(error: OSError) -> bool:

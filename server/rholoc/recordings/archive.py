@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
-from rholoc.disk import is_full
+from rholoc.disk import is_full, is_system_file
 from rholoc.errors import InvalidRecording, StorageFull, TooLarge
 from rholoc.recordings.file_contents import START_BYTES, check_file_start
 from rholoc.recordings.frames.video import VIDEO_SUFFIXES
@@ -25,8 +25,6 @@ MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, zip bombs 1
 _PACK_AGAIN = "Pack the recording's own files, and nothing else."
 _RATIO_FREE_BYTES = 2**20  # below this size the ratio does not matter
 
-_IGNORED = frozenset({"__MACOSX", ".DS_Store", "Thumbs.db"})
-_APPLE_DOUBLE = "._"  # how the names of macOS's files of attributes start
 _FORMATS_FOLDERS = ("frames", "images", "keyframes", "sensors")  # of rholoc, Polycam and kapture
 
 
@@ -106,7 +104,7 @@ def _check_directory(archive: Path, max_files: int) -> None:
 
 
 def _checked_entries(packed: zipfile.ZipFile, archive: Path, max_bytes: int) -> list[zipfile.ZipInfo]:
-    entries = [entry for entry in packed.infolist() if not _is_ignored(_path(entry))]
+    entries = [entry for entry in packed.infolist() if _is_wanted(_path(entry))]
     _check(entries, archive, max_bytes)
     return entries
 
@@ -115,9 +113,9 @@ def _path(entry: zipfile.ZipInfo) -> PurePosixPath:
     return PurePosixPath(entry.filename.replace("\\", "/"))
 
 
-def _is_ignored(path: PurePosixPath) -> bool:
-    """Whether a path is the archive's own folder (``./``), or a file that an operating system added."""
-    return not path.parts or path.name.startswith(_APPLE_DOUBLE) or not _IGNORED.isdisjoint(path.parts)
+def _is_wanted(path: PurePosixPath) -> bool:
+    """Whether a path is neither the archive's own folder (``./``) nor a file that an operating system added."""
+    return bool(path.parts) and not is_system_file(path)
 
 
 def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> None:

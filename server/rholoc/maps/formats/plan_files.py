@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 from PIL import Image, ImageOps
 
+from rholoc.disk import is_system_file
 from rholoc.errors import InvalidInput
 from rholoc.geometry.earth import EarthPlace, enu_of
 from rholoc.maps.floor_plan import ARCHIVE, GEOJSON, MAX_PIXELS, FloorPlan, media_type_of
@@ -169,9 +170,8 @@ def _opened(content: bytes) -> zipfile.ZipFile:
 
 
 def _names(archive: zipfile.ZipFile) -> list[str]:
-    """Names of an archive's files, without the resource forks that macOS adds."""
-    paths = {name: PurePosixPath(name) for name in archive.namelist()}
-    return [name for name, path in paths.items() if not path.name.startswith("._") and "__MACOSX" not in path.parts]
+    """Names of an archive's files, without those that operating systems add."""
+    return [name for name in archive.namelist() if not is_system_file(PurePosixPath(name))]
 
 
 def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
