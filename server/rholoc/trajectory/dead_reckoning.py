@@ -33,8 +33,8 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
 
     Raises:
         InvalidWaypoints: the waypoints do not fix a frame.
-        MappingFailed: the IMU's mounting is unknown, its acceleration excludes gravity, it has no readings at a
-            waypoint, or two waypoints have one time.
+        MappingFailed: the IMU's mounting is unknown, its acceleration excludes gravity, it does not cover the
+            waypoints or has no readings at one, or two of them have one time.
     """
     check_waypoints_fix_frame(waypoints)
     if imu.R_camera_imu is None or not imu.includes_gravity:

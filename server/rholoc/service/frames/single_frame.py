@@ -110,24 +110,24 @@ def _looking_twice(
     """The surest answer of the maps ``at_first``; if that is not conclusive (0.9), of those found with all features
     too. Raises RholocError: no map could be used.
     """
-    answers, refused = [], None
-    try:
-        answers.append(surest(at_first))
-    except DeadlineExceeded:
-        raise
-    except RholocError as error:
-        refused = error
+    answers: list[_Answered] = []
+    refusals: list[RholocError] = []
+
+    def ask(asked: Candidates) -> None:
+        try:
+            answers.append(surest(asked))
+        except DeadlineExceeded:
+            raise
+        except RholocError as error:
+            refusals.append(error)
+
+    ask(at_first)
     if not answers or _rank(answers[0][2]) < (True, CONCLUSIVE):
         others = choose_candidates(maps, features.by, clock).besides(at_first)
         if others.names:
-            try:
-                answers.append(surest(others))
-            except DeadlineExceeded:
-                raise
-            except RholocError as error:
-                refused = refused or error
-    if not answers and refused is not None:
-        raise refused
+            ask(others)
+    if not answers:
+        raise refusals[0]
     return max(answers, key=lambda answer: _rank(answer[2]))
 
 

@@ -147,7 +147,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
             if part is None:
                 continue
             parts.append(part)
-            if _confirmed(part, parts) >= _ALL * count:
+            if _confirmed(_agreements(part, parts)) >= _ALL * count:
                 break
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", DENSER)
@@ -334,27 +334,31 @@ def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
     adds least. If less than half of all ``count`` pictures are confirmed: parts of which no other one contradicts more
     pictures than are confirmed first, then those in metres, then the largest.
     """
-    confirmed = [_confirmed(part, parts) for part in parts]
+    agreements = [_agreements(part, parts) for part in parts]
+    confirmed = [_confirmed(found) for found in agreements]
     few = 2 * max(confirmed) < count
 
     def order(k: int) -> tuple[int, bool, bool, int]:
         part, much = parts[k], confirmed[k]
-        refuted = few and 0 < much < _refuted(part, parts)  # a part of it may be right, but not the whole
+        refuted = few and 0 < much < _refuted(agreements[k])  # a part of it may be right, but not the whole
         return much, not refuted, part.in_metres, len(part.members) if few else -len(part.members)
 
     return parts[max(range(len(parts)), key=order)]
 
 
-def _confirmed(part: _Part, others: Sequence[_Part]) -> int:
-    """Largest number of the part's pictures that one of the others confirms; 0 if none agrees."""
-    found = (_agreement(part, other) for other in others if other is not part)
-    return max((one.common for one in found if one.same), default=0)
+def _agreements(part: _Part, parts: Sequence[_Part]) -> list[Agreement]:
+    """Agreement of a part with each of the other ``parts``."""
+    return [_agreement(part, other) for other in parts if other is not part]
 
 
-def _refuted(part: _Part, others: Sequence[_Part]) -> int:
-    """Largest number of the part's pictures over which one of the others contradicts it; 0 if none does."""
-    found = (_agreement(part, other) for other in others if other is not part)
-    return max((one.common for one in found if one.contradicts), default=0)
+def _confirmed(agreements: Sequence[Agreement]) -> int:
+    """Largest number of a part's pictures that another one confirms; 0 if none agrees."""
+    return max((one.common for one in agreements if one.same), default=0)
+
+
+def _refuted(agreements: Sequence[Agreement]) -> int:
+    """Largest number of a part's pictures over which another one contradicts it; 0 if none does."""
+    return max((one.common for one in agreements if one.contradicts), default=0)
 
 
 def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | None, _Part | None]:
@@ -362,7 +366,7 @@ def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | No
     others = [other for other in parts if other is not part]
     if not others:
         return None, None
-    found = [_agreement(part, other) for other in others]
+    found = _agreements(part, others)
     k = min(range(len(found)), key=lambda k: (not found[k].same, np.nan_to_num(found[k].distance, nan=np.inf)))
     return found[k], others[k]
 
