@@ -248,12 +248,18 @@ def test_waypoints_and_intrinsics_may_be_added_to_any_format(tmp_path: Path) -> 
     assert recording.readout_s == 0.02
 
 
-def test_one_camera_is_refused_for_resampled_pictures(tmp_path: Path) -> None:
-    folder = phone.write_recording("colmap", tmp_path / "walk")
+def colmap_of_two_cameras(folder: Path) -> Path:
+    """A COLMAP model whose fifth picture is by a camera of its own."""
+    phone.write_recording("colmap", folder)
     cameras = folder / "sparse" / "0" / "cameras.txt"
     cameras.write_text(cameras.read_text() + "2 PINHOLE 64 48 70 71 32 24\n")
     path = folder / "sparse" / "0" / "images.txt"
     path.write_text(path.read_text().replace(" 1 walk/frame0004.png", " 2 walk/frame0004.png"))
+    return folder
+
+
+def test_one_camera_is_refused_for_resampled_pictures(tmp_path: Path) -> None:
+    folder = colmap_of_two_cameras(tmp_path / "walk")
     write_camera_json(folder / "camera.json", CameraFile(Camera(*phone.SIZE, *phone.INTRINSICS)))
     with pytest.raises(InvalidCamera, match="One camera is given"):
         read_recording(folder)
@@ -319,11 +325,7 @@ def test_frames_that_a_colmap_model_does_not_place_are_left_aside(tmp_path: Path
 
 
 def test_a_cameras_own_intrinsics_of_several_in_a_colmap_model(tmp_path: Path) -> None:
-    folder = phone.write_recording("colmap", tmp_path / "walk")
-    cameras = folder / "sparse" / "0" / "cameras.txt"
-    cameras.write_text(cameras.read_text() + "2 PINHOLE 64 48 70 71 32 24\n")
-    path = folder / "sparse" / "0" / "images.txt"
-    path.write_text(path.read_text().replace(" 1 walk/frame0004.png", " 2 walk/frame0004.png"))
+    folder = colmap_of_two_cameras(tmp_path / "walk")
     recording = read_recording(folder)
     plain = read_recording(phone.write_recording("colmap", tmp_path / "plain"))
     assert recording.camera is not None

@@ -10,7 +10,7 @@ from hand_held import PLACES, STOPS, walk, waypoints
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import FloatArray, pose_distances, pose_matrix
+from rholoc.geometry import BoolArray, FloatArray, pose_distances, pose_matrix
 from rholoc.recordings import Imu
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
@@ -52,15 +52,19 @@ def test_poses_come_in_the_order_of_their_times() -> None:
     assert np.linalg.norm(found[:, :3, 3] - expected, axis=1).max() < 0.03
 
 
-def test_a_gap_is_said() -> None:
-    imu, _, _ = walk()
-    kept = (imu.times < 8.0) | (imu.times > 8.7)
-    broken = replace(
+def part_of(imu: Imu, kept: BoolArray) -> Imu:
+    """The readings of a mask (N,)."""
+    return replace(
         imu,
         times=imu.times[kept],
         acceleration=imu.acceleration[kept],
         angular_velocity=imu.angular_velocity[kept],
     )
+
+
+def test_a_gap_is_said() -> None:
+    imu, _, _ = walk()
+    broken = part_of(imu, (imu.times < 8.0) | (imu.times > 8.7))
     with pytest.raises(MappingFailed, match="gap between"):
         adjust_between_waypoints(broken, waypoints((0, 1, 2, 3)), np.array([2.0, 3.0]))
 
@@ -151,13 +155,7 @@ def test_an_imu_that_cannot_place_the_camera_is_refused() -> None:
 
 def test_a_gap_at_a_waypoint_and_two_waypoints_at_once_are_said() -> None:
     imu, *_ = walk()
-    kept = np.abs(imu.times - STOPS[1]) > 0.5
-    part = replace(
-        imu,
-        times=imu.times[kept],
-        acceleration=imu.acceleration[kept],
-        angular_velocity=imu.angular_velocity[kept],
-    )
+    part = part_of(imu, np.abs(imu.times - STOPS[1]) > 0.5)
     with pytest.raises(MappingFailed, match="no readings at the waypoint"):
         integrate_between_waypoints(part, waypoints((0, 1, 3)), np.array([2.0]))
     first, second, third = waypoints((0, 1, 3))
