@@ -314,6 +314,22 @@ def test_a_frame_that_tracking_lost_has_no_pose(tmp_path: Path) -> None:
     assert np.flatnonzero(~poses.known).tolist() == [5, 6, 7]
 
 
+def test_a_partial_pose_of_kapture_counts_as_unknown(tmp_path: Path) -> None:
+    sensors, pictures = tmp_path / "sensors", tmp_path / "sensors" / "records_data"
+    pictures.mkdir(parents=True)
+    for number in range(3):
+        cv2.imwrite(str(pictures / f"{number}.jpg"), np.full((48, 64, 3), 80 * number, np.uint8))
+    (sensors / "sensors.txt").write_text("cam, , camera, PINHOLE, 64, 48, 40, 40, 32, 24\n")
+    (sensors / "records_camera.txt").write_text("".join(f"{number}, cam, {number}.jpg\n" for number in range(3)))
+    (sensors / "trajectories.txt").write_text(
+        "0, cam, 1, 0, 0, 0, 1, 2, 3\n1, cam, 1, 0, 0, 0, , , \n2, cam, , , , , 1, 2, 3\n"
+    )
+    poses = read_recording(tmp_path).poses
+    assert poses is not None
+    assert poses.known.tolist() == [True, False, False]
+    np.testing.assert_allclose(poses.T_map_camera[0, :3, 3], [-1, -2, -3])
+
+
 def test_frames_that_a_colmap_model_does_not_place_are_left_aside(tmp_path: Path) -> None:
     folder = phone.write_recording("colmap", tmp_path / "walk")
     phone.write_images(folder / "images", ["walk/frame0099.png"])

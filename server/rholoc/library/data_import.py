@@ -21,7 +21,8 @@ class ImportedData:
     Attributes:
         maps, cameras, sites, keys, recordings: numbers copied.
         left: names not copied, because the stores have something of that name.
-        unreadable: maps not copied, because their files are damaged.
+        unreadable: maps whose current version was not copied, because its file is damaged; their previous versions are
+            copied.
     """
 
     maps: int

@@ -54,7 +54,7 @@ def restore(
     with _opened(service_settings(maps_dir=maps, data_dir=data)) as stores:
         manifest, moved = bring_back(file, stores)
     for name in moved.unreadable:
-        print_notice(f"Not restored, for its file is damaged: the map {name}")
+        print_notice(f"The current version of the map {name} was not restored, for its file is damaged.")
     _say("Restored", manifest, as_json)
 
 
@@ -115,6 +115,6 @@ def import_folders(maps: Maps = None, data: Data = None, as_json: Json = False) 
     for what in moved.left:
         print_notice(f"Left, for the storage has it already: {what}")
     for what in moved.unreadable:
-        print_notice(f"Left, for its file is damaged: {what}")
+        print_notice(f"The current version of the map {what} was not copied, for its file is damaged.")
     counts = ", ".join(f"{count} {kind}" for kind, count in asdict(moved).items() if kind not in ("left", "unreadable"))
     output.print(f"Imported {counts}. The folders stay as they are.", markup=False, soft_wrap=True)

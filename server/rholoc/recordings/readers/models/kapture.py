@@ -12,7 +12,7 @@
 Trajectories take the world to the sensor or rig, rigs take the rig to the sensor. The unit of time is not stated;
 timestamps that only count have none. Of several cameras with times, the one with most pictures is taken, unless they
 are mounted on a rig and there is no IMU; without times, all pictures are. The unit of poses is not stated, rigs are in
-metres.
+metres. Partial poses, of a rotation or a translation alone, count as unknown.
 """
 
 from __future__ import annotations
@@ -196,8 +196,10 @@ def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> Giv
 
 
 def _pose_table(path: Path) -> _Pose:
-    """The transform (4, 4) of each line, by its first two fields; none without the file. Raises InvalidTrajectory."""
-    rows = _optional_rows(path, 9, InvalidTrajectory)
+    """The transform (4, 4) of each line, by its first two fields; none without the file. Lines of partial poses, whose
+    rotation or translation is left empty, are skipped. Raises InvalidTrajectory.
+    """
+    rows = [row for row in _optional_rows(path, 9, InvalidTrajectory) if all(row[2:9])]
     if not rows:
         return {}
     try:
