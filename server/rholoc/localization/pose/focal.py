@@ -53,7 +53,7 @@ _MIN_MATCHES, _MIN_SAMPLES = 8, 50
 _ZOOMS = (0.9, 0.8, 0.63, 0.5), (1.1, 1.25, 1.6, 2.0)  # factors on a focal length that matches leave open
 _CLEAR, _CLEAR_NATS = 0.2, 20.0  # of the nats that a pose explains, at least: a clear difference from another's
 _VAGUE = 0.05  # of the focal length: with 3 σ as large it is left open
-_RIGHT, _WRONG_SIGMA = 0.3, 0.2  # probability that a given focal length is right; its logarithm's sigma if it is not …
+_RIGHT, _WRONG_SIGMA = 0.8, 0.2  # probability that a given focal length is right; its logarithm's sigma if it is not …
 _ZOOM_STEP = 0.12  # … and about how far apart those are that are tried
 _SAMPLES = 300  # for each guess, where the given focal length is checked
 _SQUARE = 0.02  # of the logarithm of fx / fy: pixels of nearly all cameras are square
@@ -141,7 +141,7 @@ def _beside(estimate: FocalEstimate, verified: Verified, others: list[Refocused]
 
 def _prior(logs: FloatArray) -> FloatArray:
     """Prior probabilities (M,) of focal lengths by their logarithms (M,) relative to the first, which was given: it is
-    right with probability 0.3, otherwise the logarithm is normal about it.
+    right with probability 0.8, otherwise the logarithm is normal about it.
     """
     prior = (
         (1 - _RIGHT) * _ZOOM_STEP * np.exp(-((logs / _WRONG_SIGMA) ** 2) / 2) / (math.sqrt(2 * math.pi) * _WRONG_SIGMA)
