@@ -458,7 +458,6 @@ class Localizer:
     def _described(self, found: Found, search: Search) -> Localization:
         """A search's outcome as an answer with a pose, however doubtful or inexact."""
         query, verified = search.query, found.verified
-        agreeing = verified.optimum.density > 0
         estimated = query.intrinsics is Intrinsics.UNKNOWN
         answer = Localization(
             localized=True,
@@ -468,15 +467,15 @@ class Localizer:
             belief=found.belief,
             matches=max(search.matches, len(verified.wide), len(verified.matches)),
             inliers=verified.inliers,
-            inlier_pixels=verified.pixels[agreeing],
-            inlier_features=verified.matches.landmarks[agreeing],
+            inlier_pixels=verified.pixels[verified.optimum.density > 0],
+            inlier_features=verified.inlier_landmarks,
             timings_ms=search.watch.timings_ms,
             near_prior=None if query.prior is None else found.near_prior,
             camera=found.camera if estimated else None,
             focal_sigma_px=found.focal.sigma_px if estimated else None,
             alternatives=tuple(
-                Alternative(weight, _pose(rival.verified, query.dof), rival.verified.covariance)
-                for weight, rival in found.rivals[:MAX_ALTERNATIVES]
+                Alternative(weight, _pose(one, query.dof), one.covariance, one.inlier_landmarks)
+                for weight, one in ((weight, rival.verified) for weight, rival in found.rivals[:MAX_ALTERNATIVES])
                 if weight >= MIN_WEIGHT
             ),
         )

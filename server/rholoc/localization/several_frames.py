@@ -24,7 +24,7 @@ from rholoc.localization.diagnosis import wrong_motion
 from rholoc.localization.index.map_error import RIGHT_M, RIGHT_RAD
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
-from rholoc.localization.large_map import AnyLocalizer
+from rholoc.localization.large_map import AnyLocalizer, in_whole_map
 from rholoc.localization.localizer import Localizer, check_kind
 from rholoc.localization.pose.ascent import optimum_at
 from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances, refined_together
@@ -145,12 +145,7 @@ def localize_together(localizer: AnyLocalizer, asked: SeveralFrames) -> JointLoc
     part, around = localizer.around([frame.features for frame in asked.frames])
     place_s = time.perf_counter() - started
     joint = _Joint(around, asked.within(place_s)).localize()
-    first = replace(
-        joint.first,
-        inlier_features=part.features[joint.first.inlier_features],
-        timings_ms={"place": 1e3 * place_s, **joint.first.timings_ms},
-    )
-    return replace(joint, first=first)
+    return replace(joint, first=in_whole_map(joint.first, part, 1e3 * place_s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,7 +376,6 @@ class _Joint:
             return JointLocalization(refusal, (), ())
         poses = tuple(Pose(one.optimum.T_map_camera) for one in best.verified)
         inliers = tuple(one.inliers for one in best.verified)
-        agreeing = [one.optimum.density > 0 for one in best.verified]
         first = Localization(
             localized=True,
             reason=None,
@@ -390,10 +384,8 @@ class _Joint:
             belief=best.belief,
             matches=max(matched, sum(len(one.matches) for one in best.verified)),
             inliers=sum(inliers),
-            inlier_pixels=best.verified[0].pixels[agreeing[0]],
-            inlier_features=np.concatenate(
-                [one.matches.landmarks[some] for one, some in zip(best.verified, agreeing, strict=True)]
-            ),
+            inlier_pixels=best.verified[0].pixels[best.verified[0].optimum.density > 0],
+            inlier_features=np.concatenate([one.inlier_landmarks for one in best.verified]),
             timings_ms=timings_ms,
         )
         first = gated(with_map_error(self.index, first), self.localizer.min_recognized, self.asked.frames[0])

@@ -187,8 +187,8 @@ def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused
     from what the verified pose shows. Either way ends where too little is explained. If one of them explains more than
     the verified pose, the best is refined.
     """
-    T, agreeing = verified.optimum.T_map_camera, verified.optimum.density > 0
-    depths_m = (index.landmarks[verified.matches.landmarks[agreeing]] - T[:3, 3]) @ T[:3, 2]
+    T = verified.optimum.T_map_camera
+    depths_m = (index.landmarks[verified.inlier_landmarks] - T[:3, 3]) @ T[:3, 2]
     if len(depths_m) == 0:
         return []
     found: list[Refocused] = []
