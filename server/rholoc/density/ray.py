@@ -78,11 +78,6 @@ def landmarks_from_information(information: FloatArray, eta: FloatArray) -> tupl
     return np.einsum("fij,fj->fi", covariances, eta), covariances
 
 
-def squared_ray_distance(landmarks: FloatArray, bearings: FloatArray, positions: FloatArray) -> FloatArray:
-    """d² of landmarks (..., 3) to the rays of bearings (..., 3) from positions (..., 3), m²."""
-    return _along_and_aside(landmarks, bearings, positions)[1]
-
-
 def _along_and_aside(
     landmarks: FloatArray, bearings: FloatArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -90,14 +85,6 @@ def _along_and_aside(
     to_landmark = landmarks - positions
     along = np.einsum("...i,...i->...", bearings, to_landmark)
     return along, np.einsum("...i,...i->...", to_landmark, to_landmark) - along**2
-
-
-def ray_density(
-    landmarks: FloatArray, bearings: FloatArray, positions: FloatArray, tolerances: FloatArray
-) -> FloatArray:
-    """ρ = max(0, 1 − d²/r²) (...) for tolerances r (...) in metres; 0 for landmarks behind the camera."""
-    along, aside = _along_and_aside(landmarks, bearings, positions)
-    return _density(along, aside, tolerances**2)
 
 
 def _density(along: FloatArray, aside: FloatArray, squared_tolerances: FloatArray) -> FloatArray:

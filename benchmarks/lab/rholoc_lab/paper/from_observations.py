@@ -12,7 +12,6 @@ import numpy as np
 
 from rholoc.density import DensityKind, ObservedDensities, Sightings
 from rholoc.density.localities import Places
-from rholoc.density.observed import Loss, fit_seen, observed_loss, seen_loss
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.features import Channel, Extractor, FeatureSet, extractor_names, get_extractor
@@ -25,6 +24,7 @@ from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Map, MapInfo, ObservationTable, Source
 from rholoc.progress import ProgressListener, Stage, silent
+from rholoc_lab.paper.printed_loss import Loss, fit_seen, observed_loss, seen_loss
 
 _MIN_VIEWS = 3
 _HOLD_OUT_EVERY = 10
@@ -173,7 +173,7 @@ def fit_figures(map_: Map, seen_only: bool) -> FitFigures | None:
 
 def window_volume() -> float:
     """w of equation (5): the volume that n(s) counts in."""
-    from rholoc.density.observed import WINDOW_M, WINDOW_PLANE, WINDOW_RAD
+    from rholoc_lab.paper.printed_loss import WINDOW_M, WINDOW_PLANE, WINDOW_RAD
 
     return float((2 * WINDOW_PLANE) ** 2 * (2 * WINDOW_M) ** 3 * 2 * np.pi * (1 - np.cos(WINDOW_RAD)))
 
