@@ -14,7 +14,8 @@ import phone_recordings as phone
 import pytest
 
 from rholoc.errors import InvalidRecording, RholocError
-from rholoc.recordings import START_BYTES, WarningKind, check_file_name, check_file_start, read_recording
+from rholoc.recordings import START_BYTES, check_file_name, check_file_start, read_recording
+from rholoc.reports import WarningKind
 
 # ruff: noqa: E501 (a row of the tables is one line)
 

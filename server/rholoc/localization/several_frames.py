@@ -25,7 +25,7 @@ from rholoc.localization.index.map_error import RIGHT_M, RIGHT_RAD
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.large_map import AnyLocalizer, in_whole_map
-from rholoc.localization.localizer import Localizer, check_kind
+from rholoc.localization.localizer import Localizer, check_kind, true_to_gravity
 from rholoc.localization.pose.ascent import optimum_at
 from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances, refined_together
 from rholoc.localization.pose.pose_evidence import Support, support_of
@@ -192,7 +192,6 @@ class _Joint:
         self.dof: Dof = self.frames[0].dof
         self.rays = [frame.camera.rays(frame.features.pixels) for frame in self.frames]
         self.started = time.perf_counter()
-        self.timings_ms: dict[str, float] = {}
 
     def localize(self) -> JointLocalization:
         """Try one set of matches after the other until a candidate is conclusive or the deadline has passed; answer
@@ -245,7 +244,9 @@ class _Joint:
             if seed is None or (apart_m < far_m and turned_rad < far_rad):
                 continue
             alone = verify(self.index, frame, rays, seed[0])
-            if alone is None or alone.optimum.value < _TIMES_AS_MUCH * joint.optimum.value:
+            if alone is None or not true_to_gravity(alone.optimum.T_map_camera, frame.gravity):
+                continue
+            if alone.optimum.value < _TIMES_AS_MUCH * joint.optimum.value:
                 continue
             if alone.is_apart(joint, far_m, far_rad):
                 apart_m, turned_rad = pose_distances(alone.optimum.T_map_camera, joint.optimum.T_map_camera)
@@ -334,8 +335,8 @@ class _Joint:
         return T_map_rig if agreeing >= fewest and np.isfinite(T_map_rig).all() else None
 
     def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
-        """Match again around the poses (N, 4, 4) and ascend, within 14 px and then 5 px. Returns None if
-        either radius has fewer than six matches over all frames.
+        """Match again around the poses (N, 4, 4) and ascend, within 14 px and then 5 px. Returns None if either radius
+        has fewer than six matches over all frames, or a pose contradicts its frame's gravity.
         """
         T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities
         wide: list[Matches] = []
@@ -358,6 +359,8 @@ class _Joint:
             for one, (matches, _), pose in zip(evidences, near, T, strict=True)
         ]
         T = refined_together(some, T, links, self.dof)
+        if not all(true_to_gravity(pose, frame.gravity) for pose, frame in zip(T, self.frames, strict=True)):
+            return None
         verified = tuple(
             _verified(self.index, frame, pose, matches, evidence, by_chance, around)
             for frame, pose, (matches, by_chance), evidence, around in zip(
