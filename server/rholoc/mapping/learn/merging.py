@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import Camera, IntArray, patch_appearance
+from rholoc.geometry import Camera, IntArray, evenly, patch_appearance
 from rholoc.localization import Localizer
 from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.view_covariance import uncertainty_in
@@ -47,7 +47,7 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
     b = _without_shared(ray_form(b), shared)
     localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
     frames, own = remembered_frames(b), b.views.T_map_camera
-    tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
+    tried = evenly(len(frames), _MAX_LOCALIZED)
     found = find_frames(localizer, frames, tried, "The second map", progress)
     alignment = align_to_found(own, found, a.info.metric and b.info.metric, "The second map")
     moved = _placed_in(localizer.map, move_map(b, alignment.similarity))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import InvalidInput, MappingFailed
-from rholoc.geometry import FloatArray, Pose, kabsch, pose_distances, pose_matrix
+from rholoc.geometry import FloatArray, Pose, evenly, kabsch, pose_distances, pose_matrix
 from rholoc.localization import Localizer
 from rholoc.localization.index.map_error import carried_covariances, worst_sigma
 from rholoc.mapping.build.density_fitting import ray_form
@@ -284,7 +284,7 @@ def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: Progress
     check_alike(a, b)
     localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
     frames = remembered_frames(b)
-    tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
+    tried = evenly(len(frames), _MAX_LOCALIZED)
     found = find_frames(localizer, frames, tried, f"The map {second}", progress)
     alignment = align_to_found(b.views.T_map_camera, found, True, f"The map {second}")
     similarity = alignment.similarity
