@@ -36,13 +36,14 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
 
     Raises:
         InvalidInput: a map does not remember its observations, the features differ, or the densities are not ``ray``.
-        Conflict: ``a`` has learned everything that ``b`` has.
+        Conflict: ``a`` has learned every recording that ``b`` has views of.
         MappingFailed: the maps do not overlap, or contradict each other; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
     check_alike(a, b)
     shared = {source.id for source in a.info.sources}
-    if all(source.id in shared for source in b.info.sources):
+    viewed = np.unique(check_memory(b, "The second map").view_sources)
+    if all(b.info.sources[row].id in shared for row in viewed.tolist()):
         raise Conflict("The first map already contains all that the second does.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
     localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
