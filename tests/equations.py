@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.density import TensorDensities
+from rholoc.density import Densities, Evidence, TensorDensities
 from rholoc.density.polynomial import monomial_derivatives, tensor_powers
 from rholoc.density.recursive_least_squares import RecursiveFit
 from rholoc.density.tensor import LocalVariables
 from rholoc.geometry import FloatArray
+from rholoc.localization.pose.ascent import normal_equations
+from rholoc.localization.types import Dof
 
 
 def polynomial_values(coefficients: FloatArray, degree: int, s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -45,3 +47,9 @@ def variables_at(densities: TensorDensities, plane: FloatArray, T_map_camera: Fl
     """s (T, 8) of pixels ``plane`` (T, 2) on the plane z = 1, each for its density, of a camera at (4, 4)."""
     local = LocalVariables.of(densities, plane, T_map_camera)
     return np.column_stack([local.plane, local.position, local.heading])
+
+
+def gradient(densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
+    """∂ Σ log(ε + ρ) / ∂(position, rotation) (6,) at fixed tolerances: equation (4) through (2)."""
+    local = densities.near(evidence, T_map_camera, tolerance_px)
+    return normal_equations(local, evidence.epsilon, T_map_camera, tolerance_px, Dof.FREE)[0]

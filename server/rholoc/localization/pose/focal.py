@@ -66,7 +66,6 @@ class FocalEstimate:
     Attributes:
         focal_px: best-fitting focal length.
         sigma_px: its standard deviation.
-        moved_m: displacement of the pose when the focal length is freed.
         belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
             probability that the pose is within 50 cm.
         exact: probability 0 to 1 that the pose is within 10 cm and 5°, given that it is of the right place, as far as
@@ -77,7 +76,6 @@ class FocalEstimate:
 
     focal_px: float
     sigma_px: float
-    moved_m: float
     belief: float
     exact: float = 1.0
     of_others: FloatArray | None = None
@@ -87,7 +85,7 @@ class FocalEstimate:
         """The camera's own focal length with ``belief`` 1 and a standard deviation as large as itself, for a pose not
         worth a check.
         """
-        return cls(camera.focal, camera.focal, 0.0, 1.0)
+        return cls(camera.focal, camera.focal, 1.0)
 
 
 Refocused = tuple[float, Verified]
@@ -119,7 +117,7 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         scale, best = _explaining_most(verified, others)
         focal_px = scale * query.camera.focal
         sigma_px = _spread(_known_to(best)) * focal_px
-        estimate = FocalEstimate(focal_px, sigma_px, _apart_m(best, verified), belief_beside(verified, others))
+        estimate = FocalEstimate(focal_px, sigma_px, belief_beside(verified, others))
     return _beside(estimate, verified, others, is_square)
 
 
@@ -179,7 +177,7 @@ def _followed(
     if belief < 1:
         others += _refocused(index, query, total, T)
         belief = belief_beside(verified, others)
-    return FocalEstimate(focal_px, _spread(sigma) * focal_px, moved_m, belief)
+    return FocalEstimate(focal_px, _spread(sigma) * focal_px, belief)
 
 
 def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused]:
@@ -373,7 +371,7 @@ def verify_with_focal(
         return None
     focal_px = query.camera.focal
     here = math.erf(PLACE_M / (math.sqrt(2) * worst_sigma(verified.covariance[:3, :3])))
-    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, here), query
+    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, here), query
 
 
 def _sensible(camera: Camera, scale: float) -> bool:
