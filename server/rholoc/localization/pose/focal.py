@@ -116,8 +116,8 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         others += _zoomed(index, query, verified) if is_square else _sought(index, query, matches)
         scale, best = _explaining_most(verified, others)
         focal_px = scale * query.camera.focal
-        sigma_px = _spread(_known_to(best)) * focal_px
-        estimate = FocalEstimate(focal_px, sigma_px, belief_beside(verified, others))
+        sigma = focal_sigma(information_at(best.evidence, best.optimum, focal_free=True))
+        estimate = FocalEstimate(focal_px, _spread(sigma) * focal_px, belief_beside(verified, others))
     return _beside(estimate, verified, others, is_square)
 
 
@@ -270,11 +270,6 @@ def _explaining_most(verified: Verified, others: Iterable[Refocused]) -> Refocus
 
 def _apart_m(a: Verified, b: Verified) -> float:
     return float(np.linalg.norm(a.optimum.T_map_camera[:3, 3] - b.optimum.T_map_camera[:3, 3]))
-
-
-def _known_to(verified: Verified) -> float:
-    """Standard deviation of ln(focal length), from all matches of a verified pose and the map's own errors."""
-    return focal_sigma(information_at(verified.evidence, verified.optimum, focal_free=True))
 
 
 def _belief(moved_m: float, off_sigmas: float) -> float:

@@ -171,7 +171,7 @@ def _write_pictures(database: pycolmap.Database, model: pycolmap.Camera, places:
     rig_id = database.write_rig(rig)
     ids = []
     for k, some in enumerate(places):
-        ids.append(database.write_image(pycolmap.Image(name=_name(k), camera_id=camera_id)))
+        ids.append(database.write_image(pycolmap.Image(name=f"{k:06d}", camera_id=camera_id)))
         frame = pycolmap.Frame()
         frame.rig_id = rig_id
         frame.add_data_id(pycolmap.data_t(sensor, ids[-1]))
@@ -230,7 +230,3 @@ def _piece(model: pycolmap.Reconstruction, camera: Camera, is_known: bool) -> Pi
         except InvalidCamera:
             return None
     return np.array(members, dtype=np.int64), T, camera
-
-
-def _name(k: int) -> str:
-    return f"{k:06d}"

@@ -681,7 +681,9 @@ class _Descent:
         try:
             optimizer.iterate()
         except RuntimeError:
-            raise _shape_left_open() from None
+            raise MappingFailed(
+                "What was measured leaves the shape of the walk open.", "Walk further, and in loops."
+            ) from None
         return optimizer.values(), optimizer.error(), weakest
 
     def _along(self, values: gtsam.Values, step: gtsam.VectorValues) -> Iterator[gtsam.Values]:
@@ -713,10 +715,6 @@ def _ordered(keys: Sequence[int]) -> gtsam.Ordering:
     for key in keys:
         ordering.push_back(key)
     return ordering
-
-
-def _shape_left_open() -> MappingFailed:
-    return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
 
 
 def _with_points_held(
