@@ -23,7 +23,6 @@ import numpy as np
 from figures import AGAIN_CM, FRAME_PERCENT, Figure, Figures, quote_anew, write_results
 from measuring import SHARED_DATA
 from rholoc.density import DensityKind, TensorDensities
-from rholoc.density.observed import fit_seen
 from rholoc.features import FeatureSet, get_extractor
 from rholoc.geometry import Camera, FloatArray, pose_distances
 from rholoc.localization import Dof, Localizer, Query
@@ -36,6 +35,7 @@ from rholoc.trajectory import PoseMethod
 from rholoc_lab.evaluation.splits import with_poses
 from rholoc_lab.paper.from_observations import FitOptions, fit_figures, map_from_observations
 from rholoc_lab.paper.observing import observe_recording
+from rholoc_lab.paper.printed_loss import fit_seen
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"
 PRINTED = "as printed"

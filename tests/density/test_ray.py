@@ -9,18 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from equations import polynomial_values, ray_density, squared_ray_distance
 from rholoc.density import localities as places
 from rholoc.density.density import Sightings
 from rholoc.density.localities import Places, gather_places
-from rholoc.density.polynomial import monomial_derivatives, monomials, polynomial_values, tensor_powers
+from rholoc.density.polynomial import monomial_derivatives, monomials, tensor_powers
 from rholoc.density.presence import Presence, group_sums
 from rholoc.density.ray import (
     landmarks_from_information,
     observation_information,
     range_information,
     ray_coefficients,
-    ray_density,
-    squared_ray_distance,
 )
 
 seeds = st.integers(0, 2**31)

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from equations import squared_ray_distance
 from rholoc.density import DensityKind
 from rholoc.density.density import Densities, LocalDensities, Sightings
 from rholoc.density.evidence import Evidence
 from rholoc.density.observed import fit_observed
-from rholoc.density.ray import RayDensities, RayOffsets, ray_densities, squared_ray_distance, squared_tolerances
+from rholoc.density.ray import RayDensities, RayOffsets, ray_densities, squared_tolerances
 from rholoc.density.tensor import fit_tensors
 from rholoc.geometry import FloatArray, Pose
 

@@ -17,8 +17,8 @@ from rholoc.exports import ExportFormat
 from rholoc.features import extractor_names
 from rholoc.mapping import BuildOptions
 from rholoc.maps import DensityKind
-from rholoc.recordings import AdviceKind, WarningKind
 from rholoc.recordings.readers import READERS
+from rholoc.reports import AdviceKind, WarningKind
 from rholoc.simulation import Light
 from rholoc.trajectory import PoseMethod
 

@@ -167,10 +167,7 @@ def test_what_the_matches_say_of_a_given_focal_length(
     found = check_focal(localizer.index, query, verified, localizer.index.match_everywhere(seen))
     assert found.focal_px == pytest.approx(point_room.camera.focal, rel=0.02)
     assert found.belief * found.exact == pytest.approx(belief, abs=0.12)
-    if scale == 1.0:
-        assert found.moved_m < 0.02
-    else:
-        assert 0.1 < found.moved_m < 1.0
+    if scale != 1.0:
         assert abs(found.focal_px - point_room.camera.focal) < found.sigma_px < 0.25 * found.focal_px
 
 
@@ -201,7 +198,7 @@ def test_where_too_few_matches_were_made_other_focal_lengths_are_tried_around_th
     assert found.focal_px == pytest.approx(point_room.camera.focal, rel=0.03)
     assert found.belief < 0.3
     assert found.of_others is not None
-    assert worst_sigma(found.of_others[:3, :3]) == pytest.approx(found.moved_m, rel=0.1)
+    assert 0.1 < worst_sigma(found.of_others[:3, :3]) < 1.0
 
 
 @pytest.mark.parametrize("share", [0.5, 0.75, 1.1, 2.0])
@@ -244,7 +241,6 @@ def test_an_estimated_focal_lengths_belief_is_that_the_pose_is_within_half_a_met
     assert estimate.belief == pytest.approx(norm.cdf(0.5 / sigma_m) - norm.cdf(-0.5 / sigma_m))
     assert estimate.exact == 1
     assert estimate.focal_px == refined.camera.focal == pytest.approx(point_room.camera.focal, rel=0.02)
-    assert estimate.moved_m == 0.0
     assert 0.001 < estimate.sigma_px / estimate.focal_px < 0.1
     few = matches.take(np.arange(9))
     absurd = replace(query, camera=point_room.camera.zoomed(0.3))

@@ -167,22 +167,28 @@ def test_the_maps_error_is_added_to_a_sixteenth_of_the_frames_own(localizer: Loc
     known = MapIndex(replace(map_, info=info, views=replace(map_.views, covariances=of_views.astype(np.float32))))
     features, pose = known.visibility[[20]].indices.astype(np.int64), Pose(map_.views.T_map_camera[20])
     own = covariance(0.02, 7)
-    other = Alternative(0.05, pose, 2 * own)
+    elsewhere = known.visibility[[3]].indices.astype(np.int64)
+    other = Alternative(0.05, Pose(map_.views.T_map_camera[3]), 2 * own, elsewhere)
     belief, alternatives = Belief(0.9, 8 / 9), (other,)
     answer = Localization(
         True, None, pose, own, belief, 300, 200, np.zeros((200, 2)), features, alternatives=alternatives
     )
-    shared = known.shared_with(20)
-    ten = np.argsort(-shared, kind="stable")[:10]
-    of_map = np.zeros((6, 6))
-    of_map[:3, :3] = np.eye(3) * (shared[ten] * (1e-3 * (1 + ten)) ** 2).sum() / shared[ten].sum()
+
+    def error_at(view: int) -> np.ndarray:
+        shared = known.shared_with(view)
+        ten = np.argsort(-shared, kind="stable")[:10]
+        of_map = np.zeros((6, 6))
+        of_map[:3, :3] = np.eye(3) * (shared[ten] * (1e-3 * (1 + ten)) ** 2).sum() / shared[ten].sum()
+        return of_map
+
+    of_map = error_at(20)
     found = with_map_error(known, answer)
     assert found.covariance is not None
     np.testing.assert_allclose(found.covariance, own / 16 + of_map, rtol=1e-5, atol=1e-12)
     assert found.expected_error_m == pytest.approx(np.sqrt(np.trace(of_map)), rel=1e-5)
     assert found.confidence == pytest.approx(0.8 * 0.8 * widening_factor(own / 16, of_map), rel=1e-5)
     assert found.recognized == pytest.approx(0.9 * widening_factor(own / 16, of_map, PLACE_M, PLACE_RAD), rel=1e-5)
-    np.testing.assert_allclose(found.alternatives[0].covariance, own / 8 + of_map, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(found.alternatives[0].covariance, own / 8 + error_at(3), rtol=1e-5, atol=1e-12)
     assert found.map_trusted is False
     scaleless = MapIndex(replace(known.map, info=replace(info, metric=False)))
     for index, one in (

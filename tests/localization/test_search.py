@@ -47,7 +47,7 @@ def found(
     evidence = Evidence.of(nothing, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0), 500.0)
     optimum = Optimum(T, value, np.zeros(0))
     verified = Verified(optimum, Matches.none(), evidence, np.zeros((0, 2)), Matches.none(), Support(net, 0.0))
-    estimate = FocalEstimate(500.0, 1.0, 0.0, focal)
+    estimate = FocalEstimate(500.0, 1.0, focal)
     camera: Any = None
     return Found(verified, camera, lambda: estimate, Belief(recognized, exact), near_prior)
 

@@ -54,6 +54,19 @@ def test_frames_that_are_too_poor_alone_are_localized_together(localizer: Locali
     assert len(found.first.inlier_features) == found.first.inliers
 
 
+def test_frames_whose_gravity_contradicts_their_poses_are_refused(localizer: Localizer, point_room: Any) -> None:
+    truths = point_room.walk(40, sideways_m=0.1)[5:25:8]
+    asked = _asked(point_room, truths, 200)
+    down = [truth.T_map_camera[:3, :3].T @ [0.0, 0.0, -1.0] for truth in truths]
+
+    def localized(gravities: list[np.ndarray]) -> bool:
+        frames = tuple(replace(frame, gravity=one) for frame, one in zip(asked.frames, gravities, strict=True))
+        return localize_together(localizer, replace(asked, frames=frames)).first.localized
+
+    assert localized(down)
+    assert not localized([*down[:-1], Rotation.from_euler("z", 30, degrees=True).apply(down[-1])])
+
+
 def test_drifting_odometry_gives_where_the_frames_know_better(localizer: Localizer, point_room: Any) -> None:
     truths = point_room.walk(40, sideways_m=0.1)[5:25:4]
     exact = _asked(point_room, truths, 200, sigma_m=0.03, sigma_rad=0.02)

@@ -34,6 +34,7 @@ from rholoc.mapping.learn.merging import merge_maps
 from rholoc.maps import DensityKind, MapNames, NamedArea, NamedPoint, map_to_bytes, without_memory
 from rholoc.maps.formats.rho_file import info_from_json, info_to_json
 from rholoc.recordings import Recording, Waypoint
+from rholoc.reports import LearningReport, MapReport, QueriesReport
 
 SQUARE = ((0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0))
 
@@ -152,6 +153,14 @@ def test_lengths_in_the_report_follow_the_scale_and_the_map_is_metric(room):
         1.25 * set_origin(loose, np.zeros(3)).info.report.landmark_sigma_median_m, rel=1e-3
     )
     assert longer.info.report.coverage is not None
+
+
+def test_errors_of_queries_in_the_report_follow_the_scale(room):
+    queries = QueriesReport(9, 8, 2, 3, 0, 4, 0.5, 0.75, 0.02, None)
+    learned = (LearningReport(2), LearningReport(3, queries=queries))
+    longer = CORRECTIONS["scale"](replace(room, info=replace(room.info, report=MapReport(learned=learned))))
+    scaled = replace(queries, median_before_m=pytest.approx(0.025))
+    assert longer.info.report.learned == (LearningReport(2), LearningReport(3, queries=scaled))
 
 
 @pytest.mark.parametrize("kind", ["wall", "up", "plan"])

@@ -19,6 +19,7 @@ from rholoc.geometry import ByteArray, FloatArray, IntArray, Pose, Similarity
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping import update_map
 from rholoc.mapping.build.density_fitting import fit_densities
+from rholoc.mapping.edit.correcting import remove_views
 from rholoc.mapping.edit.moving import move_map
 from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn import from_recordings as learning
@@ -366,3 +367,16 @@ def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks, second: 
     merged = merge_maps(walks.map_, move_map(loose, Similarity(0.4, TURN.rotation, TURN.translation)))
     assert off_the_points(merged, walks.room) < 0.03
     assert np.percentile(walks.room.patch_errors(merged)[1], 95) < 0.3
+
+
+def test_a_recording_whose_views_were_all_removed_counts_as_nothing(walks: Walks, second: Map) -> None:
+    """It stays in the list of what the map learned; nothing is left to merge of it, nor to keep."""
+    both = merge_maps(walks.map_, second)
+    first = len(walks.map_.views)
+    emptied = remove_views(both, first, len(both.views) - 1)
+    assert [source.views for source in emptied.info.sources] == [first, 0]
+    with pytest.raises(Conflict, match="all that the second does"):
+        merge_maps(walks.map_, emptied)
+    with pytest.raises(Conflict, match="the only recording"):
+        forget_recording(emptied, "first")
+    assert [source.name for source in forget_recording(emptied, "second").info.sources] == ["first"]

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from equations import batch_fit
 from rholoc.density import ObservedDensities
 from rholoc.density.localities import Places
 from rholoc.density.observed import RIDGE, observation_coefficients
-from rholoc.density.recursive_least_squares import batch_fit
 from rholoc.errors import InvalidInput
 from rholoc.features import FeatureSet, Metric
 from rholoc.geometry import Camera, FloatArray, IntArray, Pose, Similarity

@@ -145,6 +145,16 @@ def test_recorded_depth_becomes_a_room_in_the_maps_scale(walked_map: Map, record
         assert {tuple(colour) for colour in room.vertices.colours.tolist()} == {(255, 128, 0)}
 
 
+def test_recorded_depth_is_of_its_recordings_camera_where_the_map_has_another(
+    walked_map: Map, recording: Recording
+) -> None:
+    map_ = named(walked_map, recording)
+    first = replace(map_.info.camera, fx=2 * map_.info.camera.fx, fy=2 * map_.info.camera.fy)
+    source = replace(map_.info.sources[0], camera=map_.info.camera)
+    room = draw_room(replace(map_, info=replace(map_.info, camera=first, sources=(source,))), [recording]).room
+    np.testing.assert_array_equal(room.vertices.positions, draw_room(map_, [recording]).room.vertices.positions)
+
+
 def test_depth_that_contradicts_the_landmarks_draws_nothing(walked_map: Map, recording: Recording) -> None:
     assert recording.depth is not None
     shuffled = replace(recording, depth=recording.depth.select(np.roll(np.arange(60), 18)))

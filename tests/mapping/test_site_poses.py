@@ -82,6 +82,34 @@ def test_covariances_are_what_the_errors_of_links_come_to() -> None:
     assert 2.0 < np.mean(mahalanobis) < 4.5  # 3 in the mean
 
 
+def test_a_placed_map_has_the_uncertainty_of_the_given_pose_that_it_follows() -> None:
+    T = {"a": np.eye(4), "b": pose_matrix(np.eye(3), np.array([10.0, 0, 0]))}
+    of_a = np.diag([0.1**2] * 3 + [np.radians(1.0) ** 2] * 3)
+    site = site_of("ab", [replace(link("a", "b", T), sigma_m=0.02, sigma_deg=0.1)], {"a": T["a"]})
+    known = replace(site.maps[0], covariance=tuple(map(tuple, of_a.tolist())))
+    of_b = np.array(solve_site(replace(site, maps=(known, site.maps[1]))).maps[1].covariance)
+    across_m2 = 0.1**2 + 0.02**2 + (10 * np.radians(1.0)) ** 2
+    np.testing.assert_allclose(np.diag(of_b)[:3], [0.1**2 + 0.02**2, across_m2, across_m2], rtol=1e-3)
+    np.testing.assert_allclose(np.diag(of_b)[3:], np.radians(1.0) ** 2 + np.radians(0.1) ** 2, rtol=1e-3)
+
+
+def test_a_link_found_far_from_a_maps_origin_leaves_the_origin_as_uncertain_as_it_is(halves) -> None:
+    rng = np.random.default_rng(4)
+    T = {"west": np.eye(4), "east": pose_matrix(np.eye(3), np.array([2.0, 1.0, 0.0]))}
+    first, second, _ = halves
+    mahalanobis = []
+    for _ in range(40):
+        here = {f"p{k}": at for k, at in enumerate(np.array([30.0, 0, 0]) + rng.uniform(-1, 1, (5, 3)))}
+        there = {name: T["east"][:3, 3] + at + rng.normal(0, 0.03, 3) for name, at in here.items()}
+        found = find_link("west", with_points(first, there, True), "east", with_points(second, here, True))
+        np.testing.assert_allclose(found.at, np.mean(list(here.values()), axis=0))
+        placed = with_link(Site(maps=(SiteMap("west"), SiteMap("east"))), found).maps[1]
+        assert placed.pose is not None
+        off = placed.pose.matrix[:3, 3] - T["east"][:3, 3]
+        mahalanobis.append(off @ np.linalg.solve(np.array(placed.covariance)[:3, :3], off))
+    assert np.mean(mahalanobis) < 4.5  # 3 in the mean, or fewer: sigmas of links are careful
+
+
 def test_links_that_contradict_each_other_are_refused_with_how_much_is_left_over() -> None:
     T = {name: pose_matrix(np.eye(3), np.array([4.0 * row, 0, 0])) for row, name in enumerate("abc")}
     wrong = SiteLink("a", "c", FramePose((9.5, 0.0, 0.0)))

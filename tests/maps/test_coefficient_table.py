@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from equations import polynomial_values, squared_ray_distance
 from rholoc.density import TensorDensities
-from rholoc.density.polynomial import polynomial_values
-from rholoc.density.ray import squared_ray_distance
 from rholoc.density.tensor import fit_tensors
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.features import get_extractor

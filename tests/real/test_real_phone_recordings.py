@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from rholoc.geometry import rotation_angles
-from rholoc.recordings import RecordingFormat, WarningKind, describe_recording, read_recording
+from rholoc.recordings import RecordingFormat, describe_recording, read_recording
 from rholoc.recordings.imu_normalisation import force_points_up
+from rholoc.reports import WarningKind
 from rholoc.trajectory.inertial.gyroscope import calibrate_gyro
 
 pytestmark = pytest.mark.real

@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidRecording, RholocError
 from rholoc.geometry import ByteArray, Camera, FloatArray, Lens, pose_matrix
-from rholoc.recordings import PoseKind, Recording, RecordingFormat, WarningKind, read_recording
+from rholoc.recordings import PoseKind, Recording, RecordingFormat, read_recording
+from rholoc.reports import WarningKind
 
 SIZE = WIDTH, HEIGHT = 64, 48
 START_NS, STEP_NS, COUNT = 1_700_000_000_000_000_000, 50_000_000, 12

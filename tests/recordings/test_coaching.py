@@ -11,23 +11,11 @@ import phone_recordings as phone
 import pytest
 
 from rholoc.geometry import Pose
-from rholoc.recordings import (
-    AdviceKind,
-    Imu,
-    Look,
-    Recording,
-    WalkFigures,
-    Waypoint,
-    advise,
-    look_at,
-    measure_walk,
-    pauses,
-    read_recording,
-)
+from rholoc.recordings import Imu, Look, Recording, Waypoint, advise, look_at, measure_walk, pauses, read_recording
 from rholoc.recordings.frames.memory_frames import MissingImages
 from rholoc.recordings.walk.stillness import is_still
 from rholoc.recordings.walk.walk_figures import look_through, nearest_return
-from rholoc.reports import report_to_json
+from rholoc.reports import AdviceKind, WalkFigures, report_to_json
 
 GOOD = {"turn_deg_s": 30.0, "brightness": 120.0, "bare_share": 0.0, "pauses": 3, "waypoints": 3, "nearest_return": 0.05}
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import FloatArray
-from rholoc.recordings import GivenPoses, WarningKind
+from rholoc.recordings import GivenPoses
 from rholoc.recordings.imu_normalisation import (
     ImuConvention,
     Samples,
@@ -22,6 +22,7 @@ from rholoc.recordings.imu_normalisation import (
     time_unit,
     with_sign_by_poses,
 )
+from rholoc.reports import WarningKind
 
 TIMES = phone.START_S + np.arange(400) / 100
 R, _, RATE, FELT = phone.truth(TIMES)

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from rholoc.errors import InvalidInput, InvalidRecording
-from rholoc.recordings import Recording, WarningKind, read_recording, write_frames_csv
+from rholoc.recordings import Recording, read_recording, write_frames_csv
 from rholoc.recordings.frames.live_camera import is_live, opened_camera
+from rholoc.reports import WarningKind
 
 SIZE = (64, 48)
 

@@ -14,7 +14,8 @@ import phone_recordings as phone
 import pytest
 
 from rholoc.errors import InvalidRecording, RholocError
-from rholoc.recordings import START_BYTES, WarningKind, check_file_name, check_file_start, read_recording
+from rholoc.recordings import START_BYTES, check_file_name, check_file_start, read_recording
+from rholoc.reports import WarningKind
 
 # ruff: noqa: E501 (a row of the tables is one line)
 
@@ -210,6 +211,10 @@ REFUSED: list[tuple[str, Callable[[Path], Path], str, str]] = [
     ("a pose that is no rotation", replaced("nerfstudio", "transforms.json", '"transform_matrix": [[', '"transform_matrix": [[9'), "invalid_trajectory", "is not a pose"),
     ("a list that leads out, nerfstudio", replaced("nerfstudio", "transforms.json", "images/frame_00001.png", "../../../etc/passwd"), "invalid_recording", "outside the recording's folder"),
     ("a list that leads out, EuRoC", edited("euroc", "mav0/cam0/data.csv", cell(1, 1, "/etc/passwd")), "invalid_recording", "outside the recording's folder"),
+    ("a transform without end, nerfstudio", replaced("nerfstudio", "transforms.json", '"frames": [', '"applied_transform": [[1, 0, 0, 1e400], [0, 1, 0, 0], [0, 0, 1, 0]], "frames": ['), "invalid_trajectory", "applied_transform is not a pose"),
+    ("times that are a number, Record3D", replaced("record3d", "metadata", '"frameTimestamps": [', '"frameTimestamps": 5, "others": ['), "invalid_recording", "frameTimestamps is not a list"),
+    ("cameras by name, Record3D", replaced("record3d", "metadata", '"perFrameIntrinsicCoeffs": [', '"perFrameIntrinsicCoeffs": {"a": 1}, "others": ['), "invalid_recording", "perFrameIntrinsicCoeffs is not a list"),
+    ("a picture called ², Record3D", written("record3d", "rgbd/².jpg", "hello"), "invalid_recording", "has no pose of ².jpg"),
     ("a link that leads out, EuRoC", linked_image, "invalid_recording", "outside the recording's folder"),
     ("an image that is not there", replaced("tum", "rgb.txt", "rgb/1000.100000.png", "rgb/no.png"), "invalid_recording", "no.png is listed but missing"),
     ("an image that is text", written("colmap", "images/walk/frame0003.png", "hello"), "invalid_recording", "frame0003.png"),

@@ -19,7 +19,6 @@ from rholoc.recordings import (
     CameraFile,
     Recording,
     RecordingFormat,
-    WarningKind,
     read_recording,
     write_camera_json,
     write_waypoints_csv,
@@ -28,6 +27,7 @@ from rholoc.recordings.frame_slice import SelectedFrames, select_frames
 from rholoc.recordings.frames.unified_pictures import SteadyFrames, resampled
 from rholoc.recordings.readers import READERS
 from rholoc.recordings.recording import Waypoint
+from rholoc.reports import WarningKind
 
 UNTIMED = ("7-scenes", "colmap", "nerfstudio", "metashape")
 SCANNING_APPS = ("scanner-app", "polycam", "record3d", "arkit-scenes")

@@ -195,6 +195,17 @@ def test_a_picture_of_another_size_may_be_of_another_camera(
     assert read_recording(folder).lenses == (dict.fromkeys(range(6), 0) | {6: 1} if several else {})
 
 
+def test_chosen_pictures_of_one_size_are_of_one_lens_and_lenses_count_from_the_commonest(
+    make_images, tmp_path: Path
+) -> None:
+    folder = make_images(tmp_path / "sizes")
+    for number, side in ((6, 96), (7, 96), (8, 192)):
+        cv2.imwrite(str(folder / f"frame-{number:06d}.png"), np.full((side, side * 4 // 3, 3), 200, np.uint8))
+    assert read_recording(folder, frames="6:8").lenses == {}
+    assert read_recording(folder, frames="6:9").lenses == {6: 0, 7: 0, 8: 1}
+    assert read_recording(folder, frames="5:9").lenses[5] == 0
+
+
 @pytest.mark.parametrize("beside", [True, False])
 def test_one_camera_is_not_taken_for_that_of_several_sizes(make_images, tmp_path: Path, beside: bool) -> None:
     """It counted for the size that they were resampled to, which nobody sees."""

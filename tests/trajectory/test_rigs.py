@@ -13,8 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, align_poses, pose_matrix
-from rholoc.recordings import Recording, RecordingFormat, WarningKind, read_recording
+from rholoc.recordings import Recording, RecordingFormat, read_recording
 from rholoc.recordings.frame_slice import select_frames
+from rholoc.reports import WarningKind
 from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk
 from rholoc.trajectory import PoseMethod, Scale
 from rholoc.trajectory.estimate import _chosen_moments, estimate_trajectory

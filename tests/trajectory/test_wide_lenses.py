@@ -108,8 +108,9 @@ def test_pycolmaps_mappers_place_all(camera: Camera, mapper: Mapper) -> None:
     with PycolmapStarts(camera, True, pixels, pairs) as starts:
         piece = starts.largest_piece(mapper)
     assert piece is not None
-    assert len(piece.members) == COUNT
-    assert off(piece.T_world_camera[:, :3, 3], T[:, :3, 3]) < 0.02
+    members, found, _ = piece
+    assert len(members) == COUNT
+    assert off(found[:, :3, 3], T[:, :3, 3]) < 0.02
 
 
 @LENSES

@@ -5,9 +5,9 @@
 over N_f points s_i = (u, v, x, h), n(s) being how many observations lie in the small volume w around s. What is fitted
 is q = N_f w ρ, a polynomial of the form (3) with values n; N_f and w only scale it.
 
-As printed, with points where the feature *was* seen, the loss determines next to nothing (:func:`fit_seen`): where the
-observations lie further apart than w is wide, n is 1 at all of them and a constant has no loss at all. No term of the
-sum tells where the feature was *not* seen, so nothing makes a peak.
+As printed, with points where the feature *was* seen, the loss determines next to nothing: where the observations lie
+further apart than w is wide, n is 1 at all of them and a constant has no loss at all. No term of the sum tells where
+the feature was *not* seen, so nothing makes a peak.
 
 But every observation tells that, too: the feature was seen at this pixel, hence at no other. :func:`fit_observed`
 therefore sums over all pixels of the view, counting an observation fully at its pixel and less with distance,
@@ -53,12 +53,6 @@ from rholoc.geometry import FloatArray, IntArray, Similarity
 from rholoc.lazy import lazy
 
 RIDGE = 1e-4  # of the coefficients, against observations that count 1 each
-WINDOW_PLANE = TARGET_RADIUS  # half the width of w in u and in v, on the plane z = 1; in each position …
-WINDOW_M = 0.25
-WINDOW_RAD = float(np.deg2rad(10.0))  # … and in angle of the heading
-_INJECTED = 12  # of the layout's headings, for a density fitted as (5) is printed: every how many
-_MINIMUM_NORM = 1e-9  # of the greatest eigenvalue
-_VIEWPORT = 0.75  # half the width of the viewport on the plane z = 1
 _CHUNK = 256  # densities, between two reports of progress
 
 
@@ -124,17 +118,7 @@ class ObservedDensities(TensorDensities):
         size = len(kept_powers(degree)[1])
         moments = np.tile(RIDGE * np.eye(size), (len(domain), 1, 1))
         counts = np.round(domain[:, 7]).astype(np.int64)
-        return cls(
-            degree,
-            whole.coefficients,
-            whole.features,
-            whole.landmarks,
-            whole.places,
-            whole.radii,
-            _unit(domain[:, 4:7]),
-            moments,
-            counts,
-        )
+        return cls(**vars(whole), middles=_unit(domain[:, 4:7]), moments=moments, counts=counts)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays that a map's file stores beside the landmarks, by name."""
@@ -166,17 +150,8 @@ class ObservedDensities(TensorDensities):
         moments = np.zeros((count, size, size))
         moments[:, upper[0], upper[1]] = arrays["moments"]
         moments[:, upper[1], upper[0]] = arrays["moments"]
-        return cls(
-            whole.degree,
-            whole.coefficients,
-            whole.features,
-            whole.landmarks,
-            whole.places,
-            whole.radii,
-            arrays["directions"].astype(np.float64),
-            moments,
-            arrays["counts"].astype(np.int64),
-        )
+        middles, counts = arrays["directions"].astype(np.float64), arrays["counts"].astype(np.int64)
+        return cls(**vars(whole), middles=middles, moments=moments, counts=counts)
 
     def moved(self, similarity: Similarity) -> ObservedDensities:
         """The densities of the same places in another frame; where it is turned, what they are there is fitted anew.
@@ -190,10 +165,9 @@ class ObservedDensities(TensorDensities):
             radii=similarity.scale * self.radii,
             middles=self.middles @ similarity.rotation.T,
         )
-        moved.__dict__.pop("R_local_map", None)
         if np.array_equal(similarity.rotation, np.eye(3)):
             return moved
-        layout, R = _layout(self.degree), similarity.rotation
+        layout, R = layout_of(self.degree), similarity.rotation
         powers = kept_powers(self.degree)[1]
         before = monomials(powers, layout.position @ R)  # of the same positions, along the axes before
         turn = np.linalg.lstsq(monomials(powers, layout.position), before, rcond=None)[0]  # φ_before = φ turn
@@ -207,7 +181,7 @@ class ObservedDensities(TensorDensities):
 
     def _samples(self, density: int, R_map_other: FloatArray, of_position: FloatArray) -> FloatArray:
         """Values (A, B, C) of a density at another frame's layout; ``of_position`` (B, X): the positions' monomials."""
-        layout = _layout(self.degree)
+        layout = layout_of(self.degree)
         plane_powers, _, heading_powers = kept_powers(self.degree)
         axes = layout.axes @ R_map_other.T @ self.R_local_map[density].T  # rows: the cameras' axes in this frame
         upright = upright_axes(axes[:, 2])
@@ -282,35 +256,10 @@ def fit_observed(
         moments = phi.T @ phi + RIDGE * np.eye(phi.shape[1])
         return np.linalg.solve(moments, phi.T @ observation_coefficients(local, degree)), moments
 
-    return _fitted(sightings, degree, fit, progress)
+    return fitted_by_place(sightings, degree, fit, progress)
 
 
-def fit_seen(
-    sightings: Sightings, degree: int, progress: Callable[[float, str], None] = lambda done, text: None
-) -> ObservedDensities:
-    """Densities that minimize the loss (5) as printed: over the points where a feature was seen, and those that
-    symmetry injects.
-
-    Of the polynomials that minimize it, the one with the smallest coefficients. It has hardly any peaks.
-
-    Raises:
-        ValueError: the bearings at which the features were seen were not kept.
-    """
-
-    def fit(local: FloatArray, s: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:
-        points = SeenPoints.of(local, s, degree)
-        values, vectors = np.linalg.eigh(points.kernel(degree))  # N × N, whatever the degree
-        inverse = np.where(values > _MINIMUM_NORM * values[-1], 1 / np.maximum(values, 1e-300), 0.0)
-        weights = vectors @ (inverse * (vectors.T @ points.counts(radius_m)))
-        flat = np.einsum("nu,nx,nh,n->uxh", *points.factors(degree), weights, optimize=True)
-        x = len(kept_powers(degree)[1])
-        phi = monomials(kept_powers(degree)[1], s)
-        return flat.transpose(1, 0, 2).reshape(x, -1), phi.T @ phi + RIDGE * np.eye(x)
-
-    return _fitted(sightings, degree, fit, progress)
-
-
-def _fitted(
+def fitted_by_place(
     sightings: Sightings,
     degree: int,
     fit: Callable[[FloatArray, FloatArray, float], tuple[FloatArray, FloatArray]],
@@ -356,7 +305,7 @@ def observation_coefficients(bearings: FloatArray, degree: int) -> FloatArray:
         bearings: (N, 3) unit vectors in the density's frame.
         degree: P.
     """
-    layout = _layout(degree)
+    layout = layout_of(degree)
     target = sample_counts(bearings, degree)
     return np.asarray(np.einsum("ua,anc,hc->nuh", layout.of_plane, target, layout.of_heading, optimize=True)).reshape(
         len(bearings), -1
@@ -365,113 +314,15 @@ def observation_coefficients(bearings: FloatArray, degree: int) -> FloatArray:
 
 def sample_counts(bearings: FloatArray, degree: int) -> FloatArray:
     """n (A, N, C) at the A pixels and C headings of the layout, for observations at bearings (N, 3), local frame."""
-    layout = _layout(degree)
+    layout = layout_of(degree)
     x, y, z = np.einsum("ni,cki->knc", bearings, layout.axes)[:, None]
     u, v = layout.plane.T[:, :, None, None]
     return np.asarray(1 - ((z * u - x) ** 2 + (z * v - y) ** 2) / TARGET_RADIUS**2)
 
 
-@dataclass(frozen=True, eq=False)
-class SeenPoints:
-    """The set S_f of the paper: N_f points s where a feature was seen, those injected by symmetry among them.
-
-    Attributes:
-        plane: (N, 2) u and v, on the plane z = 1.
-        position: (N, 3) in units of the radius, about the place.
-        heading: (N, 3) unit vectors in the density's frame.
-    """
-
-    plane: FloatArray
-    position: FloatArray
-    heading: FloatArray
-
-    @classmethod
-    def of(cls, bearings: FloatArray, positions: FloatArray, degree: int) -> SeenPoints:
-        """From bearings (n, 3) in the density's frame and positions (n, 3) in radii, for every twelfth heading that
-        shows the pixel.
-        """
-        axes = _layout(degree).axes[::_INJECTED]
-        x, y, z = np.einsum("ni,cki->knc", bearings, axes)
-        plane = np.stack([x, y], axis=-1) / np.maximum(z, 1e-6)[..., None]
-        seen, heading = np.nonzero((z > 0) & (np.abs(plane).max(axis=-1) <= _VIEWPORT))
-        return cls(plane[seen, heading], positions[seen], axes[heading, 2])
-
-    def factors(self, degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Monomials of ``kept_powers(degree)``: (N, U) of (u, v), (N, X) of the position, (N, H) of the heading."""
-        plane, position, heading = kept_powers(degree)
-        return (
-            monomials(plane, self.plane),
-            monomials(position, self.position),
-            monomials(heading, scaled_heading(self.heading)),
-        )
-
-    def kernel(self, degree: int) -> FloatArray:
-        """Sums (N, N) of products of the points' monomials: a product of three small sums (the kernel trick)."""
-        plane, position, heading = self.factors(degree)
-        return np.asarray((plane @ plane.T) * (position @ position.T) * (heading @ heading.T))
-
-    def counts(self, radius_m: float) -> FloatArray:
-        """n (N,): how many of the points lie in the volume w around each, itself among them; the radius in metres."""
-        near = (np.abs(self.plane[:, None] - self.plane) <= WINDOW_PLANE).all(axis=2)
-        near &= (radius_m * np.abs(self.position[:, None] - self.position) <= WINDOW_M).all(axis=2)
-        near &= self.heading @ self.heading.T >= np.cos(WINDOW_RAD)
-        return np.asarray(near.sum(axis=1), dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class Loss:
-    """Equation (5) for one density, under three explanations.
-
-    Attributes:
-        points: N_f.
-        zero: the loss of ρ = 0.
-        constant: of the best constant.
-        fitted: of the fit.
-    """
-
-    points: int
-    zero: float
-    constant: float
-    fitted: float
-
-    @classmethod
-    def of(cls, counts: FloatArray, values: FloatArray) -> Loss:
-        """From n(s) and q(s) = N_f w ρ(s) at all points, arrays of one shape."""
-        n = counts.ravel()
-        return cls(n.size, float(n @ n), float(((n - n.mean()) ** 2).sum()), float(((n - values.ravel()) ** 2).sum()))
-
-
-def observed_loss(densities: ObservedDensities, density: int, bearings: FloatArray, positions: FloatArray) -> Loss:
-    """Loss (5) of the density in row ``density`` over all pixels of the views at bearings (N, 3) from positions (N, 3),
-    map frame.
-    """
-    layout, degree = _layout(densities.degree), densities.degree
-    plane, _, heading = kept_powers(degree)
-    phi = densities.position_monomials(density, positions)
-    values = np.einsum(
-        "au,nx,ch,uxh->anc",
-        monomials(plane, layout.plane),
-        phi,
-        monomials(heading, scaled_heading(layout.axes[:, 2])),
-        densities.coefficients[density].astype(np.float64),
-        optimize=True,
-    )
-    return Loss.of(sample_counts(bearings @ densities.R_local_map[density].T, degree), values)
-
-
-def seen_loss(densities: ObservedDensities, density: int, bearings: FloatArray, positions: FloatArray) -> Loss:
-    """Loss (5) as printed of the density in row ``density``, over the points seen at bearings (N, 3) from positions (N,
-    3).
-    """
-    s = (positions - densities.places[density]) / densities.radii[density]
-    points = SeenPoints.of(bearings @ densities.R_local_map[density].T, s, densities.degree)
-    coefficients = densities.coefficients[density].astype(np.float64)
-    values = np.einsum("nu,nx,nh,uxh->n", *points.factors(densities.degree), coefficients, optimize=True)
-    return Loss.of(points.counts(float(densities.radii[density])), values)
-
-
 @cache
-def _layout(degree: int) -> Layout:
+def layout_of(degree: int) -> Layout:
+    """Samples that densities of a degree are fitted with."""
     return Layout.of(degree)
 
 

@@ -49,21 +49,5 @@ def power_factors(powers: IntArray, s: FloatArray, order: int) -> list[FloatArra
     return [rising[..., d, lowered[:, d]] * falling[:, d] for d in range(powers.shape[1])]
 
 
-def polynomial_values(coefficients: FloatArray, degree: int, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Many polynomials at one point, by one GEMM.
-
-    Args:
-        coefficients: (F, (degree + 1)ⁿ) in the order of Table 5.
-        degree: P.
-        s: (n,) the point.
-
-    Returns:
-        Values (F,), equation (3), and gradients (F, n), equation (4).
-    """
-    basis = monomial_derivatives(tensor_powers(len(s), degree), s)
-    both = coefficients @ basis
-    return both[:, 0], both[:, 1:]
-
-
 def _product(factors: list[FloatArray]) -> FloatArray:
     return reduce(np.multiply, factors)

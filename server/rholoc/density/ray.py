@@ -78,11 +78,6 @@ def landmarks_from_information(information: FloatArray, eta: FloatArray) -> tupl
     return np.einsum("fij,fj->fi", covariances, eta), covariances
 
 
-def squared_ray_distance(landmarks: FloatArray, bearings: FloatArray, positions: FloatArray) -> FloatArray:
-    """d² of landmarks (..., 3) to the rays of bearings (..., 3) from positions (..., 3), m²."""
-    return _along_and_aside(landmarks, bearings, positions)[1]
-
-
 def _along_and_aside(
     landmarks: FloatArray, bearings: FloatArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -92,23 +87,12 @@ def _along_and_aside(
     return along, np.einsum("...i,...i->...", to_landmark, to_landmark) - along**2
 
 
-def ray_density(
-    landmarks: FloatArray, bearings: FloatArray, positions: FloatArray, tolerances: FloatArray
-) -> FloatArray:
-    """ρ = max(0, 1 − d²/r²) (...) for tolerances r (...) in metres; 0 for landmarks behind the camera."""
-    along, aside = _along_and_aside(landmarks, bearings, positions)
-    return _density(along, aside, tolerances**2)
-
-
-def _density(along: FloatArray, aside: FloatArray, squared_tolerances: FloatArray) -> FloatArray:
-    return np.asarray(np.where(along > 0, np.maximum(1 - aside / squared_tolerances, 0), 0))
-
-
 def ray_densities(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
     """ρ (H, M) of all matches at poses (H, 4, 4), for a pixel tolerance plus each landmark's variance."""
     bearings = evidence.rays @ T_map_camera[:, :3, :3].transpose(0, 2, 1)
     along, aside = _along_and_aside(evidence.landmarks, bearings, T_map_camera[:, None, :3, 3])
-    return _density(along, aside, _squared_tolerances(evidence, along, tolerance_px))
+    density = 1 - aside / _squared_tolerances(evidence, along, tolerance_px)
+    return np.asarray(np.where(along > 0, np.maximum(density, 0), 0))
 
 
 def squared_tolerances(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:

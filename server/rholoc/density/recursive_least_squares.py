@@ -49,12 +49,3 @@ class RecursiveFit:
         covariance = (self.covariance - np.outer(gain, seen)) / forgetting
         innovation = value - phi @ self.coefficients
         return RecursiveFit(self.coefficients + np.outer(gain, innovation), (covariance + covariance.T) / 2)
-
-
-def batch_fit(phi: FloatArray, values: FloatArray, ridge: float, forgetting: float = 1.0) -> RecursiveFit:
-    """All observations (N, X) with values (N, K) at once: what :meth:`RecursiveFit.observe` arrives at."""
-    count = len(phi)
-    weights = forgetting ** np.arange(count - 1, -1, -1.0)
-    information = (phi * weights[:, None]).T @ phi + forgetting**count * ridge * np.eye(phi.shape[1])
-    covariance = np.linalg.inv(information)
-    return RecursiveFit(np.linalg.solve(information, (phi * weights[:, None]).T @ values), covariance)

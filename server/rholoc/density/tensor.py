@@ -290,14 +290,9 @@ class TensorDensities:
         full[:, coefficient_columns(self.degree)] = self.coefficients[rows].reshape(len(rows), -1)
         return full
 
-    def variables_at(self, plane: FloatArray, T_map_camera: FloatArray) -> FloatArray:
-        """s (T, 8) of pixels ``plane`` (T, 2) on the plane z = 1, each for its density, of a camera at (4, 4)."""
-        local = _Local.of(self, plane, T_map_camera)
-        return np.column_stack([local.plane, local.position, local.heading])
-
     def at(self, plane: FloatArray, T_map_camera: FloatArray) -> Peaks:
         """All densities at pixels ``plane`` (T, 2) on the plane z = 1, each at its own, of a camera at (4, 4)."""
-        return _peaks(self, _Local.of(self, plane, T_map_camera))
+        return _peaks(self, LocalVariables.of(self, plane, T_map_camera))
 
 
 _ARRAYS = {  # of a file: type and number of dimensions
@@ -497,7 +492,7 @@ class Layout:
 
 
 @dataclass(frozen=True, eq=False)
-class _Local:
+class LocalVariables:
     """The variables of T densities at one pose, and how they change with a motion of the camera.
 
     Attributes:
@@ -517,7 +512,7 @@ class _Local:
     heading_jacobian: FloatArray
 
     @classmethod
-    def of(cls, densities: TensorDensities, plane: FloatArray, T_map_camera: FloatArray) -> _Local:
+    def of(cls, densities: TensorDensities, plane: FloatArray, T_map_camera: FloatArray) -> LocalVariables:
         frames, R, position = densities.R_local_map, T_map_camera[:3, :3], T_map_camera[:3, 3]
         camera_x, heading = frames @ R[:, 0], frames @ R[:, 2]
         axes = upright_axes(heading)
@@ -562,7 +557,7 @@ def upright_axes(headings: FloatArray) -> FloatArray:
     return np.stack([right, down, headings], axis=-2)
 
 
-def _peaks(densities: TensorDensities, local: _Local) -> Peaks:
+def _peaks(densities: TensorDensities, local: LocalVariables) -> Peaks:
     plane_powers, position_powers, heading_powers = kept_powers(densities.degree)
     count, (u_, x_, h_) = len(densities), densities.coefficients.shape[1:]
     precision = densities.coefficients.dtype

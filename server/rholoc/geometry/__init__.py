@@ -9,7 +9,7 @@ from rholoc.geometry.alignment import (
     umeyama,
     upright_umeyama,
 )
-from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray, ranges
+from rholoc.geometry.arrays import BoolArray, ByteArray, FloatArray, IntArray, evenly, ranges
 from rholoc.geometry.camera import CAMERA_WRITTEN, Camera, on_plane
 from rholoc.geometry.lenses import Lens
 from rholoc.geometry.patches import mean_patches, patch_appearance, patch_vectors
@@ -53,6 +53,7 @@ __all__ = [
     "basis_across",
     "cross",
     "direction_angles",
+    "evenly",
     "interpolated_poses",
     "is_rotation",
     "kabsch",

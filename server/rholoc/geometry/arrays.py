@@ -1,4 +1,4 @@
-"""Names for the array types that signatures use, and a helper for index arrays."""
+"""Names for the array types that signatures use, and helpers for index arrays."""
 
 from typing import Any
 
@@ -15,3 +15,8 @@ def ranges(first: IntArray, last: IntArray) -> IntArray:
     """All numbers of the ranges ``first`` (N,) to ``last`` (N,), each without its end, one range after the other."""
     counts = np.subtract(last, first, dtype=np.int64)
     return np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
+
+
+def evenly(count: int, most: int) -> IntArray:
+    """At most ``most`` of the numbers 0..count-1, ascending, the first and the last among them, at even steps."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

@@ -16,9 +16,9 @@ import numpy as np
 
 from rholoc.disk import reporting_full_disk
 from rholoc.errors import InvalidRecording
-from rholoc.geometry import FloatArray, IntArray
 from rholoc.mapping.build.frame_features import small_picture
 from rholoc.recordings import Recording, Waypoint, read_waypoints_csv, write_waypoints_csv
+from rholoc.recordings.frames.memory_frames import MissingImages
 from rholoc.reports import report_from_json, report_to_json
 
 WAYPOINTS_FILE = ".waypoints.csv"
@@ -139,7 +139,7 @@ def corrected_waypoints(
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / WAYPOINTS_FILE
         path.write_bytes(files[WAYPOINTS_FILE])
-        return tuple(_recorded(waypoint) for waypoint in read_waypoints_csv(path, _Span.of(notes)))
+        return tuple(_recorded(waypoint) for waypoint in read_waypoints_csv(path, _span(notes)))
 
 
 def waypoints_file(waypoints: Sequence[RecordedWaypoint], notes: RecordingNotes | None) -> bytes:
@@ -151,25 +151,16 @@ def waypoints_file(waypoints: Sequence[RecordedWaypoint], notes: RecordingNotes 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / WAYPOINTS_FILE
         write_waypoints_csv(path, [_waypoint(one) for one in waypoints])
-        read_waypoints_csv(path, _Span.of(notes))
+        read_waypoints_csv(path, _span(notes))
         return path.read_bytes()
 
 
-@dataclass(frozen=True, eq=False)
-class _Span:
+def _span(notes: RecordingNotes | None) -> MissingImages:
     """The times of a recording's first and last frame; no frame numbers, as corrected waypoints only have times."""
-
-    times: FloatArray
-    numbers: IntArray
-    timed: bool = True
-
-    @staticmethod
-    def of(notes: RecordingNotes | None) -> _Span:
-        if notes is None or notes.first_s is None or notes.last_s is None:
-            span = np.array([-np.inf, np.inf])
-        else:
-            span = np.array([notes.first_s, notes.last_s])
-        return _Span(span, np.zeros(0, dtype=np.int64))
+    span = (-np.inf, np.inf)
+    if notes is not None and notes.first_s is not None and notes.last_s is not None:
+        span = (notes.first_s, notes.last_s)
+    return MissingImages(np.array(span), np.zeros(0, dtype=np.int64))
 
 
 def _recorded(waypoint: Waypoint) -> RecordedWaypoint:

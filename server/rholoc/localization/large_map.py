@@ -282,8 +282,21 @@ class _Clock:
         as ``place`` [ms].
         """
         spent_ms = 1e3 * (time.perf_counter() - self._started) - sum(answer.timings_ms.values())
-        timings_ms = {"place": spent_ms, **answer.timings_ms}
-        return replace(answer, timings_ms=timings_ms, inlier_features=part.features[answer.inlier_features])
+        return in_whole_map(answer, part, spent_ms)
+
+
+def in_whole_map(answer: Localization, part: MapPart, place_ms: float) -> Localization:
+    """A part's answer with ``inlier_features`` as rows of the whole map, and ``place_ms``, the time [ms] that finding
+    the part took, as the stage ``place``.
+    """
+    return replace(
+        answer,
+        timings_ms={"place": place_ms, **answer.timings_ms},
+        inlier_features=part.features[answer.inlier_features],
+        alternatives=tuple(
+            replace(one, inlier_features=part.features[one.inlier_features]) for one in answer.alternatives
+        ),
+    )
 
 
 AnyLocalizer = Localizer | LargeMapLocalizer

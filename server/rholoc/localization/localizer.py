@@ -407,7 +407,7 @@ class Localizer:
         watch.lap("verify")
         if found is not None:
             verified, focal, refined = found
-            if _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
+            if true_to_gravity(verified.optimum.T_map_camera, query.gravity):
                 yield self._candidate(verified, refined, lambda: focal, belief_of(verified))
 
     def _checked(
@@ -418,7 +418,7 @@ class Localizer:
         ``matches`` check the focal length, unless the pose is less probable than ``options.hopeless``; by default those
         that ``search`` made without a pose.
         """
-        if verified is None or not _true_to_gravity(verified.optimum.T_map_camera, query.gravity):
+        if verified is None or not true_to_gravity(verified.optimum.T_map_camera, query.gravity):
             return None
         belief = belief_of(verified)
         if belief.recognized < self.options.hopeless:
@@ -458,7 +458,6 @@ class Localizer:
     def _described(self, found: Found, search: Search) -> Localization:
         """A search's outcome as an answer with a pose, however doubtful or inexact."""
         query, verified = search.query, found.verified
-        agreeing = verified.optimum.density > 0
         estimated = query.intrinsics is Intrinsics.UNKNOWN
         answer = Localization(
             localized=True,
@@ -468,15 +467,15 @@ class Localizer:
             belief=found.belief,
             matches=max(search.matches, len(verified.wide), len(verified.matches)),
             inliers=verified.inliers,
-            inlier_pixels=verified.pixels[agreeing],
-            inlier_features=verified.matches.landmarks[agreeing],
+            inlier_pixels=verified.pixels[verified.optimum.density > 0],
+            inlier_features=verified.inlier_landmarks,
             timings_ms=search.watch.timings_ms,
             near_prior=None if query.prior is None else found.near_prior,
             camera=found.camera if estimated else None,
             focal_sigma_px=found.focal.sigma_px if estimated else None,
             alternatives=tuple(
-                Alternative(weight, _pose(rival.verified, query.dof), rival.verified.covariance)
-                for weight, rival in found.rivals[:MAX_ALTERNATIVES]
+                Alternative(weight, _pose(one, query.dof), one.covariance, one.inlier_landmarks)
+                for weight, one in ((weight, rival.verified) for weight, rival in found.rivals[:MAX_ALTERNATIVES])
                 if weight >= MIN_WEIGHT
             ),
         )
@@ -539,7 +538,7 @@ def check_kind(features: FeatureSet, wanted: Extractor) -> None:
 def _contradicted(found: Found, query: Query) -> Diagnosis:
     """Diagnosis of the constraint that a sure pose breaks: WRONG_GRAVITY if that is the gravity sent, else ROLLED."""
     T = found.verified.optimum.T_map_camera
-    if not _true_to_gravity(T, query.gravity):
+    if not true_to_gravity(T, query.gravity):
         return Diagnosis(
             Cause.WRONG_GRAVITY,
             "The picture fits the map, but not with the gravity that was sent.",
@@ -565,7 +564,7 @@ def _plausible(T_map_camera: FloatArray, query: Query) -> bool:
         _, rolled = pose_distances(T_map_camera, upright(T_map_camera))
         if rolled > _MAX_UPRIGHT_ROLL_RAD:
             return False
-    return _true_to_gravity(T_map_camera, query.gravity)
+    return true_to_gravity(T_map_camera, query.gravity)
 
 
 def _near_prior(T_map_camera: FloatArray, prior: Prior | None) -> bool:
@@ -576,7 +575,8 @@ def _near_prior(T_map_camera: FloatArray, prior: Prior | None) -> bool:
     return apart <= prior.radius_m and turned <= prior.radius_rad
 
 
-def _true_to_gravity(T_map_camera: FloatArray, gravity: FloatArray | None) -> bool:
+def true_to_gravity(T_map_camera: FloatArray, gravity: FloatArray | None) -> bool:
+    """Whether ``gravity`` (3,) in the camera frame is within 10° of down by a pose (4, 4); True if it is unknown."""
     if gravity is None:
         return True
     down = T_map_camera[:3, :3] @ (gravity / np.linalg.norm(gravity))

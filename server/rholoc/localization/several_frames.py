@@ -24,8 +24,8 @@ from rholoc.localization.diagnosis import wrong_motion
 from rholoc.localization.index.map_error import RIGHT_M, RIGHT_RAD
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches, NearestLandmarks
-from rholoc.localization.large_map import AnyLocalizer
-from rholoc.localization.localizer import Localizer, check_kind
+from rholoc.localization.large_map import AnyLocalizer, in_whole_map
+from rholoc.localization.localizer import Localizer, check_kind, true_to_gravity
 from rholoc.localization.pose.ascent import optimum_at
 from rholoc.localization.pose.joint_ascent import Link, ascend_together, joint_covariances, refined_together
 from rholoc.localization.pose.pose_evidence import Support, support_of
@@ -145,12 +145,7 @@ def localize_together(localizer: AnyLocalizer, asked: SeveralFrames) -> JointLoc
     part, around = localizer.around([frame.features for frame in asked.frames])
     place_s = time.perf_counter() - started
     joint = _Joint(around, asked.within(place_s)).localize()
-    first = replace(
-        joint.first,
-        inlier_features=part.features[joint.first.inlier_features],
-        timings_ms={"place": 1e3 * place_s, **joint.first.timings_ms},
-    )
-    return replace(joint, first=first)
+    return replace(joint, first=in_whole_map(joint.first, part, 1e3 * place_s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +192,6 @@ class _Joint:
         self.dof: Dof = self.frames[0].dof
         self.rays = [frame.camera.rays(frame.features.pixels) for frame in self.frames]
         self.started = time.perf_counter()
-        self.timings_ms: dict[str, float] = {}
 
     def localize(self) -> JointLocalization:
         """Try one set of matches after the other until a candidate is conclusive or the deadline has passed; answer
@@ -250,7 +244,9 @@ class _Joint:
             if seed is None or (apart_m < far_m and turned_rad < far_rad):
                 continue
             alone = verify(self.index, frame, rays, seed[0])
-            if alone is None or alone.optimum.value < _TIMES_AS_MUCH * joint.optimum.value:
+            if alone is None or not true_to_gravity(alone.optimum.T_map_camera, frame.gravity):
+                continue
+            if alone.optimum.value < _TIMES_AS_MUCH * joint.optimum.value:
                 continue
             if alone.is_apart(joint, far_m, far_rad):
                 apart_m, turned_rad = pose_distances(alone.optimum.T_map_camera, joint.optimum.T_map_camera)
@@ -339,8 +335,8 @@ class _Joint:
         return T_map_rig if agreeing >= fewest and np.isfinite(T_map_rig).all() else None
 
     def _verified(self, T_map_cameras: FloatArray) -> _Candidate | None:
-        """Match again around the poses (N, 4, 4) and ascend, within 14 px and then 5 px. Returns None if
-        either radius has fewer than six matches over all frames.
+        """Match again around the poses (N, 4, 4) and ascend, within 14 px and then 5 px. Returns None if either radius
+        has fewer than six matches over all frames, or a pose contradicts its frame's gravity.
         """
         T, links, densities = T_map_cameras, self.asked.links, self.index.map.densities
         wide: list[Matches] = []
@@ -363,6 +359,8 @@ class _Joint:
             for one, (matches, _), pose in zip(evidences, near, T, strict=True)
         ]
         T = refined_together(some, T, links, self.dof)
+        if not all(true_to_gravity(pose, frame.gravity) for pose, frame in zip(T, self.frames, strict=True)):
+            return None
         verified = tuple(
             _verified(self.index, frame, pose, matches, evidence, by_chance, around)
             for frame, pose, (matches, by_chance), evidence, around in zip(
@@ -381,7 +379,6 @@ class _Joint:
             return JointLocalization(refusal, (), ())
         poses = tuple(Pose(one.optimum.T_map_camera) for one in best.verified)
         inliers = tuple(one.inliers for one in best.verified)
-        agreeing = [one.optimum.density > 0 for one in best.verified]
         first = Localization(
             localized=True,
             reason=None,
@@ -390,10 +387,8 @@ class _Joint:
             belief=best.belief,
             matches=max(matched, sum(len(one.matches) for one in best.verified)),
             inliers=sum(inliers),
-            inlier_pixels=best.verified[0].pixels[agreeing[0]],
-            inlier_features=np.concatenate(
-                [one.matches.landmarks[some] for one, some in zip(best.verified, agreeing, strict=True)]
-            ),
+            inlier_pixels=best.verified[0].pixels[best.verified[0].optimum.density > 0],
+            inlier_features=np.concatenate([one.inlier_landmarks for one in best.verified]),
             timings_ms=timings_ms,
         )
         first = gated(with_map_error(self.index, first), self.localizer.min_recognized, self.asked.frames[0])

@@ -144,11 +144,13 @@ class Alternative:
         weight: probability 0 to 1 that it is of the right place.
         pose: the pose.
         covariance: (6, 6) as in :class:`Localization`.
+        inlier_features: (I,) rows of its inliers' landmarks in the map.
     """
 
     weight: float
     pose: Pose
     covariance: FloatArray
+    inlier_features: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True, eq=False)

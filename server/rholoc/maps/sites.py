@@ -87,9 +87,10 @@ class SiteLink:
     Attributes:
         first, second: their names.
         pose: T_first_second.
-        sigma_m: standard deviation of the position along each axis.
+        sigma_m: standard deviation of the position of ``at`` along each axis.
         sigma_deg: standard deviation of the rotation about each axis.
         origin: of the link.
+        at: (3,) point of the second map's frame at which the link was measured [m], such as the middle of an overlap.
     """
 
     first: str
@@ -98,6 +99,7 @@ class SiteLink:
     sigma_m: float = 0.05
     sigma_deg: float = 0.5
     origin: LinkOrigin = LinkOrigin.GIVEN
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -265,6 +267,7 @@ def check_site(site: Site) -> Site:
             raise InvalidInput(f"A link joins the map {link.first} to itself.", "Name two maps.")
         what = f"The link between {link.first} and {link.second}"
         _check_pose(link.pose, what)
+        _check_pose(FramePose(link.at), what)
         if not (0 < link.sigma_m <= _MAX_M and 0 < link.sigma_deg <= 180):
             raise InvalidInput(f"{what} has sigmas that are not possible.", "Give metres and degrees above 0.")
     if site.earth is not None:

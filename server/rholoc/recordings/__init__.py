@@ -29,7 +29,6 @@ from rholoc.recordings.tables.waypoints import check_waypoints_fix_frame, read_w
 from rholoc.recordings.walk.coaching import advise
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.recordings.walk.walk_figures import Look, look_at, look_through, measure_walk
-from rholoc.reports import Advice, AdviceKind, RecordingWarning, WalkFigures, WarningKind
 
 __all__ = [
     "GRAVITY",
@@ -37,8 +36,6 @@ __all__ = [
     "MAX_FRAME_PIXELS",
     "START_BYTES",
     "ZIP_SUFFIXES",
-    "Advice",
-    "AdviceKind",
     "CameraFile",
     "FrameSource",
     "GivenPoses",
@@ -51,9 +48,6 @@ __all__ = [
     "PoseKind",
     "Recording",
     "RecordingFormat",
-    "RecordingWarning",
-    "WalkFigures",
-    "WarningKind",
     "Waypoint",
     "advise",
     "camera_of_model",

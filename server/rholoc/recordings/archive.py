@@ -104,18 +104,16 @@ def _check_directory(archive: Path, max_files: int) -> None:
 
 
 def _checked_entries(packed: zipfile.ZipFile, archive: Path, max_bytes: int) -> list[zipfile.ZipInfo]:
-    entries = [entry for entry in packed.infolist() if _is_wanted(_path(entry))]
+    """Entries of a zip file that are neither its own folder (``./``) nor added by an operating system; raises as
+    :func:`_check` does.
+    """
+    entries = [entry for entry in packed.infolist() if _path(entry).parts and not is_system_file(_path(entry))]
     _check(entries, archive, max_bytes)
     return entries
 
 
 def _path(entry: zipfile.ZipInfo) -> PurePosixPath:
     return PurePosixPath(entry.filename.replace("\\", "/"))
-
-
-def _is_wanted(path: PurePosixPath) -> bool:
-    """Whether a path is neither the archive's own folder (``./``) nor a file that an operating system added."""
-    return bool(path.parts) and not is_system_file(path)
 
 
 def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -93,6 +94,7 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
         waypoints=_waypoints_within(recording, frames),
         lengths=tuple(one for one in recording.lengths if {one.first, one.second} <= chosen_numbers),
         mounted=tuple(one for one in recording.mounted if {one.first, one.second} <= chosen_numbers),
+        lenses=_lenses_of(recording, frames.numbers.tolist()),
         poses=(
             None
             if recording.poses is None
@@ -105,6 +107,14 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
         frame_intrinsics=None if recording.frame_intrinsics is None else recording.frame_intrinsics[rows],
         depth=None if recording.depth is None else recording.depth.select(rows),
     )
+
+
+def _lenses_of(recording: Recording, numbers: list[int]) -> dict[int, int]:
+    """Lens of each frame of these numbers; empty if one took all. Lens 0 stays; without it, the commonest becomes 0."""
+    known = {number: recording.lenses[number] for number in numbers if number in recording.lenses}
+    kinds = sorted(Counter(known.values()).items(), key=lambda one: (one[0] != 0, -one[1]))
+    renumbered = {lens: place for place, (lens, _) in enumerate(kinds)}
+    return {number: renumbered[lens] for number, lens in known.items()} if len(kinds) > 1 else {}
 
 
 def _waypoints_within(recording: Recording, frames: SelectedFrames) -> tuple[Waypoint, ...]:

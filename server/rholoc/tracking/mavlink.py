@@ -65,7 +65,11 @@ class Encoder:
         return self._encoded(_HEARTBEAT, 0, _ONBOARD_CONTROLLER, _NO_AUTOPILOT, 0, _ACTIVE, 3)
 
     def origin(self, earth: SiteOnEarth, time_s: float) -> bytes:
-        """SET_GPS_GLOBAL_ORIGIN at ``time_s`` [s since 1970]; the height is above the ellipsoid."""
+        """SET_GPS_GLOBAL_ORIGIN at ``time_s`` [s since 1970].
+
+        The message's altitude should be above mean sea level. Without a model of the geoid it is the height above the
+        ellipsoid of WGS 84 as given, which differs by the geoid's height: -106 m to 85 m.
+        """
         degrees = (round(earth.latitude_deg * 1e7), round(earth.longitude_deg * 1e7))
         return self._encoded(_SET_ORIGIN, *degrees, round(earth.height_m * 1000), _SYSTEM, round(time_s * 1e6))
 

@@ -6,12 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed, RholocError
 from rholoc.features import FeatureSet
-from rholoc.geometry import CAMERA_WRITTEN, UP, Camera, FloatArray, IntArray, angles_between
+from rholoc.geometry import CAMERA_WRITTEN, UP, Camera, FloatArray, IntArray, angles_between, evenly
+from rholoc.geometry.graphs import components
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, KnownLength, Mounted, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
 from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
@@ -404,12 +403,10 @@ def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None)
         return _chosen_moments(len(flow.times), _rows_of(recording, recording.mounted))
     if is_film(flow):
         return choose_keyframes(flow.times, flow.motion, flow.sharpness, flow.timed)
-    rows: IntArray = np.arange(len(flow.times))
-    if len(rows) <= MAX_PICTURES:
-        return rows
-    rows = _evenly(rows, MAX_PICTURES if features is None else _MAX_COMPARED)
-    if features is None:
-        return rows
+    count = len(flow.times)
+    if features is None or count <= MAX_PICTURES:
+        return evenly(count, MAX_PICTURES)
+    rows = evenly(count, _MAX_COMPARED)
     return rows[least_alike(features.of(rows), flow.sharpness[rows], MAX_PICTURES)]
 
 
@@ -420,15 +417,11 @@ def _chosen_moments(count: int, pairs: Sequence[tuple[int, int]]) -> IntArray:
         count: number of pictures.
         pairs: rows of two pictures of the same moment.
     """
-    graph = coo_matrix((np.ones(len(pairs)), np.array(pairs).T), shape=(count, count))
-    moments, moment = connected_components(graph, directed=False)
-    kept = _evenly(np.arange(moments), MAX_PICTURES // int(np.bincount(moment).max()))
-    return np.flatnonzero(np.isin(moment, kept)) if count > MAX_PICTURES else np.arange(count)
-
-
-def _evenly(rows: IntArray, count: int) -> IntArray:
-    """At most ``count`` of the rows at even steps."""
-    return rows[np.unique(np.linspace(0, len(rows) - 1, count).round().astype(np.int64))] if len(rows) > count else rows
+    if count <= MAX_PICTURES:
+        return np.arange(count)
+    moment = components(count, np.array(pairs))
+    pictures = np.bincount(moment)
+    return np.flatnonzero(np.isin(moment, evenly(len(pictures), MAX_PICTURES // int(pictures.max()))))
 
 
 def _rows_at(times: FloatArray, waypoints: Sequence[Waypoint]) -> set[int]:

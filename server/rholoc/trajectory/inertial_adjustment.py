@@ -20,7 +20,7 @@ from rholoc.recordings import GRAVITY, Imu, Waypoint, check_waypoints_fix_frame
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.inertial.gyroscope import longest_interval_s
-from rholoc.trajectory.optimization.adjustment import imu_noise, preintegrated, robust
+from rholoc.trajectory.optimization.adjustment import imu_noise, optimized, preintegrated, robust
 
 _REST_SIGMA_M_S = 0.05  # a hand at rest sways by millimetres, once or twice a second
 _ACCELEROMETER_BIAS_SIGMA = 0.1  # m/s²
@@ -74,10 +74,8 @@ def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatA
         noise = robust(_CAUCHY, gtsam.noiseModel.Isotropic.Sigma(3, sigma_m))
         (k,) = _nearest(times, np.array([waypoint.time]))
         graph.add(gtsam.PoseTranslationPrior3D(X(int(k)), np.array(waypoint.position), noise))
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(_ITERATIONS)
     try:
-        solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+        solved = optimized(graph, values, _ITERATIONS)
     except RuntimeError:  # singular system
         return integrate_between_waypoints(imu, waypoints, at)
     found = np.array([solved.atPose3(X(int(k))).matrix() for k in _nearest(times, at)])

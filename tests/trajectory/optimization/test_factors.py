@@ -145,6 +145,19 @@ def test_over_a_gap_biases_wander_and_the_speed_is_open() -> None:
     np.testing.assert_allclose(speed.unwhitenedError(values), values.atVector(V(2)))
 
 
+def test_a_gap_after_the_first_keyframe_leaves_the_covariances_known() -> None:
+    imu = _imu()
+    kept = (imu.times < 0.1) | (imu.times > 0.35)
+    torn = Imu(imu.times[kept], imu.acceleration[kept], imu.angular_velocity[kept], True, None)
+    problem, state = _inertial_problem(torn, np.array([0.0, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]))
+    ahead = np.random.default_rng(1).uniform([-1, -1, 2], [1, 1, 4], (60, 3))
+    points = ahead @ state.R_map_camera[3].T + state.positions[3]
+    assert state.inertial is not None
+    state = replace(state, camera=CAMERA, inertial=replace(state.inertial, clock_s=0.0))
+    adjusted = adjust(replace(problem, observations=_sightings(state.T_map_camera, points, 0.3)), state, 8)
+    assert np.isfinite(adjusted.covariances([0, 4, 7])).all()
+
+
 def test_readings_are_summed_as_trapezoids_between_any_two_times() -> None:
     """A force that grows, felt by an IMU that does not turn: known to the last digit, between readings too."""
     times = np.arange(0, 2, 0.01)

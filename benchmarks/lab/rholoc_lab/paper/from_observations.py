@@ -12,7 +12,6 @@ import numpy as np
 
 from rholoc.density import DensityKind, ObservedDensities, Sightings
 from rholoc.density.localities import Places
-from rholoc.density.observed import Loss, fit_seen, observed_loss, seen_loss
 from rholoc.density.tensor import DEGREES
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.features import Channel, Extractor, FeatureSet, extractor_names, get_extractor
@@ -20,11 +19,12 @@ from rholoc.geometry import Camera, IntArray, Pose
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import DEFAULT_DEGREE, fit_densities, sightings_of
 from rholoc.mapping.build.pipeline import reconstruct
-from rholoc.mapping.build.self_report import HeldOut, map_report
+from rholoc.mapping.build.self_report import Frame, map_report
 from rholoc.mapping.build.stored_observations import with_landmarks
 from rholoc.mapping.build.tracks import Views
 from rholoc.maps import Map, MapInfo, ObservationTable, Source
 from rholoc.progress import ProgressListener, Stage, silent
+from rholoc_lab.paper.printed_loss import Loss, fit_seen, observed_loss, seen_loss
 
 _MIN_VIEWS = 3
 _HOLD_OUT_EVERY = 10
@@ -101,7 +101,7 @@ def map_from_observations(
         map_ = replace(map_, info=replace(map_.info, density=options.density), densities=densities)
     else:
         map_ = fit_densities(map_, options.density, options.degree, progress)
-    report = map_report(map_, held_out if options.report else HeldOut.none(), progress)
+    report = map_report(map_, held_out, progress)
     return replace(map_, info=replace(map_.info, report=report))
 
 
@@ -173,7 +173,7 @@ def fit_figures(map_: Map, seen_only: bool) -> FitFigures | None:
 
 def window_volume() -> float:
     """w of equation (5): the volume that n(s) counts in."""
-    from rholoc.density.observed import WINDOW_M, WINDOW_PLANE, WINDOW_RAD
+    from rholoc_lab.paper.printed_loss import WINDOW_M, WINDOW_PLANE, WINDOW_RAD
 
     return float((2 * WINDOW_PLANE) ** 2 * (2 * WINDOW_M) ** 3 * 2 * np.pi * (1 - np.cos(WINDOW_RAD)))
 
@@ -212,7 +212,7 @@ def _check(table: ObservationTable, camera: Camera, extractor: Extractor) -> Non
         )
 
 
-def _views(table: ObservationTable, camera: Camera, hold_out: bool) -> tuple[Views, HeldOut]:
+def _views(table: ObservationTable, camera: Camera, hold_out: bool) -> tuple[Views, list[Frame]]:
     """Group a table's rows into views; returns those of the map and those held out."""
     rolls = np.zeros(len(table)) if table.rolls is None else table.rolls
     times = np.zeros(len(table)) if table.times is None else table.times
@@ -238,7 +238,7 @@ def _views(table: ObservationTable, camera: Camera, hold_out: bool) -> tuple[Vie
         np.array([float(number) if table.times is None else float(times[groups[number][0]]) for number in taken]),
         [parts[number][1] for number in taken],
     )
-    return views, HeldOut(tuple((camera, parts[number][0].T_map_camera, parts[number][1]) for number in held))
+    return views, [(camera, parts[number][0].T_map_camera, parts[number][1]) for number in held]
 
 
 def _features(table: ObservationTable, rows: IntArray) -> FeatureSet:

@@ -51,12 +51,16 @@ def with_map_error(
     own, others, focal = answer.covariance, *(np.zeros((6, 6)) if one is None else one for one in (of_modes, of_focal))
     of_map = index.map_covariance(answer.inlier_features, answer.pose.position, _VIEWS_HERE)
     if of_map is not None:
-        alternatives = (
-            replace(one, covariance=INDEPENDENT_SHARE * one.covariance + of_map) for one in answer.alternatives
-        )
-        answer = replace(answer, alternatives=tuple(alternatives), expected_error_m=rms_position_error(of_map))
+        answer = replace(answer, expected_error_m=rms_position_error(of_map))
         own, others = INDEPENDENT_SHARE * own, others + of_map
+    answer = replace(answer, alternatives=tuple(_alternative(index, one) for one in answer.alternatives))
     return _widened(answer, own, others, focal) if others.any() or focal.any() else answer
+
+
+def _alternative(index: MapIndex, one: Alternative) -> Alternative:
+    """The alternative with the map's error at its own place; unchanged if the map has no covariances there."""
+    of_map = index.map_covariance(one.inlier_features, one.pose.position, _VIEWS_HERE)
+    return one if of_map is None else replace(one, covariance=INDEPENDENT_SHARE * one.covariance + of_map)
 
 
 def _widened(answer: Localization, own: FloatArray, others: FloatArray, focal: FloatArray) -> Localization:
@@ -86,7 +90,7 @@ def gated(answer: Localization, min_recognized: float, query: Query) -> Localiza
         return answer
     refused = replace(answer, localized=False, pose=None, covariance=None, expected_error_m=None)
     if answer.recognized < min_recognized:
-        withheld = Alternative(answer.recognized, answer.pose, answer.covariance)
+        withheld = Alternative(answer.recognized, answer.pose, answer.covariance, answer.inlier_features)
         poses = (withheld, *answer.alternatives) if withheld.weight >= MIN_WEIGHT else answer.alternatives
         return replace(refused, reason=Reason.NOT_RECOGNIZED, alternatives=poses[:MAX_ALTERNATIVES])
     sigma_m, sigma_rad = worst_sigma(answer.covariance[:3, :3]), worst_sigma(answer.covariance[3:, 3:])

@@ -147,8 +147,7 @@ def ascend_with_focal(
             if np.abs(step).max() < (_NEARLY_SETTLED if tolerance_px == tolerances_px[-1] else _ROUGHLY_SETTLED):
                 break
     optimum = optimum_at(RayDensities(), evidence.refocused(scale), T, tolerances_px[-1])
-    sigma = focal_sigma(curvature)
-    return optimum, scale, sigma
+    return optimum, scale, focal_sigma(curvature)
 
 
 def freed_focal(evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float, dof: Dof) -> tuple[float, float]:
@@ -225,6 +224,7 @@ def refinement_equations(evidence: Evidence, T: FloatArray, dof: Dof) -> tuple[F
 
 
 def optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> Optimum:
+    """A pose (4, 4) rated as the end of an ascent: likelihood and densities of the M matches at a tolerance [px]."""
     local = densities.near(evidence, T_map_camera, tolerance_px)
     density = np.zeros(len(evidence))
     density[local.matches] = local.at(T_map_camera, tolerance_px).density
@@ -271,12 +271,6 @@ def focal_sigma(information: FloatArray) -> float:
 def upright(T_map_camera: FloatArray) -> FloatArray:
     """The pose (4, 4) with its roll removed."""
     return pose_matrix(rotation_from_heading(T_map_camera[:3, 2]), T_map_camera[:3, 3])
-
-
-def gradient(densities: Densities, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
-    """∂ Σ log(ε + ρ) / ∂(position, rotation) (6,) at fixed tolerances: equation (4) through (2)."""
-    local = densities.near(evidence, T_map_camera, tolerance_px)
-    return normal_equations(local, evidence.epsilon, T_map_camera, tolerance_px, Dof.FREE)[0]
 
 
 def _bounded(gradient_: FloatArray, hessian: FloatArray) -> FloatArray | None:

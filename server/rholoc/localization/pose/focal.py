@@ -66,7 +66,6 @@ class FocalEstimate:
     Attributes:
         focal_px: best-fitting focal length.
         sigma_px: its standard deviation.
-        moved_m: displacement of the pose when the focal length is freed.
         belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
             probability that the pose is within 50 cm.
         exact: probability 0 to 1 that the pose is within 10 cm and 5°, given that it is of the right place, as far as
@@ -77,7 +76,6 @@ class FocalEstimate:
 
     focal_px: float
     sigma_px: float
-    moved_m: float
     belief: float
     exact: float = 1.0
     of_others: FloatArray | None = None
@@ -87,7 +85,7 @@ class FocalEstimate:
         """The camera's own focal length with ``belief`` 1 and a standard deviation as large as itself, for a pose not
         worth a check.
         """
-        return cls(camera.focal, camera.focal, 0.0, 1.0)
+        return cls(camera.focal, camera.focal, 1.0)
 
 
 Refocused = tuple[float, Verified]
@@ -118,8 +116,8 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
         others += _zoomed(index, query, verified) if is_square else _sought(index, query, matches)
         scale, best = _explaining_most(verified, others)
         focal_px = scale * query.camera.focal
-        sigma_px = _spread(_known_to(best)) * focal_px
-        estimate = FocalEstimate(focal_px, sigma_px, _apart_m(best, verified), belief_beside(verified, others))
+        sigma = focal_sigma(information_at(best.evidence, best.optimum, focal_free=True))
+        estimate = FocalEstimate(focal_px, _spread(sigma) * focal_px, belief_beside(verified, others))
     return _beside(estimate, verified, others, is_square)
 
 
@@ -179,7 +177,7 @@ def _followed(
     if belief < 1:
         others += _refocused(index, query, total, T)
         belief = belief_beside(verified, others)
-    return FocalEstimate(focal_px, _spread(sigma) * focal_px, moved_m, belief)
+    return FocalEstimate(focal_px, _spread(sigma) * focal_px, belief)
 
 
 def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused]:
@@ -187,8 +185,8 @@ def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused
     from what the verified pose shows. Either way ends where too little is explained. If one of them explains more than
     the verified pose, the best is refined.
     """
-    T, agreeing = verified.optimum.T_map_camera, verified.optimum.density > 0
-    depths_m = (index.landmarks[verified.matches.landmarks[agreeing]] - T[:3, 3]) @ T[:3, 2]
+    T = verified.optimum.T_map_camera
+    depths_m = (index.landmarks[verified.inlier_landmarks] - T[:3, 3]) @ T[:3, 2]
     if len(depths_m) == 0:
         return []
     found: list[Refocused] = []
@@ -272,11 +270,6 @@ def _explaining_most(verified: Verified, others: Iterable[Refocused]) -> Refocus
 
 def _apart_m(a: Verified, b: Verified) -> float:
     return float(np.linalg.norm(a.optimum.T_map_camera[:3, 3] - b.optimum.T_map_camera[:3, 3]))
-
-
-def _known_to(verified: Verified) -> float:
-    """Standard deviation of ln(focal length), from all matches of a verified pose and the map's own errors."""
-    return focal_sigma(information_at(verified.evidence, verified.optimum, focal_free=True))
 
 
 def _belief(moved_m: float, off_sigmas: float) -> float:
@@ -373,7 +366,7 @@ def verify_with_focal(
         return None
     focal_px = query.camera.focal
     here = math.erf(PLACE_M / (math.sqrt(2) * worst_sigma(verified.covariance[:3, :3])))
-    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, 0.0, here), query
+    return verified, FocalEstimate(focal_px, _spread(sigma) * focal_px, here), query
 
 
 def _sensible(camera: Camera, scale: float) -> bool:

@@ -31,7 +31,7 @@ def poses_on_arcs(index: MapIndex, verified: Verified) -> Iterator[FloatArray]:
     landmarks that it sees. None if it sees none.
     """
     T = verified.optimum.T_map_camera
-    seen = verified.matches.landmarks[verified.optimum.density > 0]
+    seen = verified.inlier_landmarks
     if len(seen) == 0:
         return
     centre = np.median(index.landmarks[seen], axis=0)

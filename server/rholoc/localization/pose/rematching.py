@@ -56,6 +56,11 @@ class Verified:
         """Number of matches that agree with the pose."""
         return int((self.optimum.density > 0).sum())
 
+    @property
+    def inlier_landmarks(self) -> IntArray:
+        """(I,) landmarks of the matches that agree with the pose."""
+        return self.matches.landmarks[self.optimum.density > 0]
+
     def is_apart(self, other: Verified, more_than_m: float, more_than_rad: float) -> bool:
         """Whether another pose is farther away than one bound, or turned by more than the other."""
         apart_m, turned_rad = pose_distances(self.optimum.T_map_camera, other.optimum.T_map_camera)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from rholoc.density.presence import Presence, group_sums
@@ -14,6 +13,7 @@ from rholoc.density.ray import landmarks_from_information, observation_informati
 from rholoc.features import Metric
 from rholoc.features.matching import LIMITS, descriptor_distances
 from rholoc.geometry import BoolArray, FloatArray, IntArray
+from rholoc.geometry.graphs import components
 from rholoc.mapping.build.tracks import Views
 
 PIXEL_NOISE_PX = 1.5  # of a detection against the landmark's true projection, one sigma
@@ -362,9 +362,7 @@ def _merged(labels: IntArray, same: IntArray, count: int, view_of: IntArray) -> 
     same = np.unique(np.sort(same, axis=1), axis=0)
     apart = np.asarray(shown[same[:, 0]].multiply(shown[same[:, 1]]).sum(axis=1)).ravel() == 0
     same = same[apart]
-    graph = coo_array((np.ones(len(same), dtype=bool), (same[:, 0], same[:, 1])), shape=(count, count))
-    _, group = connected_components(graph, directed=False)
-    merged = np.where(labels >= 0, group[labels], -1)
+    merged = np.where(labels >= 0, components(count, same)[labels], -1)
     return _without_doubles(merged, view_of)
 
 

@@ -26,7 +26,7 @@ from rholoc.mapping.build.landmarks import (
     with_ranged,
 )
 from rholoc.mapping.build.reconstruction_cloud import cloud_of
-from rholoc.mapping.build.self_report import HeldOut, map_report
+from rholoc.mapping.build.self_report import Frame, map_report
 from rholoc.mapping.build.stored_observations import recording_id, with_landmarks
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.mapping.build.view_choice import choose_views
@@ -107,7 +107,7 @@ def build_map(
     map_ = fit_densities(map_, options.density, options.degree, progress)
     progress(Stage.DENSITIES, 1.0, f"{len(map_.descriptors)} descriptors")
     report = replace(
-        map_report(map_, held_out if options.report else HeldOut.none(), progress),
+        map_report(map_, held_out, progress),
         trajectories=tuple(walk.trajectory.report for walk in walks),
         coaching=tuple(
             coach(walk.recording, seen, walk.trajectory.times, walk.trajectory.T_map_camera)
@@ -146,7 +146,7 @@ def _check_common_frame(walks: Sequence[_Walk]) -> None:
 
 def _look(
     walks: Sequence[_Walk], options: BuildOptions, progress: ProgressListener
-) -> tuple[Views, HeldOut, list[list[Look]], tuple[bytes, ...] | None]:
+) -> tuple[Views, list[Frame], list[list[Look]], tuple[bytes, ...] | None]:
     """Features of all views and of the held-out frames, appearance of the frames of each walk, and the views' pictures
     (None if not kept). Features of views are freed from rolling shutter; those held out are not.
     """
@@ -155,7 +155,7 @@ def _look(
     times: list[float] = []
     features: list[FeatureSet] = []
     ranges_m: list[FloatArray] = []
-    held: list[tuple[Camera, FloatArray, FeatureSet]] = []
+    held: list[Frame] = []
     looks: list[list[Look]] = []
     pictures: list[bytes] = []
     total, done = sum(len(walk.views) + len(walk.held_out) for walk in walks), 0
@@ -178,7 +178,7 @@ def _look(
             done += 1
             progress(Stage.OBSERVATIONS, 0.3 * done / total, f"features of {done} of {total} frames")
     views = Views.from_features(cameras, np.array(poses), np.array(times), features, np.concatenate(ranges_m))
-    return views, HeldOut(tuple(held)), looks, tuple(pictures) if options.pictures else None
+    return views, held, looks, tuple(pictures) if options.pictures else None
 
 
 def _ranges(walk: _Walk, row: int, features: FeatureSet) -> FloatArray:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,19 +18,11 @@ from rholoc.reports import HeldOutReport, MapReport
 _MAX_HELD_OUT = 60
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """Camera, T_map_camera (4, 4) and features of each frame that was held out."""
-
-    frames: tuple[tuple[Camera, FloatArray, FeatureSet], ...]
-
-    @classmethod
-    def none(cls) -> HeldOut:
-        """No frames."""
-        return cls(())
+Frame = tuple[Camera, FloatArray, FeatureSet]
+"""A frame's camera, T_map_camera (4, 4) and features."""
 
 
-def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> MapReport:
+def map_report(map_: Map, held_out: Sequence[Frame], progress: ProgressListener) -> MapReport:
     """Report on a map: statistics of landmarks, coverage, consistency with at most 60 held-out frames (if there are
     any).
 
@@ -37,7 +30,7 @@ def map_report(map_: Map, held_out: HeldOut, progress: ProgressListener) -> MapR
     error of the trajectory affects map and frames alike.
     """
     report = map_statistics(map_)
-    if held_out.frames:
+    if held_out:
         report = replace(report, held_out=_held_out_errors(map_, held_out, progress))
     progress(Stage.REPORT, 1.0, "report complete")
     return report
@@ -59,10 +52,10 @@ def map_statistics(map_: Map) -> MapReport:
     )
 
 
-def _held_out_errors(map_: Map, held_out: HeldOut, progress: ProgressListener) -> HeldOutReport:
+def _held_out_errors(map_: Map, held_out: Sequence[Frame], progress: ProgressListener) -> HeldOutReport:
     localizer = Localizer(map_)
-    step = max(1, -(-len(held_out.frames) // _MAX_HELD_OUT))
-    frames = held_out.frames[::step]
+    step = max(1, -(-len(held_out) // _MAX_HELD_OUT))
+    frames = held_out[::step]
     errors: list[tuple[float, float] | None] = []
     confidences = []
     for done, (camera, T_map_camera, features) in enumerate(frames):

@@ -11,7 +11,7 @@ from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Similarity, poses_from_rows, rows_from_poses
 from rholoc.mapping.build.view_covariance import moved_covariances
 from rholoc.maps import Map, MapInfo, MapNames, moved_patches, validate_map
-from rholoc.reports import HeldOutReport, InertialComparison, LearningReport, MapReport, TrajectoryReport
+from rholoc.reports import HeldOutReport, LearningReport, MapReport, TrajectoryReport
 
 _FARTHEST_M = 10_000.0  # from the origin: single precision still tells a millimetre there
 
@@ -106,8 +106,17 @@ def _scaled_report(report: MapReport, scale: float) -> MapReport:
         report,
         held_out=None if report.held_out is None else _scaled_held_out(report.held_out, scale),
         trajectories=tuple(_scaled_trajectory(one, scale) for one in report.trajectories),
-        learned=tuple(_scaled_learned(one, scale) for one in report.learned),
+        learned=tuple(_scaled_lesson(one, scale) for one in report.learned),
     )
+
+
+def _scaled_lesson(report: LearningReport, scale: float) -> LearningReport:
+    queries = report.queries and replace(
+        report.queries,
+        median_before_m=_times(report.queries.median_before_m, scale),
+        median_after_m=_times(report.queries.median_after_m, scale),
+    )
+    return replace(report, residual_median_m=_times(report.residual_median_m, scale), queries=queries)
 
 
 def _scaled_held_out(report: HeldOutReport, scale: float) -> HeldOutReport:
@@ -131,20 +140,14 @@ def _recall(report: HeldOutReport, errors_m: tuple[float | None, ...] | None, wi
 
 def _scaled_trajectory(report: TrajectoryReport, scale: float) -> TrajectoryReport:
     residuals, inertial = report.waypoint_residuals_m, report.inertial
+    if inertial is not None:
+        inertial = replace(inertial, rms_m=_times(inertial.rms_m, scale), worst_m=_times(inertial.worst_m, scale))
     return replace(
         report,
         waypoint_residuals_m=residuals and {name: _times(value, scale) for name, value in residuals.items()},
         expected_error_m=_times(report.expected_error_m, scale),
-        inertial=None if inertial is None else _scaled_inertial(inertial, scale),
+        inertial=inertial,
     )
-
-
-def _scaled_inertial(report: InertialComparison, scale: float) -> InertialComparison:
-    return replace(report, rms_m=_times(report.rms_m, scale), worst_m=_times(report.worst_m, scale))
-
-
-def _scaled_learned(report: LearningReport, scale: float) -> LearningReport:
-    return replace(report, residual_median_m=_times(report.residual_median_m, scale))
 
 
 def _times(value: float | None, scale: float) -> float | None:

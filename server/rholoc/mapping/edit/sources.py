@@ -173,12 +173,12 @@ def forget_recording(map_: Map, recording: str) -> Map:
     Raises:
         InvalidInput: the map does not remember its observations, never learned the recording, or learned several of
             that name; lists those that it learned.
-        Conflict: it learned nothing else.
+        Conflict: it has views of no other recording.
     """
-    check_memory(map_, "The map")
+    memory = check_memory(map_, "The map")
     row = _source_row(map_.info, recording)
-    if len(map_.info.sources) == 1:
-        raise Conflict(f"{recording} is the only recording in the map.", "Delete the map instead.")
+    if (memory.view_sources == row).all():
+        raise Conflict(f"{recording} is the only recording in the map that has views.", "Delete the map instead.")
     after = without_source(ray_form(map_), row)
     return as_learned(map_, after, LearningReport(map_.info.version + 1, forgotten=map_.info.sources[row].id))
 

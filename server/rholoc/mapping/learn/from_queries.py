@@ -11,7 +11,7 @@ import numpy as np
 from rholoc.errors import Conflict, MappingFailed
 from rholoc.features import FeatureSet, Metric
 from rholoc.features.matching import LIMITS, descriptor_distances
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, pose_distances, ranges
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, evenly, pose_distances, ranges
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import ray_form
@@ -440,7 +440,7 @@ def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, F
 def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, FeatureSet]]:
     """At most 40 of the recordings' views that the map remembers, as frames without the features ``gone`` (F,)."""
     recorded = np.flatnonzero(_is_recorded(map_))
-    chosen = recorded[np.unique(np.linspace(0, len(recorded) - 1, _MAX_REMEMBERED).round().astype(np.int64))]
+    chosen = recorded[evenly(len(recorded), _MAX_REMEMBERED)]
     frames = remembered_frames(map_)
     found = []
     for view in chosen.tolist():

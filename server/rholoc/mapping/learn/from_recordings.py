@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.errors import Conflict, InvalidCamera, MappingFailed
 from rholoc.features import get_extractor, widened
-from rholoc.geometry import CAMERA_WRITTEN, Camera, FloatArray, IntArray
+from rholoc.geometry import CAMERA_WRITTEN, Camera, FloatArray, IntArray, evenly
 from rholoc.localization import Localizer
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import ray_form
@@ -150,7 +150,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
     times = recording.frames.times
     wanted = (times[-1] - times[0]) * _FRAMES_PER_S if recording.frames.timed else len(times)
     count = int(np.clip(wanted, MIN_FOUND, _MAX_FRAMES))
-    rows = np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.int64))
+    rows = evenly(len(times), count)
     shutter = rolling_shutter_of(recording, rows, progress)
     shown = _collected(_frame_features(localizer, recording, camera, pictures).of(rows.tolist()), len(rows), progress)
     if shutter is not None:
@@ -188,7 +188,7 @@ def _aligned_walk(
         )
     shown = _collected(frame_features.of_keyframes(trajectory, views), len(views), progress)
     frames = [(trajectory.camera, one.features) for one in shown]
-    tried = np.unique(np.linspace(0, len(views) - 1, _MAX_LOCALIZED).round().astype(np.int64))
+    tried = evenly(len(views), _MAX_LOCALIZED)
     found = find_frames(localizer, frames, tried, recording.name, progress)
     metric = localizer.map.info.metric and trajectory.scale is Scale.METRIC
     own = trajectory.T_map_camera[views]

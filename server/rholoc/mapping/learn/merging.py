@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.features import FeatureSet
 from rholoc.features.matching import LIMITS
-from rholoc.geometry import Camera, IntArray, patch_appearance
+from rholoc.geometry import Camera, IntArray, evenly, patch_appearance
 from rholoc.localization import Localizer
 from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.view_covariance import uncertainty_in
@@ -36,18 +36,19 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
 
     Raises:
         InvalidInput: a map does not remember its observations, the features differ, or the densities are not ``ray``.
-        Conflict: ``a`` has learned everything that ``b`` has.
+        Conflict: ``a`` has learned every recording that ``b`` has views of.
         MappingFailed: the maps do not overlap, or contradict each other; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
     check_alike(a, b)
     shared = {source.id for source in a.info.sources}
-    if all(source.id in shared for source in b.info.sources):
+    viewed = np.unique(check_memory(b, "The second map").view_sources)
+    if all(b.info.sources[row].id in shared for row in viewed.tolist()):
         raise Conflict("The first map already contains all that the second does.", "There is nothing to merge.")
     b = _without_shared(ray_form(b), shared)
     localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
     frames, own = remembered_frames(b), b.views.T_map_camera
-    tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
+    tried = evenly(len(frames), _MAX_LOCALIZED)
     found = find_frames(localizer, frames, tried, "The second map", progress)
     alignment = align_to_found(own, found, a.info.metric and b.info.metric, "The second map")
     moved = _placed_in(localizer.map, move_map(b, alignment.similarity))

@@ -16,6 +16,7 @@ from rholoc.geometry import (
     IntArray,
     Pose,
     Similarity,
+    evenly,
     pose_distances,
     posed_alignment,
 )
@@ -71,7 +72,7 @@ def find_frames(
         Cancelled: ``progress`` asked to stop.
     """
     T = np.full((len(frames), 4, 4), np.nan)
-    probes = rows[np.unique(np.linspace(0, len(rows) - 1, _PROBES).round().astype(np.int64))]
+    probes = rows[evenly(len(rows), _PROBES)]
     for row in probes:
         _localize(localizer, frames, int(row), T, None)
     if np.isnan(T[probes, 0, 0]).all():

@@ -103,11 +103,11 @@ def depth_views(map_: Map, recording: Recording, source: int, most: int) -> list
     rows = _frames_of_views(map_, recording, source)
     if not rows:
         return []
+    camera = map_.info.sources[source].camera or map_.info.camera
     if recording.depth is not None:
-        recorded = _recorded(map_, recording, recording.depth, rows, most)
+        recorded = _recorded(map_, camera, recording, recording.depth, rows, most)
         if recorded:
             return recorded
-    camera = map_.info.sources[source].camera or map_.info.camera
     pairs = _pairs(map_, list(rows), most)
     images = _images(recording, rows, {view for pair in pairs for view in pair})
     seen = [_stereo(map_, camera, images, pair) for pair in pairs]
@@ -286,7 +286,7 @@ def _agreeing(views: Sequence[DepthView]) -> list[DepthView]:
 
 
 def _recorded(
-    map_: Map, recording: Recording, depth: DepthImages, rows: Mapping[int, int], most: int
+    map_: Map, camera: Camera, recording: Recording, depth: DepthImages, rows: Mapping[int, int], most: int
 ) -> list[DepthView]:
     """Recorded depths of at most ``most`` evenly chosen views, in the map's unit by their median ratio to the
     landmarks'. Empty with fewer than 20 ratios, or if these deviate by more than 10 % in the median.
@@ -294,7 +294,6 @@ def _recorded(
     having = [view for view, row in rows.items() if depth.paths[row] is not None]
     chosen = [having[i] for i in np.unique(np.linspace(0, len(having) - 1, min(most, len(having))).astype(np.int64))]
     images, found, ratios = _images(recording, rows, set(chosen)), [], []
-    camera = map_.info.camera
     focal, centre = _window(camera, np.eye(3))
     for view in chosen:
         measured = depth.of_frame(rows[view], camera)

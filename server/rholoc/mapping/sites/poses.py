@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rholoc.errors import InvalidInput, MappingFailed
-from rholoc.geometry import FloatArray, Pose, kabsch, pose_distances, pose_matrix
+from rholoc.geometry import FloatArray, Pose, evenly, kabsch, pose_distances, pose_matrix
 from rholoc.localization import Localizer
+from rholoc.localization.index.map_error import carried_covariances, worst_sigma
 from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.learn.merging import check_alike, remembered_frames
 from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_found, find_frames
@@ -18,6 +19,7 @@ from rholoc.maps import FramePose, LinkOrigin, Map, Site, SiteLink, SiteMap
 from rholoc.progress import ProgressListener, silent
 
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 1e-3, np.deg2rad(0.01)  # of a pose that somebody gave without a covariance
+_HELD_SIGMA = 1e-5  # m and rad, of a given pose while others are placed by it
 _CONTRADICTION_SIGMAS = 5.0
 _MIN_SIGMA_M, _MIN_SIGMA_DEG = 0.02, 0.3  # of a link that was found: the maps themselves are no better
 _MIN_SHARED = 3
@@ -39,24 +41,29 @@ def solve_site(site: Site) -> Site:
         InvalidInput: links and given poses contradict each other; says around which maps, and by how much.
     """
     maps = site.maps
-    if maps and not any(one.given for one in maps):
-        frames: dict[str, FramePose] = {maps[0].map: FramePose()}
-    else:
-        frames = {one.map: one.given for one in maps if one.given is not None}
+    frames = {one.map: (one.given.matrix, _given_covariance(one)) for one in maps if one.given is not None}
+    if maps and not frames:
+        frames[maps[0].map] = np.eye(4), _given_covariance(SiteMap(maps[0].map))
     graph = _Graph.of(site.links)
-    placed = graph.spread({name: pose.matrix for name, pose in frames.items()})
+    placed = graph.spread(frames)
     graph.check(placed)
     poses, covariances = _adjusted(site, frames, placed)
     return replace(site, maps=tuple(_with_pose(one, poses, covariances) for one in maps))
 
 
+def _given_covariance(one: SiteMap) -> FloatArray:
+    """Covariance (6, 6) of a map's given pose; of 1 mm and 0.01° if none was given with it."""
+    if one.covariance is not None:
+        return np.array(one.covariance)
+    return np.diag(np.repeat([_GIVEN_SIGMA_M**2, _GIVEN_SIGMA_RAD**2], 3))
+
+
 def _with_pose(one: SiteMap, poses: Mapping[str, FloatArray], covariances: Mapping[str, FloatArray]) -> SiteMap:
+    if one.given is not None:
+        return replace(one, pose=one.given, covariance=_as_rows(_given_covariance(one)))
     if one.map not in poses:
         return replace(one, pose=None, covariance=None)
-    covariance = covariances[one.map]
-    if one.given is not None:
-        return replace(one, pose=one.given, covariance=one.covariance or _as_rows(covariance))
-    return replace(one, pose=FramePose.of(poses[one.map]), covariance=_as_rows(covariance))
+    return replace(one, pose=FramePose.of(poses[one.map]), covariance=_as_rows(covariances[one.map]))
 
 
 def _as_rows(covariance: FloatArray) -> tuple[tuple[float, ...], ...]:
@@ -71,7 +78,7 @@ class _Placed:
     Attributes:
         T: T_site_map (4, 4).
         way: the maps on the way there, the first one's pose known, the last one this map.
-        variance_m2, variance_deg2: of what the links on the way allow.
+        variance_m2, variance_deg2: by the given pose and the links on the way, along and about the worst axis.
     """
 
     T: FloatArray
@@ -101,9 +108,14 @@ class _Graph:
             of_map[link.second].append(link)
         return cls(links, of_map)
 
-    def spread(self, known: Mapping[str, FloatArray]) -> dict[str, _Placed]:
-        """The maps reached from those with known T_site_map (4, 4), by the fewest links, with summed variances."""
-        placed = {name: _Placed(T, (name,), 0.0, 0.0) for name, T in known.items()}
+    def spread(self, known: Mapping[str, tuple[FloatArray, FloatArray]]) -> dict[str, _Placed]:
+        """The maps reached from those with known T_site_map (4, 4) and its covariance (6, 6), by the fewest links, with
+        summed variances.
+        """
+        placed = {
+            name: _Placed(T, (name,), worst_sigma(of_T[:3, :3]) ** 2, np.degrees(worst_sigma(of_T[3:, 3:])) ** 2)
+            for name, (T, of_T) in known.items()
+        }
         waiting = deque(known)
         while waiting:
             here = waiting.popleft()
@@ -132,7 +144,7 @@ class _Graph:
             variance_deg2 = one.variance_deg2 + other.variance_deg2 + link.sigma_deg**2
             turned_m2 = variance_deg2 * (np.deg2rad(1) * lever_m) ** 2
             allowed_deg = _CONTRADICTION_SIGMAS * np.sqrt(variance_deg2)
-            variance_m2 = one.variance_m2 + other.variance_m2 + link.sigma_m**2 + turned_m2
+            variance_m2 = one.variance_m2 + other.variance_m2 + _origin_variance_m2(link) + turned_m2
             allowed_m = _CONTRADICTION_SIGMAS * np.sqrt(variance_m2)
             share = max(off_m / allowed_m, off_deg / allowed_deg)
             if share > worst_share:
@@ -150,16 +162,27 @@ def _beyond(here: _Placed, link: SiteLink, there: str) -> _Placed:
     return _Placed(
         here.T @ step,
         (*here.way, there),
-        here.variance_m2 + link.sigma_m**2,
+        here.variance_m2 + _origin_variance_m2(link),
         here.variance_deg2 + link.sigma_deg**2,
     )
 
 
+def _origin_variance_m2(link: SiteLink) -> float:
+    """Variance [m²] of the second map's origin along the worst axis, which the rotation moves about ``link.at``."""
+    return link.sigma_m**2 + float(np.deg2rad(link.sigma_deg) * np.linalg.norm(link.at)) ** 2
+
+
 def _adjusted(
-    site: Site, frames: Mapping[str, FramePose], placed: Mapping[str, _Placed]
+    site: Site, frames: Mapping[str, tuple[FloatArray, FloatArray]], placed: Mapping[str, _Placed]
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Least squares over all links: T_site_map (4, 4) and its covariance (6, 6), position first, in the site's axes, by
-    map. ``frames`` are the poses held fixed, ``placed`` the starting values.
+    map.
+
+    Args:
+        site: maps and links.
+        frames: the poses held fixed, and their covariances. A map moves rigidly with the one that its way begins at,
+            and has its covariance, too.
+        placed: the starting values.
     """
     if not placed:
         return {}, {}
@@ -170,18 +193,25 @@ def _adjusted(
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for name, one in placed.items():
         values.insert(X(number[name]), gtsam.Pose3(one.T))
-    for name, pose in frames.items():
-        held = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_GIVEN_SIGMA_RAD, _GIVEN_SIGMA_M], 3))
-        graph.add(gtsam.PriorFactorPose3(X(number[name]), gtsam.Pose3(pose.matrix), held))
+    held = gtsam.noiseModel.Isotropic.Sigma(6, _HELD_SIGMA)
+    for name, (T, _) in frames.items():
+        graph.add(gtsam.PriorFactorPose3(X(number[name]), gtsam.Pose3(T), held))
     for link in site.links:
         if link.first in placed:
-            noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([np.deg2rad(link.sigma_deg), link.sigma_m], 3))
+            to_origin = gtsam.Pose3(gtsam.Rot3(), np.array(link.at)).AdjointMap()
+            at = np.diag(np.repeat([np.deg2rad(link.sigma_deg) ** 2, link.sigma_m**2], 3))
+            noise = gtsam.noiseModel.Gaussian.Covariance(to_origin @ at @ to_origin.T)
             between = gtsam.Pose3(link.pose.matrix)
             graph.add(gtsam.BetweenFactorPose3(X(number[link.first]), X(number[link.second]), between, noise))
     solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     marginals = gtsam.Marginals(graph, solved)
     poses: dict[str, FloatArray] = {name: solved.atPose3(X(row)).matrix() for name, row in number.items()}
-    return poses, {name: _in_site(marginals.marginalCovariance(X(row)), poses[name]) for name, row in number.items()}
+    covariances = {}
+    for name, T in poses.items():
+        T_given, of_given = frames[placed[name].way[0]]
+        carried = carried_covariances(of_given[None], T_given[None, :3, 3], T[:3, 3])[0]
+        covariances[name] = carried + _in_site(marginals.marginalCovariance(X(number[name])), T)
+    return poses, covariances
 
 
 def _in_site(covariance: FloatArray, T: FloatArray) -> FloatArray:
@@ -235,7 +265,13 @@ def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
     sigma_m = max(rms_m, _MIN_SIGMA_M)
     sigma_deg = max(float(np.degrees(sigma_m / reach_m)), _MIN_SIGMA_DEG)
     T = pose_matrix(similarity.rotation, similarity.translation)
-    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.WAYPOINTS)
+    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.WAYPOINTS, _middle(here))
+
+
+def _middle(positions: FloatArray) -> tuple[float, float, float]:
+    """Mean of positions (N, 3)."""
+    x, y, z = positions.mean(axis=0).tolist()
+    return x, y, z
 
 
 def _points(map_: Map) -> dict[str, tuple[float, float, float]]:
@@ -248,14 +284,15 @@ def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: Progress
     check_alike(a, b)
     localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
     frames = remembered_frames(b)
-    tried = np.unique(np.linspace(0, len(frames) - 1, _MAX_LOCALIZED).round().astype(np.int64))
+    tried = evenly(len(frames), _MAX_LOCALIZED)
     found = find_frames(localizer, frames, tried, f"The map {second}", progress)
     alignment = align_to_found(b.views.T_map_camera, found, True, f"The map {second}")
     similarity = alignment.similarity
     T = pose_matrix(similarity.rotation, similarity.translation)
     sigma_m = max(alignment.residual_m, _MIN_SIGMA_M)
     sigma_deg = max(float(np.degrees(alignment.residual_rad)), _MIN_SIGMA_DEG)
-    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.OVERLAP)
+    at = _middle(b.views.positions[found.rows])
+    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.OVERLAP, at)
 
 
 def with_link(site: Site, link: SiteLink) -> Site:
@@ -286,12 +323,8 @@ def pose_in_site(
     T = T_site_map @ T_map_camera
     if covariance is None:
         return T, None
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = T_site_map[:3, :3]
+    turn = np.kron(np.eye(2), T_site_map[:3, :3])
     total = turn @ covariance @ turn.T
     if member.covariance is not None:
-        x, y, z = T[:3, 3] - T_site_map[:3, 3]
-        lever = np.eye(6)
-        lever[:3, 3:] = -np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-        total = total + lever @ np.array(member.covariance) @ lever.T
+        total += carried_covariances(np.array(member.covariance)[None], T_site_map[None, :3, 3], T[:3, 3])[0]
     return T, total

@@ -66,7 +66,10 @@ def is_coefficient_table(path: Path) -> bool:
 
 
 def read_coefficient_table(path: Path, called: str = "") -> Map:
-    """Read a map that :func:`rholoc.maps.write_coefficient_table` wrote. It localizes like the map that was written.
+    """Read a map that :func:`rholoc.maps.write_coefficient_table` wrote: a new one, with an id of its own, version 1.
+
+    It localizes with the same densities, but without patches and covariances of views: answers and their confidence
+    differ a little from those of the map that was written.
 
     Errors and the map's source refer to the file as ``called``, by default its name.
 

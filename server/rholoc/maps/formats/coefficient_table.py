@@ -41,7 +41,9 @@ def table_columns(form: type[Densities], degree: int) -> list[str]:
 def write_coefficient_table(map_: Map, path: Path) -> None:
     """Write a map as Table 5; an existing file is replaced atomically.
 
-    Numbers read back exactly. Contains the whole map except its observations (for learning), sources and report.
+    Numbers read back exactly. Contains features, densities and the views' poses. Leaves out the observations' pixels
+    and ranges (for learning), the landmarks' colours and patches, the views' pictures and covariances, cloud, room,
+    names, labels, waypoints, floor plan, place on Earth, corrections, sources and report.
 
     Raises:
         InvalidMap: the map's arrays contradict each other.

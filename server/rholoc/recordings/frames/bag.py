@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
 import numpy as np
@@ -79,17 +79,14 @@ class BagFrames:
         size: width and height in pixels.
     """
 
+    timed: ClassVar[bool] = True  # every picture has a stamp
+
     path: Path
     topic: str
     logged_ns: IntArray
     numbers: IntArray
     times: FloatArray
     size: tuple[int, int]
-
-    @property
-    def timed(self) -> bool:
-        """True: every picture has a stamp."""
-        return True
 
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
         """The images (H, W, 3) BGR of the rows, which must increase.

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
-from rholoc.errors import InvalidImage
+from rholoc.errors import InvalidImage, InvalidRecording
 from rholoc.geometry import ByteArray, IntArray
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".webp", ".bmp", ".ppm", ".pgm"})
@@ -87,6 +87,21 @@ def read_image(path: Path | str, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteAr
     except OSError as error:
         raise InvalidImage(f"The image cannot be read: {error.strerror}.") from error
     return decode_image(data, max_pixels)
+
+
+def read_frame(path: Path, size: tuple[int, int]) -> ByteArray:
+    """An image file of a recording → the image (H, W, 3) BGR.
+
+    Raises:
+        InvalidRecording: the file is damaged, or its ``size`` (width, height) is no longer that.
+    """
+    try:
+        image = read_image(path)
+    except InvalidImage as error:
+        raise InvalidRecording(f"{path.name}: {error.message}", "Leave that picture out.") from error
+    if image.shape[1::-1] != size:
+        raise InvalidRecording(f"{path.name} is not of {size[0]}×{size[1]} pixels any more.")
+    return image
 
 
 def read_grey(path: Path) -> IntArray:

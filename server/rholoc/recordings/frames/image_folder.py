@@ -12,7 +12,7 @@ import numpy as np
 
 from rholoc.errors import InvalidImage, InvalidRecording
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray
-from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES, exif_focal_px, image_size, read_image
+from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES, exif_focal_px, image_size, read_frame
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures, common_camera
 from rholoc.recordings.frames.video import check_frame_size
 from rholoc.recordings.tables.own_tables import read_frames_csv
@@ -44,15 +44,7 @@ class ImageFolderFrames:
         Raises:
             InvalidRecording: a file is damaged, or has changed since it was listed.
         """
-        for row in rows:
-            path = self.paths[row]
-            try:
-                image = read_image(path)
-            except InvalidImage as error:
-                raise InvalidRecording(f"{path.name}: {error.message}", "Leave that frame out.") from error
-            if image.shape[1::-1] != self.size:
-                raise InvalidRecording(f"{path.name} is not of the {self.size[0]}×{self.size[1]} pixels of the others.")
-            yield image
+        return (read_frame(self.paths[row], self.size) for row in rows)
 
 
 def find_images(folder: Path) -> tuple[Path, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,8 @@ class MemoryFrames:
         frames_per_second: the first is at 0 s.
     """
 
+    timed: ClassVar[bool] = True  # the rate is given
+
     pictures: Sequence[ByteArray]
     frames_per_second: float = 30.0
 
@@ -27,11 +30,6 @@ class MemoryFrames:
     def times(self) -> FloatArray:
         """(N,) seconds."""
         return np.arange(len(self.pictures)) / self.frames_per_second
-
-    @property
-    def timed(self) -> bool:
-        """True: the rate is given."""
-        return True
 
     @property
     def numbers(self) -> IntArray:
@@ -53,13 +51,10 @@ class MemoryFrames:
 class MissingImages:
     """The times and numbers (N,) of frames without images, see :class:`rholoc.recordings.FrameSource`."""
 
+    timed: ClassVar[bool] = True
+
     times: FloatArray
     numbers: IntArray
-
-    @property
-    def timed(self) -> bool:
-        """True."""
-        return True
 
     @property
     def size(self) -> tuple[int, int]:

@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rholoc.errors import InvalidCamera, InvalidImage, InvalidRecording
+from rholoc.errors import InvalidCamera
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Lens, on_plane
 from rholoc.geometry.lenses import places_of
-from rholoc.recordings.frames.image_decoding import read_image
+from rholoc.recordings.frames.image_decoding import read_frame
 from rholoc.recordings.recording import FrameSource, Recording
 
 _MAX_EXTENT = 1.8  # tangent of a wide pinhole's maximum angle off the axis: 61°
@@ -71,14 +71,8 @@ class UnifiedPictures:
             InvalidRecording: a file is damaged, or has changed since it was listed.
         """
         for row in rows:
-            path, camera = self.paths[row], self.cameras[row]
-            try:
-                image = read_image(path)
-            except InvalidImage as error:
-                raise InvalidRecording(f"{path.name}: {error.message}", "Leave that picture out.") from error
-            if image.shape[1::-1] != (camera.width, camera.height):
-                raise InvalidRecording(f"{path.name} is not of {camera.width}×{camera.height} pixels any more.")
-            yield resampled(image, camera, self.common)
+            camera = self.cameras[row]
+            yield resampled(read_frame(self.paths[row], (camera.width, camera.height)), camera, self.common)
 
 
 def require_one_camera(frames: object) -> None:

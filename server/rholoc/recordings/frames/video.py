@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -47,15 +48,12 @@ class VideoFrames:
     A phone's rotation flag is applied. ``announced`` is the number of frames by the file's index, 0 where it has none.
     """
 
+    timed: ClassVar[bool] = True  # a video file has a clock
+
     path: Path
     times: FloatArray
     size: tuple[int, int]
     announced: int = 0
-
-    @property
-    def timed(self) -> bool:
-        """True: a video file has a clock."""
-        return True
 
     @property
     def numbers(self) -> IntArray:

@@ -14,7 +14,7 @@ from rholoc.recordings.frame_slice import SelectedFrames
 from rholoc.recordings.frames.depth import MILLIMETRE_M, DepthImages
 from rholoc.recordings.frames.image_folder import ImageFolderFrames, image_frames, numbered
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures
-from rholoc.recordings.frames.video import VIDEO_SUFFIXES, VideoFrames, read_video
+from rholoc.recordings.frames.video import VIDEO_SUFFIXES, read_video
 from rholoc.recordings.imu_normalisation import advancing_rows
 from rholoc.recordings.recording import FrameSource, Mounted
 from rholoc.reports import RecordingWarning, WarningKind
@@ -58,7 +58,9 @@ def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
             raise InvalidRecording(f"{difference}.", hint)
         warnings.append(RecordingWarning(WarningKind.FRAME_COUNT, f"{difference}; the rest is ignored."))
     rows, found = advancing_rows(times[:count], "frames")
-    return TimedFrames(_chosen(replace(frames, times=times[:count]), rows), rows, (*warnings, *found))
+    frames = replace(frames, times=times[:count])
+    chosen = frames if len(rows) == count else SelectedFrames(frames, rows)
+    return TimedFrames(chosen, rows, (*warnings, *found))
 
 
 def timed_images(paths: Sequence[Path], times: FloatArray, cameras: Sequence[Camera] | None = None) -> TimedFrames:
@@ -160,10 +162,6 @@ def listed_file(folder: Path, name: str) -> Path:
     if "\0" in name or not path.resolve().is_relative_to(folder.resolve()):
         raise InvalidRecording(f"The list of images names '{name[:80]}', outside the recording's folder.")
     return path
-
-
-def _chosen(frames: VideoFrames, rows: IntArray) -> FrameSource:
-    return frames if len(rows) == len(frames.times) else SelectedFrames(frames, rows)
 
 
 def mounted_frames(

@@ -7,14 +7,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from rholoc.errors import InvalidWaypoints
-from rholoc.geometry import FloatArray, IntArray
 from rholoc.geometry.earth import EarthPlace, enu_of, places_in
-from rholoc.recordings.recording import Waypoint
+from rholoc.recordings.recording import FrameSource, Waypoint
 from rholoc.recordings.tables.csv_table import parse_number, read_rows, require_columns, shortened
 
 EARTH_COLUMNS = ("lat", "lon", "h")
@@ -34,26 +32,7 @@ _COLUMNS_HINT = (
 )
 
 
-class FrameTimes(Protocol):
-    """Times and numbers of a recording's frames, to check waypoints against."""
-
-    @property
-    def times(self) -> FloatArray:
-        """(N,) seconds on the recording's clock, increasing."""
-        ...
-
-    @property
-    def timed(self) -> bool:
-        """Whether the times were measured; else they are rows."""
-        ...
-
-    @property
-    def numbers(self) -> IntArray:
-        """(N,) the frames' numbers as users know them."""
-        ...
-
-
-def read_waypoints_csv(path: Path, frames: FrameTimes) -> tuple[Waypoint, ...]:
+def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
     """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``, or ``name,x,y,z`` in their order.
 
     With ``lat,lon,h`` (WGS 84, degrees and metres) instead of ``x,y,z`` they are placed on Earth. A further column
@@ -168,7 +147,7 @@ def _on_earth(waypoints: Sequence[Waypoint], columns: Sequence[str], crs: str | 
 
 
 def _waypoint(
-    row: dict[str, str], line: int, moment: str | None, coordinates: Sequence[str], path: Path, frames: FrameTimes
+    row: dict[str, str], line: int, moment: str | None, coordinates: Sequence[str], path: Path, frames: FrameSource
 ) -> Waypoint:
     name = row["name"]
     if not name:
@@ -205,7 +184,7 @@ def _sigma_m(row: dict[str, str], line: int, path: Path) -> float:
     return sigma_m
 
 
-def _time_of_frame(name: str, number: float, frames: FrameTimes) -> float:
+def _time_of_frame(name: str, number: float, frames: FrameSource) -> float:
     rows = np.flatnonzero(frames.numbers == number)
     if len(rows) == 0:
         raise InvalidWaypoints(

@@ -38,9 +38,12 @@ class SiteLinkIn(RequestModel):
     first: str
     second: str
     pose: FramePoseIn = Field(description="T_first_second")
-    sigma_m: Number = Field(default=0.05, description="one sigma of its position, m")
+    sigma_m: Number = Field(default=0.05, description="one sigma of the position of `at`, m")
     sigma_deg: Number = Field(default=0.5, description="one sigma of its rotation, degrees")
     origin: LinkOrigin = Field(default=LinkOrigin.GIVEN, description="where it comes from")
+    at: tuple[Number, Number, Number] = Field(
+        default=(0.0, 0.0, 0.0), description="point of the second map at which the link was measured, m"
+    )
 
 
 class SiteEarthIn(RequestModel):
@@ -102,7 +105,7 @@ def site_of(given: SiteIn) -> Site:
                 for one in given.maps
             ),
             links=tuple(
-                SiteLink(link.first, link.second, _frame(link.pose), link.sigma_m, link.sigma_deg, link.origin)
+                SiteLink(link.first, link.second, _frame(link.pose), link.sigma_m, link.sigma_deg, link.origin, link.at)
                 for link in given.links
             ),
             earth=None if given.earth is None else SiteOnEarth(**given.earth.model_dump()),

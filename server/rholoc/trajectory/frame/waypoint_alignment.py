@@ -21,7 +21,6 @@ MAX_GAP_S = 0.5  # a waypoint further in time from all posed frames is not used
 _AGREEING_M = 0.06  # maximum RMS of the other waypoints without a mistaken one …
 _MISTAKE_M = 0.15  # … and minimum residual of the mistaken one
 _CLEARER = 2.0  # any other waypoint left out instead must give an RMS this many times larger
-_ONE_AXIS = 0.9  # share of the error along one coordinate, for a message to name that coordinate
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +39,11 @@ class WaypointAlignment:
         similarity: from the trajectory's frame to the waypoints'.
         residuals_m: (W,) distance between path and waypoint; NaN if no frame is near in time.
         mistake: number of the waypoint left out because it contradicts all others, or None.
-        explanation: one line on the mistake, or empty.
     """
 
     similarity: Similarity
     residuals_m: FloatArray
     mistake: int | None = None
-    explanation: str = ""
 
     @property
     def worst_m(self) -> float:
@@ -83,8 +80,7 @@ def align_to_waypoints(
     if mistake is not None:
         mistake, used = int(used[mistake]), np.delete(used, mistake)
     found = _fit(own[used], measured[used], up)
-    off = measured - found.points(own)
-    residuals = np.where(near, np.linalg.norm(off, axis=1), np.nan)
+    residuals = np.where(near, np.linalg.norm(measured - found.points(own), axis=1), np.nan)
     robust = len(used) >= _ROBUST_FROM
     typical = float(np.median(residuals[used])) if robust else float(np.sqrt(np.mean(residuals[used] ** 2)))
     way_m = found.scale * _way(times, positions, waypoints)
@@ -93,8 +89,7 @@ def align_to_waypoints(
             f"The camera's path misses the waypoints by {typical:.2f} m.",
             "Check their times and coordinates; walk slower and keep more texture in view.",
         )
-    explanation = "" if mistake is None else _explain(waypoints[mistake], off[mistake])
-    return WaypointAlignment(found, residuals, mistake, explanation)
+    return WaypointAlignment(found, residuals, mistake)
 
 
 def positions_at(times: FloatArray, positions: FloatArray, at: FloatArray) -> FloatArray:
@@ -171,14 +166,3 @@ def _mistake(waypoints: Sequence[Waypoint], own: FloatArray) -> int | None:
     suspect, next_best = np.argsort(rms_m)[:2]
     is_clear = rms_m[suspect] <= _AGREEING_M and rms_m[next_best] >= _CLEARER * rms_m[suspect]
     return int(suspect) if is_clear and off_m[suspect] >= _MISTAKE_M else None
-
-
-def _explain(waypoint: Waypoint, off: FloatArray) -> str:
-    """One line on a waypoint with a measured position ``off`` (3,) [m] from the camera's."""
-    text = f"{waypoint.name} is {np.linalg.norm(off):.2f} m off the walk, while all others agree; it was left out."
-    axis = int(np.argmax(np.abs(off)))
-    if abs(off[axis]) < _ONE_AXIS * np.linalg.norm(off):
-        return f"{text} Check its coordinates."
-    said = waypoint.position[axis]
-    fitting = round(said - float(off[axis]), 2) + 0.0  # without a minus before 0.00
-    return f"{text} Check its {'xyz'[axis]}: {said:.2f} is written, {fitting:.2f} would fit."

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags_array
+from scipy.sparse import coo_matrix, csc_matrix, diags_array, vstack
 from scipy.sparse.linalg import splu
 
 from rholoc.geometry import BoolArray, FloatArray, IntArray
@@ -84,7 +84,7 @@ def inertial_start(
     prior[_UNKNOWNS_APART + 3 : _UNKNOWNS_APART + 6] = 1e6  # the first keyframe is the origin
     x: FloatArray = expected
     for _ in range(_ROUNDS):
-        A = _stacked(motion, _direction_rows(first, second, toward))
+        A = vstack([motion.equations, _direction_rows(first, second, toward, unknowns)]).tocsr()
         measured = np.concatenate([motion.measured, way_wanted.ravel()])
         sigmas = np.concatenate([motion.sigmas, np.repeat(sigma * np.maximum(way, _MIN_WAY_M), 3)])
         weights = np.sqrt(np.repeat(robust, 3)) / sigmas
@@ -160,11 +160,9 @@ def _solved(information: csc_matrix, target: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Equations of motion: entries of a sparse matrix, measured values (6 (K - 1),), standard deviations."""
+    """Equations of motion: (6 (K - 1), 6 + 6 K) by all unknowns, measured values (6 (K - 1),), standard deviations."""
 
-    rows: IntArray
-    columns: IntArray
-    entries: FloatArray
+    equations: coo_matrix
     measured: FloatArray
     sigmas: FloatArray
 
@@ -207,31 +205,19 @@ def _equations_of_motion(t: FloatArray, R: FloatArray, imu: Imu, gyro: GyroCalib
     rows, columns, entries = (np.concatenate([part[i].ravel() for part in parts]) for i in range(3))
     sigma = np.concatenate([_NOISE * np.sqrt(dt), np.hypot(_NOISE * dt**1.5 / np.sqrt(3), _PLACE_SIGMA_M)])
     sigma[~np.tile(covered, 2)] /= _UNCOVERED
-    return _Motion(rows, columns, entries, np.concatenate([speed.ravel(), way.ravel()]), np.repeat(sigma, 3))
+    equations = coo_matrix((entries, (rows, columns)), shape=(6 * n, _UNKNOWNS_APART + 6 * count))
+    return _Motion(equations, np.concatenate([speed.ravel(), way.ravel()]), np.repeat(sigma, 3))
 
 
-def _direction_rows(first: IntArray, second: IntArray, unit: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """(I - d dᵀ) (p_second - p_first) = 0 for every direction d of ``unit`` (N, 3): rows, columns and entries of a
-    matrix.
-    """
+def _direction_rows(first: IntArray, second: IntArray, unit: FloatArray, unknowns: int) -> coo_matrix:
+    """(I - d dᵀ) (p_second - p_first) = 0 for every direction d of ``unit`` (N, 3), as (3 N, ``unknowns``)."""
     across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
     row = np.broadcast_to(3 * np.arange(len(unit))[:, None, None] + np.arange(3)[None, :, None], across.shape)
     place = _UNKNOWNS_APART + 3 + np.arange(3)[None, None, :]
-    to = np.broadcast_to(place + 6 * second[:, None, None], across.shape)
-    start = np.broadcast_to(place + 6 * first[:, None, None], across.shape)
-    return (
-        np.concatenate([row.ravel(), row.ravel()]),
-        np.concatenate([to.ravel(), start.ravel()]),
-        np.concatenate([across.ravel(), -across.ravel()]),
-    )
-
-
-def _stacked(motion: _Motion, directions: tuple[IntArray, IntArray, FloatArray]) -> csr_matrix:
-    n = len(motion.measured)
-    rows = np.concatenate([motion.rows, n + directions[0]])
-    columns = np.concatenate([motion.columns, directions[1]])
-    entries = np.concatenate([motion.entries, directions[2]])
-    return coo_matrix((entries, (rows, columns))).tocsr()
+    ends = [np.broadcast_to(place + 6 * end[:, None, None], across.shape).ravel() for end in (second, first)]
+    entries = np.concatenate([across.ravel(), -across.ravel()])
+    places = np.tile(row.ravel(), 2), np.concatenate(ends)
+    return coo_matrix((entries, places), shape=(3 * len(unit), unknowns))
 
 
 def _integrated(

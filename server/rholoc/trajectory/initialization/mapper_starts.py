@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Self
@@ -40,21 +39,8 @@ class Mapper(StrEnum):
     GLOBAL = "global"  # pycolmap's global mapper
 
 
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """First poses of some of K pictures, in a frame and unit of their own.
-
-    Attributes:
-        mapper: which produced the poses.
-        members: (N,) picture numbers, increasing.
-        T_world_camera: (N, 4, 4).
-        camera: the intrinsics.
-    """
-
-    mapper: Mapper
-    members: IntArray
-    T_world_camera: FloatArray
-    camera: Camera
+Piece = tuple[IntArray, FloatArray, Camera]
+"""Numbers (N,) of some pictures, increasing, their first poses T_world_camera (N, 4, 4), and the intrinsics."""
 
 
 class PycolmapStarts:
@@ -110,7 +96,7 @@ class PycolmapStarts:
         found = _run(mapper, self._database, self._is_known, len(self._pixels))
         if not found:
             return None
-        return _piece(mapper, max(found, key=lambda one: one.num_reg_images()), self._camera, self._is_known)
+        return _piece(max(found, key=lambda one: one.num_reg_images()), self._camera, self._is_known)
 
     def _write(self) -> None:
         """Write pictures, features and verified matches to a new pycolmap database; estimates each pair's two-view
@@ -185,7 +171,7 @@ def _write_pictures(database: pycolmap.Database, model: pycolmap.Camera, places:
     rig_id = database.write_rig(rig)
     ids = []
     for k, some in enumerate(places):
-        ids.append(database.write_image(pycolmap.Image(name=_name(k), camera_id=camera_id)))
+        ids.append(database.write_image(pycolmap.Image(name=f"{k:06d}", camera_id=camera_id)))
         frame = pycolmap.Frame()
         frame.rig_id = rig_id
         frame.add_data_id(pycolmap.data_t(sensor, ids[-1]))
@@ -228,7 +214,7 @@ def _incremental_options(is_known: bool, pictures: int) -> pycolmap.IncrementalP
     return options
 
 
-def _piece(mapper: Mapper, model: pycolmap.Reconstruction, camera: Camera, is_known: bool) -> Piece | None:
+def _piece(model: pycolmap.Reconstruction, camera: Camera, is_known: bool) -> Piece | None:
     """A model as a piece, its pictures in increasing order; None if its intrinsics are impossible."""
     poses = {
         int(image.name): image.cam_from_world().inverse().matrix() for image in model.images.values() if image.has_pose
@@ -243,8 +229,4 @@ def _piece(mapper: Mapper, model: pycolmap.Reconstruction, camera: Camera, is_kn
             camera = Camera(camera.width, camera.height, focal, focal, *centre, (k1, 0.0, 0.0, 0.0))
         except InvalidCamera:
             return None
-    return Piece(mapper, np.array(members, dtype=np.int64), T, camera)
-
-
-def _name(k: int) -> str:
-    return f"{k:06d}"
+    return np.array(members, dtype=np.int64), T, camera

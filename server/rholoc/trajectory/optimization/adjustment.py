@@ -465,7 +465,8 @@ def _add_imu(
             still = gtsam.imuBias.ConstantBias()
             graph.add(gtsam.BetweenFactorConstantBias(B(before), B(k), still, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
             loose = gtsam.noiseModel.Isotropic.Sigma(3, 10.0)
-            graph.add(gtsam.PriorFactorVector(V(k), np.zeros(3), loose))
+            for end in (before, k) if before == covered[0] else (k,):  # whose speeds no reading before them measured
+                graph.add(gtsam.PriorFactorVector(V(end), np.zeros(3), loose))
     first = covered[0]
     prior = gtsam.imuBias.ConstantBias(np.zeros(3), problem.gyro.bias)
     sigmas = np.repeat([_ACCELEROMETER_BIAS_SIGMA, _GYROSCOPE_BIAS_SIGMA], 3)
@@ -680,7 +681,9 @@ class _Descent:
         try:
             optimizer.iterate()
         except RuntimeError:
-            raise _shape_left_open() from None
+            raise MappingFailed(
+                "What was measured leaves the shape of the walk open.", "Walk further, and in loops."
+            ) from None
         return optimizer.values(), optimizer.error(), weakest
 
     def _along(self, values: gtsam.Values, step: gtsam.VectorValues) -> Iterator[gtsam.Values]:
@@ -712,10 +715,6 @@ def _ordered(keys: Sequence[int]) -> gtsam.Ordering:
     for key in keys:
         ordering.push_back(key)
     return ordering
-
-
-def _shape_left_open() -> MappingFailed:
-    return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")
 
 
 def _with_points_held(
@@ -810,3 +809,12 @@ def _from_gtsam(model: gtsam.Cal3DS2, camera: Camera) -> Camera:
 def robust(sigmas: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
     """The noise model ``noise`` with Cauchy's loss of width ``sigmas`` standard deviations."""
     return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Cauchy.Create(sigmas), noise)
+
+
+def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int) -> gtsam.Values:
+    """Values of least cost from ``values``, by at most so many steps of Levenberg–Marquardt. Raises RuntimeError if the
+    system is singular.
+    """
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(iterations)
+    return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()

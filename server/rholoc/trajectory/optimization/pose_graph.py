@@ -14,7 +14,7 @@ import numpy as np
 from gtsam.symbol_shorthand import C
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.optimization.adjustment import Fix, State, robust
+from rholoc.trajectory.optimization.adjustment import Fix, State, optimized, robust
 
 _TILT_SIGMA_RAD = np.radians(0.02)  # of a step between keyframes: gravity fixes it …
 _HEADING_SIGMA_RAD = np.radians(0.1)  # … but not the heading
@@ -70,9 +70,7 @@ def bend(state: State, loops: Sequence[RelativePose], fixes: Sequence[Fix] = ())
     met = robust(_CAUCHY, gtsam.noiseModel.Isotropic.Sigma(3, _FIX_SIGMA_M))
     for fix in fixes:
         graph.add(gtsam.PoseTranslationPrior3D(C(fix.keyframe), np.array(fix.position), met))
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(_ITERATIONS)
-    solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    solved = optimized(graph, values, _ITERATIONS)
     return _bent(state, np.array([solved.atPose3(C(k)).matrix() for k in range(len(T))]))
 
 

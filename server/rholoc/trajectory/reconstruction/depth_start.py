@@ -8,11 +8,12 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from rholoc.geometry import Camera, FloatArray, IntArray, rotation_angles
+from rholoc.geometry.graphs import components
 from rholoc.recordings.frames.depth import DepthImages
-from rholoc.trajectory.optimization.adjustment import Step, robust
+from rholoc.trajectory.optimization.adjustment import Step, optimized, robust
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.two_view import absolute_pose
 
@@ -48,7 +49,7 @@ def depth_start(
     ends = np.array([(one.first, one.second) for one, _ in steps], dtype=np.int64).reshape(-1, 2)
     weights = 1 / np.array([inliers for _, inliers in steps], dtype=np.float64)
     graph = coo_matrix((weights, ends.T), shape=(count, count)).tocsr()
-    part = connected_components(graph, directed=False)[1]
+    part = components(count, ends)
     members = np.flatnonzero(part == np.bincount(part).argmax())
     if len(members) < 3:
         return None
@@ -121,7 +122,5 @@ def _fitted(T: dict[int, FloatArray], steps: Sequence[Step], members: IntArray) 
         noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([step.sigma_rad, step.sigma_m], 3))
         pose = gtsam.Pose3(step.T_first_second)
         graph.add(gtsam.BetweenFactorPose3(C(step.first), C(step.second), pose, robust(_CAUCHY, noise)))
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(_ITERATIONS)
-    solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    solved = optimized(graph, values, _ITERATIONS)
     return np.array([solved.atPose3(C(k)).matrix() for k in members.tolist()])

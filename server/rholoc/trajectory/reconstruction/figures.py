@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.geometry import FloatArray
+from rholoc.geometry import FloatArray, evenly
 from rholoc.trajectory.optimization.adjustment import Adjusted
 from rholoc.trajectory.visual.tracks import Observations
 
@@ -15,7 +15,7 @@ def spread_covariances(adjusted: Adjusted, count: int, computed: int) -> FloatAr
 
     NaN where unbounded.
     """
-    some = np.unique(np.linspace(0, count - 1, min(computed, count)).round().astype(np.int64))
+    some = evenly(count, computed)
     found = adjusted.covariances(some.tolist())
     after = np.clip(np.searchsorted(some, np.arange(count)), 1, len(some) - 1)
     share = ((np.arange(count) - some[after - 1]) / (some[after] - some[after - 1]))[:, None, None]

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, on_plane, pose_matrix
+from rholoc.geometry.graphs import components
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.checks.given_poses import epipolar_errors
@@ -173,10 +172,7 @@ def _elsewhere(placed: BoolArray, pairs: Sequence[VerifiedPair]) -> str:
     rooms; else empty.
     """
     links = [(pair.first, pair.second) for pair in pairs if not (placed[pair.first] or placed[pair.second])]
-    graph = coo_matrix(
-        (np.ones(len(links)), np.array(links, dtype=np.int64).reshape(-1, 2).T), shape=(len(placed),) * 2
-    )
-    together = int(np.bincount(connected_components(graph, directed=False)[1]).max())
+    together = int(np.bincount(components(len(placed), np.array(links, dtype=np.int64))).max())
     if together < _ANOTHER_PLACE:
         return ""
     return f"{together} further pictures fit each other, but not these: perhaps of another place. Map them alone."
@@ -225,7 +221,8 @@ def _placed_by(
             piece = starts.largest_piece(mapper)
             if piece is None:
                 return None
-            start = State(piece.T_world_camera, np.zeros((0, 3)), piece.camera), piece.members
+            members, T, found = piece
+            start = State(T, np.zeros((0, 3)), found), members
         middle = sum(span) / 2
         part = _adjusted(walk, whole, start, progress, (span[0], middle))
         more = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, IntArray, rotation_angles
+from rholoc.geometry.graphs import components
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.trajectory.inertial.gyroscope import allowed_apart
 from rholoc.trajectory.visual.loop_candidates import (
@@ -178,8 +177,7 @@ def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[Verifie
         own = np.sort(matches[(ends == k).any(axis=1)])
         best[k] = own[-min(_BEST, len(own))] if len(own) else 0
     clear = matches >= _FAIR_SHARE * best[ends].min(axis=1)
-    graph = coo_matrix((np.ones(clear.sum()), ends[clear].T), shape=(count, count))
-    part = connected_components(graph, directed=False)[1]
+    part = components(count, ends[clear])
     kept = clear | (part[ends[:, 0]] != part[ends[:, 1]])
     places = np.flatnonzero(kept).tolist(), np.flatnonzero(~kept).tolist()
     return [pairs[k] for k in places[0]], [pairs[k] for k in places[1]]

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, rotation_angles
+from rholoc.geometry.graphs import components
 from rholoc.trajectory.inertial.gyroscope import allowed_apart
 from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.matching import VerifiedPair
@@ -208,10 +208,7 @@ def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> t
     links = np.concatenate(
         [np.zeros((0, 2), np.int64), *(pair.matches + first_feature[[pair.first, pair.second]] for pair in pairs)]
     )
-    count = int(first_feature[-1])
-    graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
-    label: IntArray = connected_components(graph, directed=False)[1]
-    return links, label
+    return links, components(int(first_feature[-1]), links)
 
 
 def pieces_of(count: int, observations: Observations) -> IntArray:
@@ -225,8 +222,7 @@ def pieces_of(count: int, observations: Observations) -> IntArray:
     ).tocsr()
     shared = (seen @ seen.T).tocoo()
     strong = shared.data >= _MIN_TOGETHER
-    graph = coo_matrix((shared.data[strong], (shared.row[strong], shared.col[strong])), shape=(count, count))
-    label: IntArray = connected_components(graph, directed=False)[1]
+    label = components(count, np.column_stack([shared.row[strong], shared.col[strong]]))
     sizes = np.bincount(label)
     order = np.argsort(-sizes, kind="stable")
     large = order[sizes[order] >= _MIN_PIECE]

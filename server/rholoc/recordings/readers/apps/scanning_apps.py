@@ -148,7 +148,7 @@ def _polycam(folder: Path) -> list[_Shot]:
         camera = _camera(_numbers(values, ("width", "height", "fx", "fy", "cx", "cy"), 6, source, InvalidCamera))
         names = [f"t_{row}{column}" for row in range(3) for column in range(4)]
         T = np.vstack([_numbers(values, names, 12, source, InvalidTrajectory).reshape(3, 4), [0, 0, 0, 1]])
-        time = float(picture.stem) if picture.stem.isdigit() else None
+        time = float(picture.stem) if picture.stem.isdecimal() else None
         depth = keyframes / "depth" / f"{picture.stem}.png"
         shots.append(_Shot(picture, camera, _from_arkit(T, source), time, depth))
     return shots
@@ -167,15 +167,15 @@ def _record3d(folder: Path) -> list[_Shot]:
     count = len(values["poses"])
     rows = _numbers(values, ("poses",), 7 * count, source.name, InvalidTrajectory).reshape(count, 7)
     poses = z_up(opencv_camera(poses_from_rows(rows[:, [4, 5, 6, 0, 1, 2, 3]], source.name)))
-    each = values.get("perFrameIntrinsicCoeffs") or [K[[0, 4, 6, 7]].tolist()] * count
-    times = values.get("frameTimestamps") or [None] * count
+    each = _list(values, "perFrameIntrinsicCoeffs", source) or [K[[0, 4, 6, 7]].tolist()] * count
+    times = _list(values, "frameTimestamps", source) or [None] * count
     if not (len(each) == len(times) == count):
         raise InvalidRecording(
             f"{source.name} describes {count} poses, {len(each)} cameras, {len(times)} times.", _ADVICE
         )
     shots = []
     for picture in _pictures(folder / "rgbd") or _pictures(folder / "rgb"):
-        number = int(picture.stem) if picture.stem.isdigit() else count
+        number = int(picture.stem) if picture.stem.isdecimal() else count
         if number >= count:
             raise InvalidRecording(f"{source.name} has no pose of {picture.name}.", _ADVICE)
         camera = _camera(
@@ -184,6 +184,14 @@ def _record3d(folder: Path) -> list[_Shot]:
         time = None if times[number] is None else _numbers({"time": times[number]}, ("time",), 1, source.name)[0]
         shots.append(_Shot(picture, camera, poses[number], time))
     return shots
+
+
+def _list(values: dict[str, Any], name: str, source: Path) -> list[Any]:
+    """The member ``name``, empty if missing. Raises InvalidRecording, naming the file, if it is no list."""
+    found = values.get(name) or []
+    if not isinstance(found, list):
+        raise InvalidRecording(f"{source.name}: {name} is not a list.", _ADVICE)
+    return found
 
 
 def _record3d_file(folder: Path) -> Path | None:

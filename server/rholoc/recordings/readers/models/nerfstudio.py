@@ -98,7 +98,8 @@ def _applied_transform(values: dict[str, Any]) -> FloatArray:
         given = np.array(values.get("applied_transform", np.eye(4)[:3]), dtype=np.float64)
     except (TypeError, ValueError):
         given = np.zeros(0)
-    if given.shape not in ((3, 4), (4, 4)) or not is_rotation(given[:3, :3], _ROTATION_TOLERANCE):
+    is_transform = given.shape in ((3, 4), (4, 4)) and np.isfinite(given).all()
+    if not is_transform or not is_rotation(given[:3, :3], _ROTATION_TOLERANCE):
         raise InvalidTrajectory(f"{_FILE}: applied_transform is not a pose.", "Leave it out, or give 3×4 numbers.")
     return np.vstack([given[:3], [0, 0, 0, 1]])
 
