@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Pose
 from rholoc.localization import Dof, Localizer, Query
-from rholoc.localization.belief.map_uncertainty import with_map_error
-from rholoc.localization.pose.modes import are_distinct, is_seen_from_afar, poses_on_arcs, spread_of_modes
+from rholoc.localization.pose.modes import Spread, are_distinct, is_seen_from_afar, poses_on_arcs
 from rholoc.localization.pose.pose_evidence import Support
 from rholoc.localization.pose.rematching import verify
+from rholoc.localization.search import Found, Search
 
 
 def test_poses_on_arcs_keep_what_is_seen_in_the_middle_and_at_its_distance(point_room: Any) -> None:
@@ -54,19 +56,35 @@ def test_the_spread_of_modes_is_that_of_samples_of_them(verified_at: Any) -> Non
             for one in poses
         ]
     )[drawn]
-    found = spread_of_modes(T, [verified_at(one) for one in poses], weights)
-    np.testing.assert_allclose(found, moves.T @ moves / len(moves), atol=3e-4)
+    modes = [verified_at(one) for one in poses]
+    found = Spread.of(modes[0], modes, weights)
+    np.testing.assert_allclose(found.moment, moves.T @ moves / len(moves), atol=3e-4)
+    near = np.linalg.norm([one.position - poses[0].position for one in poses], axis=1) < 0.1
+    assert found.right == pytest.approx(weights[near].sum())
+    assert 0.4 <= found.right < 1
     assert are_distinct(verified_at(poses[0]), verified_at(poses[1]))
     assert not are_distinct(verified_at(poses[0]), verified_at(poses[0]))
 
 
-def test_an_answer_with_two_modes_is_less_exact_but_as_surely_of_the_place(point_room: Any) -> None:
+def test_an_answer_with_two_modes_is_less_exact_but_as_surely_of_the_place(
+    point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     localizer = Localizer(point_room.map_of(point_room.walk(60), "modes"))
     query = Query(point_room.see(point_room.walk(60)[20], 1), point_room.camera, Dof.FREE)
     answer = localizer.localize(query)
     assert answer.covariance is not None
     spread = np.diag([0.2**2 / 2, 0, 0, 0, 0, 0])
-    wider = with_map_error(localizer.index, answer, spread)
-    np.testing.assert_allclose(wider.covariance, answer.covariance + spread)
-    assert wider.belief.exact < 0.7 * answer.belief.exact
-    assert wider.recognized > 0.9 * answer.recognized
+    monkeypatch.setattr(Search, "outcome", with_modes(Search.outcome, Spread(0.5, spread)))
+    wider = localizer.localize(query)
+    assert wider.covariance is not None
+    np.testing.assert_allclose(wider.covariance, answer.covariance + spread, atol=1e-9)
+    assert wider.belief.exact == pytest.approx(0.5 * answer.belief.exact)
+    assert wider.recognized == pytest.approx(answer.recognized)
+
+
+def with_modes(outcome: Callable[..., Found | None], modes: Spread) -> Callable[..., Found | None]:
+    def changed(*args: Any) -> Found | None:
+        found = outcome(*args)
+        return None if found is None else replace(found, modes=modes)
+
+    return changed

@@ -127,14 +127,19 @@ def test_only_what_lies_where_a_prior_expects_it_is_as_expected() -> None:
 
 def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
     best = found(0.95, 100.0)
-    lesser, near, nearer = found(0.9, 70.0, x=9.0), found(0.9, 94.0, x=5.0), found(0.9, 99.0, x=0.1)
+    lesser, near, nearer = found(0.9, 70.0, x=9.0), found(0.9, 94.0, x=5.0), found(0.9, 99.0, x=0.09)
     alone = search(best, nearer).outcome(0.9)
     assert alone is not None
     assert (alone.verified, alone.belief) == (best.verified, best.belief)  # what is beside it is the same place
     weight = 0.9 * np.exp(-1 / 12) / (0.95 + 0.9 * np.exp(-1 / 12))
-    assert alone.of_modes is not None
-    np.testing.assert_allclose(alone.of_modes, np.diag([weight * 0.1**2, 0, 0, 0, 0, 0]), atol=1e-12)
-    assert search(best).outcome(0.9).of_modes is None  # type: ignore[union-attr]
+    assert alone.modes is not None
+    assert alone.modes.right == 1
+    np.testing.assert_allclose(alone.modes.moment, np.diag([weight * 0.09**2, 0, 0, 0, 0, 0]), atol=1e-12)
+    assert search(best).outcome(0.9).modes is None  # type: ignore[union-attr]
+    aside = search(best, found(0.9, 99.0, x=0.2)).outcome(0.9)
+    assert aside is not None
+    assert aside.recognized == best.recognized
+    assert aside.belief.exact == pytest.approx((1 - weight) * best.belief.exact)
     contested = search(best, lesser, near, nearer).outcome(0.9)
     assert contested is not None
     assert contested.verified is best.verified
@@ -143,8 +148,8 @@ def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
     assert contested.recognized == pytest.approx(0.95 * 0.95 / whole)
     assert [weight for weight, _ in contested.rivals] == pytest.approx([0.9 * of_near / whole, 0.9 * of_lesser / whole])
     assert [rival for _, rival in contested.rivals] == [near, lesser]
-    aside = replace(near, near_prior=False)
-    beside = search(best, aside).outcome(0.9)
+    unlikely = replace(near, near_prior=False)
+    beside = search(best, unlikely).outcome(0.9)
     assert beside is not None
     assert beside.belief == best.belief  # the prior speaks against that one
     far = replace(best, near_prior=False)

@@ -479,7 +479,7 @@ class Localizer:
                 if weight >= MIN_WEIGHT
             ),
         )
-        return with_map_error(self.index, answer, found.of_modes, found.focal.of_others)
+        return with_map_error(self.index, answer, found.spread)
 
     def _diagnose(self, search: Search, answer: Localization) -> Diagnosis:
         """Likeliest cause of a refusal, searched in this order: the deadline, the map, upright or gravity constraints,

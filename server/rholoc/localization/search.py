@@ -14,7 +14,7 @@ from rholoc.localization.belief.confidence import MIN_RECOGNIZED
 from rholoc.localization.index.map_error import worst_sigma
 from rholoc.localization.index.matches import Matches, NearestLandmarks
 from rholoc.localization.pose.focal import FocalEstimate
-from rholoc.localization.pose.modes import are_distinct, is_seen_from_afar, spread_of_modes
+from rholoc.localization.pose.modes import Spread, are_distinct, is_seen_from_afar
 from rholoc.localization.pose.rematching import Verified
 from rholoc.localization.pose.rivals import are_rivals, shares
 from rholoc.localization.pose.seeds import Place
@@ -95,7 +95,7 @@ class Found:
         near_prior: whether the pose agrees with the prior.
         share: factor 0 to 1 that rivals leave of the probability of the right place.
         rivals: mutually exclusive poses, each with its probability of the right place, likeliest first.
-        of_modes: (6, 6) second moment of the modes in the pose's place; None if it is the only one.
+        modes: spread of the modes in the pose's place; None if it is the only one.
     """
 
     verified: Verified
@@ -105,7 +105,7 @@ class Found:
     near_prior: bool
     share: float = 1.0
     rivals: tuple[tuple[float, Found], ...] = ()
-    of_modes: FloatArray | None = None
+    modes: Spread | None = None
 
     @property
     def focal(self) -> FocalEstimate:
@@ -114,9 +114,18 @@ class Found:
 
     @property
     def belief(self) -> Belief:
-        """Belief in the pose: ``if_focal_right`` times the belief in the focal length and what rivals leave."""
+        """Belief in the pose: ``if_focal_right`` times the belief in the focal length, and what rivals and other modes
+        leave.
+        """
         recognized = self.if_focal_right.recognized * self.focal.belief * self.share
-        return Belief(recognized, self.if_focal_right.exact * self.focal.exact)
+        of_modes = 1.0 if self.modes is None else self.modes.right
+        return Belief(recognized, self.if_focal_right.exact * self.focal.exact * of_modes)
+
+    @property
+    def spread(self) -> FloatArray:
+        """Second moment (6, 6) of the other poses, by other focal lengths and of other modes, about this one."""
+        of_focal, of_modes = self.focal.of_others, None if self.modes is None else self.modes.moment
+        return sum((one for one in (of_focal, of_modes) if one is not None), start=np.zeros((6, 6)))
 
     @property
     def recognized(self) -> float:
@@ -253,7 +262,7 @@ class Search:
         share = _shares(rivals, places)
         others = zip((found.focal.belief * share * places)[1:].tolist(), rivals[1:], strict=True)
         ordered = sorted(others, key=lambda rival: -rival[0])
-        return replace(found, share=float(share[0]), rivals=tuple(ordered), of_modes=_spread(modes))
+        return replace(found, share=float(share[0]), rivals=tuple(ordered), modes=_spread(modes))
 
 
 def _likelier(a: Found | None, b: Found) -> Found:
@@ -273,11 +282,11 @@ def _shares(candidates: list[Found], places: list[float]) -> FloatArray:
     return shares(np.array(places), np.array([one.verified.support.net for one in candidates]))
 
 
-def _spread(modes: list[Found]) -> FloatArray | None:
-    """Second moment (6, 6) of the modes of one place about the first; None if there is one only. They share a focal
-    length, so that nothing is asked of it.
+def _spread(modes: list[Found]) -> Spread | None:
+    """Spread of the modes of one place about the first; None if there is one only. They share a focal length, so that
+    nothing is asked of it.
     """
     if len(modes) == 1:
         return None
     weights = _shares(modes, [mode.if_focal_right.recognized for mode in modes])
-    return spread_of_modes(modes[0].verified.optimum.T_map_camera, [mode.verified for mode in modes], weights)
+    return Spread.of(modes[0].verified, [mode.verified for mode in modes], weights)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from rholoc.geometry import FloatArray
 from rholoc.localization.diagnosis import too_inexact
 from rholoc.localization.index.map_error import (
@@ -25,10 +23,8 @@ _VIEWS_HERE = 10  # the views that saw most of what an answer rests on: from her
 _IN_UNTRUSTED_MAP = 0.8
 
 
-def with_map_error(
-    index: MapIndex, answer: Localization, of_modes: FloatArray | None = None, of_focal: FloatArray | None = None
-) -> Localization:
-    """Add the map's own error, and other modes of the place, to the covariances and probabilities of an answer.
+def with_map_error(index: MapIndex, answer: Localization, spread: FloatArray | None = None) -> Localization:
+    """Add the map's own error to the covariances and probabilities of an answer.
 
     In a map that failed a check, ``exact`` is multiplied by 0.8. Covariances are only changed for a pose in a metric
     map.
@@ -36,9 +32,8 @@ def with_map_error(
     Args:
         index: index of the map.
         answer: an answer that treats the map as exact.
-        of_modes: (6, 6) second moment of the modes in the answer's place; None if it has one mode.
-        of_focal: (6, 6) second moment of the poses by other focal lengths, which the answer's belief allows for
-            already; None without any.
+        spread: (6, 6) second moment of other poses that the picture may show, by other focal lengths or of other modes,
+            to add to the covariance: the answer's belief allows for them already. None without any.
 
     Returns:
         The answer relative to the real world, with ``expected_error_m`` if the map has covariances there.
@@ -48,13 +43,12 @@ def with_map_error(
     answer = replace(answer, map_trusted=trusted, belief=belief)
     if answer.pose is None or answer.covariance is None or not index.map.info.metric:
         return answer
-    own, others, focal = answer.covariance, *(np.zeros((6, 6)) if one is None else one for one in (of_modes, of_focal))
     of_map = index.map_covariance(answer.inlier_features, answer.pose.position, _VIEWS_HERE)
     if of_map is not None:
-        answer = replace(answer, expected_error_m=rms_position_error(of_map))
-        own, others = INDEPENDENT_SHARE * own, others + of_map
-    answer = replace(answer, alternatives=tuple(_alternative(index, one) for one in answer.alternatives))
-    return _widened(answer, own, others, focal) if others.any() or focal.any() else answer
+        answer = _widened(replace(answer, expected_error_m=rms_position_error(of_map)), of_map)
+    if spread is not None and answer.covariance is not None:
+        answer = replace(answer, covariance=answer.covariance + spread)
+    return replace(answer, alternatives=tuple(_alternative(index, one) for one in answer.alternatives))
 
 
 def _alternative(index: MapIndex, one: Alternative) -> Alternative:
@@ -63,15 +57,16 @@ def _alternative(index: MapIndex, one: Alternative) -> Alternative:
     return one if of_map is None else replace(one, covariance=INDEPENDENT_SHARE * one.covariance + of_map)
 
 
-def _widened(answer: Localization, own: FloatArray, others: FloatArray, focal: FloatArray) -> Localization:
-    """The answer with covariance ``own`` + ``others`` + ``focal`` (6, 6), its probabilities lowered by the ratios in
-    which ``others`` lower those of being within 50 cm and 20°, and within 10 cm and 5°. What ``focal`` does to them the
-    answer's belief says already.
+def _widened(answer: Localization, of_map: FloatArray) -> Localization:
+    """The answer with the map's covariance (6, 6) added to the independent share of its own, its probabilities lowered
+    by the ratios in which the map's lowers those of being within 50 cm and 20°, and within 10 cm and 5°.
     """
-    here, exact = widening_factor(own, others, PLACE_M, PLACE_RAD), widening_factor(own, others)
+    assert answer.covariance is not None
+    own = INDEPENDENT_SHARE * answer.covariance
+    here, exact = widening_factor(own, of_map, PLACE_M, PLACE_RAD), widening_factor(own, of_map)
     exact_if_here = min(exact / here, 1.0) if here > 0 else 0.0
     belief = Belief(answer.belief.recognized * here, answer.belief.exact * exact_if_here)
-    return replace(answer, covariance=own + others + focal, belief=belief)
+    return replace(answer, covariance=own + of_map, belief=belief)
 
 
 def gated(answer: Localization, min_recognized: float, query: Query) -> Localization:

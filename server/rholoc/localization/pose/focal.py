@@ -17,7 +17,7 @@ import numpy as np
 
 from rholoc.density import RayDensities
 from rholoc.geometry import Camera, FloatArray, Lens
-from rholoc.localization.index.map_error import PLACE_M, RIGHT_M, RIGHT_RAD, worst_sigma
+from rholoc.localization.index.map_error import PLACE_M, worst_sigma
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import (
@@ -28,7 +28,7 @@ from rholoc.localization.pose.ascent import (
     information_at,
     optimum_at,
 )
-from rholoc.localization.pose.modes import spread_of_modes
+from rholoc.localization.pose.modes import Spread
 from rholoc.localization.pose.ransac import credible_pose
 from rholoc.localization.pose.rematching import ENOUGH_MATCHES, Verified, evidence_of, verify
 from rholoc.localization.types import Query
@@ -130,11 +130,9 @@ def _beside(estimate: FocalEstimate, verified: Verified, others: list[Refocused]
     nats = np.array([mode.optimum.value for mode in modes]) / SYSTEMATIC**2
     weights = _prior(np.log(scales)) * np.exp(nats - nats.max())
     weights /= weights.sum()
-    exact = float(weights @ [not mode.is_apart(verified, RIGHT_M, RIGHT_RAD) for mode in modes])
-    if not is_square and verified.inliers < ENOUGH_MATCHES:
-        exact = min(exact, 0.5)
-    moment = spread_of_modes(verified.optimum.T_map_camera, modes, weights)
-    return replace(estimate, exact=exact, of_others=moment)
+    spread = Spread.of(verified, modes, weights)
+    at_most = 1.0 if is_square or verified.inliers >= ENOUGH_MATCHES else 0.5
+    return replace(estimate, exact=min(spread.right, at_most), of_others=spread.moment)
 
 
 def _prior(logs: FloatArray) -> FloatArray:
