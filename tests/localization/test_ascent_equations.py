@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from equations import gradient
 from scipy.spatial.transform import Rotation
 
 from rholoc.density import Evidence, RayDensities
@@ -21,7 +22,6 @@ from rholoc.localization.pose.ascent import (
     covariance_at,
     freed_focal,
     gains,
-    gradient,
     information_at,
     moved,
     normal_equations,
