@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from equations import gradient
 from scipy.spatial.transform import Rotation
 
+from equations import gradient
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, Pose, pose_distances
 from rholoc.localization import Dof
