@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from equations import gradient
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, Pose, pose_distances
 from rholoc.localization import Dof
@@ -21,7 +22,6 @@ from rholoc.localization.pose.ascent import (
     covariance_at,
     freed_focal,
     gains,
-    gradient,
     information_at,
     moved,
     normal_equations,
