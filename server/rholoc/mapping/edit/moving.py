@@ -9,7 +9,7 @@ import numpy as np
 from rholoc.density import FORMS
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Similarity, poses_from_rows, rows_from_poses
-from rholoc.mapping.build.view_covariance import moved_covariances
+from rholoc.mapping.build.view_covariance import storable_covariances
 from rholoc.maps import Map, MapInfo, MapNames, moved_patches, validate_map
 from rholoc.reports import HeldOutReport, LearningReport, MapReport, TrajectoryReport
 
@@ -48,7 +48,9 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
         views=replace(
             map_.views,
             T_map_camera=poses_from_rows(rows_from_poses(T_map_camera).astype(np.float32)),  # as files keep them
-            covariances=None if of_views is None else moved_covariances(of_views, similarity),
+            covariances=None
+            if of_views is None
+            else storable_covariances(similarity.covariances(of_views.astype(np.float64))),
             second_positions=None if second is None else similarity.points(second).astype(np.float32),
         ),
         observations=replace(
