@@ -15,6 +15,7 @@ from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.library.maps import MapLibrary
 from rholoc.localization import VECTORS_FILE, MapFinder
 from rholoc.localization.index import map_finder as module
+from rholoc.mapping.build.stored_observations import keep_view_rows
 from rholoc.maps import Map, map_to_bytes
 
 
@@ -69,6 +70,15 @@ def test_what_is_published_replaced_renamed_and_deleted_is_followed(library, loo
     library.restore("room1")
     finder.refresh()
     assert best(finder, looking(1)) == "room1"
+
+
+def test_a_map_replaced_by_one_without_views_is_found_no_more(library, looking) -> None:
+    finder = finder_of(library)
+    known = looking(1)
+    blank = keep_view_rows(known, np.zeros(len(known.views), bool))
+    publish(library, "room1", replace(blank, info=replace(blank.info, features="lab")))
+    finder.refresh()
+    assert "room1" not in [one.name for one in finder.likeliest(seen(known), 6)]
 
 
 def test_a_start_reads_vectors_and_no_maps(library, looking, monkeypatch) -> None:

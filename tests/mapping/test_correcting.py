@@ -170,6 +170,15 @@ def test_learning_goes_on_in_the_new_frame(kind, room):
     np.testing.assert_allclose(anew.landmarks.positions, corrected.landmarks.positions, atol=1e-4)
 
 
+def test_measured_ranges_follow_the_scale(room):
+    seen = room.observations
+    away = room.landmarks.positions[seen.features] - room.views.positions[seen.views]
+    ranged = replace(room, observations=replace(seen, ranges_m=np.linalg.norm(away, axis=1).astype(np.float32)))
+    corrected = CORRECTIONS["scale"](with_landmarks(ranged))
+    anew = with_landmarks(corrected)
+    np.testing.assert_allclose(anew.landmarks.positions, corrected.landmarks.positions, atol=1e-3)
+
+
 def test_a_corrected_map_merges_and_forgets(point_room):
     walk = point_room.walk(80)
     west, east = (point_room.map_of(walk[part], name) for name, part in (("w", slice(0, 45)), ("e", slice(25, 65))))

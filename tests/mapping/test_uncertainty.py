@@ -13,7 +13,6 @@ from rholoc.geometry import Similarity
 from rholoc.mapping.build.self_report import map_statistics
 from rholoc.mapping.build.view_covariance import (
     expected_error,
-    moved_covariances,
     storable_covariances,
     uncertainty_in,
 )
@@ -70,7 +69,7 @@ def test_in_the_frame_of_a_map_that_does_not_know_nothing_is_known(first: Map, s
 
 def test_covariances_turn_with_the_frame() -> None:
     turn = Similarity(2.0, Rotation.from_euler("z", 90, degrees=True).as_matrix(), np.array([1.0, 2.0, 3.0]))
-    moved = moved_covariances(np.diag([1.0, 4.0, 9.0, 0.1, 0.2, 0.3])[None].astype(np.float32), turn)[0]
+    moved = turn.covariances(np.diag([1.0, 4.0, 9.0, 0.1, 0.2, 0.3])[None])[0]
     np.testing.assert_allclose(np.diag(moved), [16, 4, 36, 0.2, 0.1, 0.3], rtol=1e-6)
 
 

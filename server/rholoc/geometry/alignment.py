@@ -26,6 +26,14 @@ class Similarity:
         """Poses (N, 4, 4) in the source frame → poses (N, 4, 4) in the target frame."""
         return pose_matrix(self.rotation @ T_source_camera[:, :3, :3], self.points(T_source_camera[:, :3, 3]))
 
+    def covariances(self, covariances: FloatArray) -> FloatArray:
+        """Covariances (N, 6, 6) of such poses, of the position and then a small rotation from the left, each in the
+        axes of the source frame → those in the axes of the target frame.
+        """
+        J = np.zeros((6, 6))
+        J[:3, :3], J[3:, 3:] = self.scale * self.rotation, self.rotation
+        return np.asarray(J @ covariances @ J.T)
+
     @classmethod
     def identity(cls) -> Similarity:
         """The transform that changes nothing."""

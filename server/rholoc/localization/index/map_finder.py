@@ -215,8 +215,8 @@ class MapFinder:
 
     def _take(self, name: str, file: str, others: Sequence[str]) -> None:
         """Index the version ``file`` of a map, from the views that another process has stored or from the map itself.
-        Where its kind of features has no model yet, one is trained on it and on the maps ``others``. An unreadable map
-        is noted as known, without views.
+        Where its kind of features has no model yet, one is trained on it and on the maps ``others``. A map that
+        cannot be read, or has no views to train on, is noted as known, without views.
         """
         with self._noting_trouble():
             for stored in self._store.views(name):
@@ -234,6 +234,7 @@ class MapFinder:
         if model is None:
             model = self._learned(features, [name, *(other for other in others if other != name)])
             if model is None:
+                self._forget([name])
                 self._files[name] = file
                 return
             self._models[features], self._indexes[features] = model, ViewIndex(model.pictures)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.geometry import FloatArray, Similarity
+from rholoc.geometry import FloatArray
 from rholoc.localization.index.map_error import map_covariance_at
 from rholoc.maps import Map
 from rholoc.reports import ExpectedError
@@ -40,13 +40,6 @@ def uncertainty_in(
         if of_map is not None:
             found[k] = of_map + own
     return storable_covariances(found)
-
-
-def moved_covariances(covariances: FloatArray, similarity: Similarity) -> FloatArray:
-    """Covariances (K, 6, 6) float32 of poses after a similarity: positions rotated and scaled, rotations rotated."""
-    J = np.zeros((6, 6))
-    J[:3, :3], J[3:, 3:] = similarity.scale * similarity.rotation, similarity.rotation
-    return storable_covariances(J @ covariances.astype(np.float64) @ J.T)
 
 
 def expected_error(map_: Map) -> ExpectedError | None:

@@ -9,7 +9,7 @@ import numpy as np
 from rholoc.density import FORMS
 from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Similarity, poses_from_rows, rows_from_poses
-from rholoc.mapping.build.view_covariance import moved_covariances
+from rholoc.mapping.build.view_covariance import storable_covariances
 from rholoc.maps import Map, MapInfo, MapNames, moved_patches, validate_map
 from rholoc.reports import HeldOutReport, LearningReport, MapReport, TrajectoryReport
 
@@ -17,7 +17,8 @@ _FARTHEST_M = 10_000.0  # from the origin: single precision still tells a millim
 
 
 def move_map(map_: Map, similarity: Similarity) -> Map:
-    """The map in the frame after a similarity: landmarks, views, cloud, room, densities, places and reported lengths.
+    """The map in the frame after a similarity: landmarks, views, measured ranges, cloud, room, densities, places and
+    reported lengths.
 
     Nothing is estimated again, and the version stays. The caller updates the report's coverage.
 
@@ -33,7 +34,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
     turned = similarity.scale**2 * R @ covariances @ R.T
     densities = FORMS[map_.info.density].from_arrays(map_.densities.moved(similarity).arrays(), positions)
     info, of_views = _moved_info(map_.info, similarity), map_.views.covariances
-    second = map_.views.second_positions
+    second, ranges_m = map_.views.second_positions, map_.observations.ranges_m
     moved = replace(
         map_,
         info=info,
@@ -47,8 +48,14 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
         views=replace(
             map_.views,
             T_map_camera=poses_from_rows(rows_from_poses(T_map_camera).astype(np.float32)),  # as files keep them
-            covariances=None if of_views is None else moved_covariances(of_views, similarity),
+            covariances=None
+            if of_views is None
+            else storable_covariances(similarity.covariances(of_views.astype(np.float64))),
             second_positions=None if second is None else similarity.points(second).astype(np.float32),
+        ),
+        observations=replace(
+            map_.observations,
+            ranges_m=None if ranges_m is None else (similarity.scale * ranges_m).astype(np.float32),
         ),
         cloud=cloud,
         room=room,

@@ -129,10 +129,7 @@ def finished(
     state, scale = adjusted.state, 1.0
     if not solved.in_frame:
         state, scale = moved(state, frame.similarity), frame.similarity.scale
-        turn = np.zeros((6, 6))
-        turn[:3, :3] = scale * frame.similarity.rotation
-        turn[3:, 3:] = frame.similarity.rotation
-        covariances = turn @ covariances @ turn.T
+        covariances = frame.similarity.covariances(covariances)
         away = frame.scale_sigma * state.positions
         covariances[:, :3, :3] += away[:, :, None] * away[:, None, :]
     off_px = residuals_px(observations, adjusted.state)
