@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import gc
 import os
+import pickle
 import socket
 import ssl
 import sys
@@ -145,6 +147,27 @@ def real_data() -> Path:
             pytest.fail("RHOLOC_REQUIRE_REAL_DATA=1, but the real recordings are absent.")
         pytest.skip("the real recordings are absent")
     return _REAL_DATA
+
+
+MadeOnce = Callable[[str, Callable[[], Any]], Any]
+
+
+@pytest.fixture(scope="session")
+def made_once(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> MadeOnce:
+    """Makes a costly product once for all processes of a run: (its name, a function that makes it) → the product."""
+    folder = tmp_path_factory.getbasetemp()
+    if hasattr(request.config, "workerinput"):
+        folder = folder.parent  # of a process of xdist; the parent is the run's
+
+    def get(name: str, make: Callable[[], Any]) -> Any:
+        kept = folder / f"{name}.pickle"
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not kept.exists():
+                kept.write_bytes(pickle.dumps(make()))
+        return pickle.loads(kept.read_bytes())
+
+    return get
 
 
 @pytest.fixture(scope="session")
