@@ -23,7 +23,7 @@ from rholoc.trajectory.estimate import estimate_trajectory
 
 _WAYPOINT_FRAMES = (424, 700, 772, 976)  # the far ends of the walk, along it and across: they fix its rotation
 _CAMERA = "525.505,525.505,320,240"
-_INTERVAL_S = 0.2
+_INTERVAL_S = 0.3
 
 
 @dataclass(frozen=True, eq=False)
