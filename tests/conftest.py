@@ -58,6 +58,7 @@ from rholoc.maps import (
 )
 from rholoc.processes import program
 from rholoc.reports import HeldOutReport, MapReport
+from rholoc.simulation import Scene, make_test_site
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -379,6 +380,12 @@ def point_room() -> PointRoom:
     y = np.choose(wall, [np.full(n, 2.5), 2.5 * along, np.full(n, -2.5), 2.5 * along])
     descriptors = rng.integers(0, 256, (n, 32), dtype=np.uint8)
     return PointRoom(np.column_stack([x, y, height]), descriptors, Camera(640, 480, 520.0, 520.0, 319.5, 239.5))
+
+
+@pytest.fixture(scope="session")
+def site() -> Scene:
+    """The demo's room by seed 0."""
+    return make_test_site(0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, align_poses, pose_matrix
 from rholoc.recordings import Recording, RecordingFormat, WarningKind, read_recording
 from rholoc.recordings.frame_slice import select_frames
-from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk
+from rholoc.simulation import PHONE_CAMERA, Renderer, Scene, make_walk
 from rholoc.trajectory import PoseMethod, Scale
 from rholoc.trajectory.estimate import _chosen_moments, estimate_trajectory
 
@@ -142,10 +142,9 @@ def test_of_many_pictures_whole_moments_are_used() -> None:
 
 
 @pytest.fixture(scope="module")
-def rig_walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, dict[str, FloatArray]]:
+def rig_walk(site: Scene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, dict[str, FloatArray]]:
     """A rendered walk of two cameras, and T_map_camera (4, 4) of each picture by its path."""
-    scene = make_test_site(0)
-    renderer = Renderer(scene, [face.paint.albedo for face in scene.faces])
+    renderer = Renderer(site, [face.paint.albedo for face in site.faces])
     camera, folder = PHONE_CAMERA.resized(480, 360), tmp_path_factory.mktemp("rig")
     walk = [pose.T_map_camera for pose in make_walk(1).poses(np.arange(0, 6, 0.5))]
 
