@@ -68,7 +68,6 @@ def test_a_job_reads_the_corrected_waypoints_and_the_chosen_frames(
     task = MappingTask(room_recording, tmp_path / "map.rho", tmp_path, "room", JobOptions(), folder=room_recording)
     MappingPipeline().build(task, silent)
     notes = read_notes(notes_in(room_recording))
-    assert notes is not None
     assert (notes.frames, [one.name for one in notes.waypoints]) == (6, ["A", "B", "C"])
     corrected = waypoints_file([replace(one, time_s=0.05 * i) for i, one in enumerate(GIVEN)], notes)
     (room_recording / ".waypoints.csv").write_bytes(corrected)

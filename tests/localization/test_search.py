@@ -129,14 +129,12 @@ def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
     best = found(0.95, 100.0)
     lesser, near, nearer = found(0.9, 70.0, x=9.0), found(0.9, 94.0, x=5.0), found(0.9, 99.0, x=0.1)
     alone = search(best, nearer).outcome(0.9)
-    assert alone is not None
     assert (alone.verified, alone.belief) == (best.verified, best.belief)  # what is beside it is the same place
     weight = 0.9 * np.exp(-1 / 12) / (0.95 + 0.9 * np.exp(-1 / 12))
     assert alone.of_modes is not None
     np.testing.assert_allclose(alone.of_modes, np.diag([weight * 0.1**2, 0, 0, 0, 0, 0]), atol=1e-12)
     assert search(best).outcome(0.9).of_modes is None  # type: ignore[union-attr]
     contested = search(best, lesser, near, nearer).outcome(0.9)
-    assert contested is not None
     assert contested.verified is best.verified
     of_near, of_lesser = 0.9 * np.exp(-0.5), 0.9 * np.exp(-2.5)
     whole = 0.95 + of_near + of_lesser
@@ -145,14 +143,12 @@ def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
     assert [rival for _, rival in contested.rivals] == [near, lesser]
     aside = replace(near, near_prior=False)
     beside = search(best, aside).outcome(0.9)
-    assert beside is not None
     assert beside.belief == best.belief  # the prior speaks against that one
     far = replace(best, near_prior=False)
     rivalled = search(far, found(0.2, 94.0, x=5.0)).elsewhere
     assert rivalled is not None
     begun = search(far, found(0.2, 112.0, x=5.0))
     answer = begun.outcome(0.9)
-    assert answer is not None
     assert answer.near_prior  # the one elsewhere is no longer sure
 
 
@@ -173,7 +169,6 @@ def test_candidates_come_with_their_confidence_however_doubtful(
     assert belief == answer.belief
     assert verified.inliers == answer.inliers == len(answer.inlier_pixels) > 0
     given_out = Localizer(localizer.map, min_recognized=answer.recognized, index=localizer.index).localize(query)
-    assert given_out.pose is not None
     assert (abs(given_out.pose.roll) > 1e-6) is rolled
 
 
@@ -200,7 +195,6 @@ def test_more_features_are_looked_up_where_a_quick_look_was_not_sure(localizer: 
     sure = Query(every, point_room.camera, more_features=lambda: pytest.fail("asked for more"))
     assert localizer.attempt(few) is None
     answer = localizer.attempt(sure)
-    assert answer is not None
     assert answer.confidence >= 0.9
     assert localizer.localize(sure).localized
     unknown = localizer.localize(replace(few, intrinsics=Intrinsics.UNKNOWN))
@@ -215,5 +209,4 @@ def test_a_refusal_of_few_features_is_for_a_bare_wall(
     seen = point_room.see(point_room.walk(9)[4], 8)
     strange = replace(seen, descriptors=np.random.default_rng(1).integers(0, 256, seen.descriptors.shape, np.uint8))
     answer = localizer.localize(Query(strange.take(np.arange(count)), point_room.camera))
-    assert answer.diagnosis is not None
     assert answer.diagnosis.cause is cause

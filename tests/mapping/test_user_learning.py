@@ -32,16 +32,14 @@ HOUR_S = 3600.0
 @pytest.fixture(scope="module")
 def room_map(point_room: Any) -> Map:
     """Of half of the room."""
-    result: Map = point_room.map_of(point_room.walk(60)[:30], "walk")
-    return result
+    return point_room.map_of(point_room.walk(60)[:30], "walk")
 
 
 @pytest.fixture(scope="module")
 def is_moved(point_room: Any) -> BoolArray:
     """A third of the points, in pieces like furniture: those of some stretches of the walls."""
     along = np.arctan2(point_room.points[:, 1], point_room.points[:, 0])
-    moved: BoolArray = np.floor(along / (2 * np.pi) * 15).astype(int) % 3 == 0
-    return moved
+    return np.floor(along / (2 * np.pi) * 15).astype(int) % 3 == 0
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +54,7 @@ def changed_room(point_room: Any, is_moved: BoolArray) -> Any:
 
 def beside(room: Any, count: int, sideways_m: float = 0.1) -> list[Pose]:
     """Poses beside the walk through half of the room."""
-    poses: list[Pose] = room.walk(2 * count, sideways_m)[:count]
-    return poses
+    return room.walk(2 * count, sideways_m)[:count]
 
 
 def asked(room: Any, count: int = 60, asker: str = "a", apart_s: float = HOUR_S) -> list[AnsweredQuery]:
@@ -91,8 +88,7 @@ def queries(changed_room: Any) -> list[AnsweredQuery]:
 
 @pytest.fixture(scope="module")
 def learned(made_once: Any, room_map: Map, queries: list[AnsweredQuery]) -> Map:
-    map_: Map = made_once("learned", lambda: learn_from_queries(room_map, queries))
-    return map_
+    return made_once("learned", lambda: learn_from_queries(room_map, queries))
 
 
 def test_what_moved_is_forgotten_and_what_came_is_learned(
@@ -116,7 +112,6 @@ def test_what_moved_is_forgotten_and_what_came_is_learned(
 
 def test_the_report_says_what_was_learned(learned: Map, queries: list[AnsweredQuery]) -> None:
     report = learned.info.report.learned[-1]
-    assert report.queries is not None
     assert report.queries.kept == len(queries)
     assert report.queries.askers == 3
     assert report.queries.recall_after >= report.queries.recall_before

@@ -21,8 +21,7 @@ from rholoc_lab.pictures.lighting import plot_lights
 
 @pytest.fixture(scope="module")
 def compared(made_once: Any, wall: Any) -> Comparison:
-    comparison: Comparison = made_once("compared", lambda: _compared(wall))
-    return comparison
+    return made_once("compared", lambda: _compared(wall))
 
 
 def _compared(wall: Any) -> Comparison:

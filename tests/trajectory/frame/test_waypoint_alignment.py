@@ -87,7 +87,6 @@ def test_one_mistyped_coordinate_of_five_is_found_and_named() -> None:
             assert found.mistake == wrong
             assert f"W{wrong} is" in found.explanation
             advice = re.search(r"Check its (.): (\S+) is written, (\S+) would fit", found.explanation)
-            assert advice is not None
             assert advice[1] == "xyz"[axis]
             assert float(advice[2]) - float(advice[3]) == pytest.approx(metres, abs=0.011)
             assert np.linalg.norm(found.similarity.points(own) - path, axis=1).max() < 0.01
