@@ -132,8 +132,8 @@ def test_a_single_row_makes_no_step() -> None:
 
 @pytest.fixture(scope="module")
 def walk() -> SyntheticWalk:
-    """Half of the walk."""
-    return SyntheticWalk(times=np.arange(0.0, 16.0, 0.2))
+    """Its first ten seconds."""
+    return SyntheticWalk(times=np.arange(0.0, 10.0, 0.2))
 
 
 @pytest.mark.slow
