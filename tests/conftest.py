@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import gc
 import os
+import pickle
 import socket
 import ssl
 import sys
@@ -56,6 +58,7 @@ from rholoc.maps import (
 )
 from rholoc.processes import program
 from rholoc.reports import HeldOutReport, MapReport
+from rholoc.simulation import Scene, make_test_site
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
@@ -145,6 +148,27 @@ def real_data() -> Path:
             pytest.fail("RHOLOC_REQUIRE_REAL_DATA=1, but the real recordings are absent.")
         pytest.skip("the real recordings are absent")
     return _REAL_DATA
+
+
+MadeOnce = Callable[[str, Callable[[], Any]], Any]
+
+
+@pytest.fixture(scope="session")
+def made_once(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> MadeOnce:
+    """Makes a costly product once for all processes of a run: (its name, a function that makes it) → the product."""
+    folder = tmp_path_factory.getbasetemp()
+    if hasattr(request.config, "workerinput"):
+        folder = folder.parent  # of a process of xdist; the parent is the run's
+
+    def get(name: str, make: Callable[[], Any]) -> Any:
+        kept = folder / f"{name}.pickle"
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not kept.exists():
+                kept.write_bytes(pickle.dumps(make()))
+        return pickle.loads(kept.read_bytes())
+
+    return get
 
 
 @pytest.fixture(scope="session")
@@ -356,6 +380,12 @@ def point_room() -> PointRoom:
     y = np.choose(wall, [np.full(n, 2.5), 2.5 * along, np.full(n, -2.5), 2.5 * along])
     descriptors = rng.integers(0, 256, (n, 32), dtype=np.uint8)
     return PointRoom(np.column_stack([x, y, height]), descriptors, Camera(640, 480, 520.0, 520.0, 319.5, 239.5))
+
+
+@pytest.fixture(scope="session")
+def site() -> Scene:
+    """The demo's room by seed 0."""
+    return make_test_site(0)
 
 
 @dataclass(frozen=True, eq=False)

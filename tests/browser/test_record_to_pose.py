@@ -110,7 +110,6 @@ def test_a_walk_recorded_in_a_browser_becomes_a_trusted_map_that_a_second_walk_i
     page.get_by_label("Picture, video or trajectory").set_input_files(tmp_path / "frame.png")
     expect(page.locator(".answer")).to_contain_text("localized")
     shown = re.search(r"Position(-?[\d.]+), (-?[\d.]+), (-?[\d.]+) m", page.locator(".answer").text_content() or "")
-    assert shown is not None
     found = np.array([float(value) for value in shown.groups()])
     assert np.linalg.norm(found - pose.position) < 0.10
 
@@ -121,7 +120,6 @@ def test_a_walk_recorded_in_a_browser_becomes_a_trusted_map_that_a_second_walk_i
     expect(answer.locator(".badge")).to_have_text("tracking")
     expect(answer).to_contain_text("Jumps0")
     shown = re.search(r"Position(-?[\d.]+), (-?[\d.]+), (-?[\d.]+) m", answer.text_content() or "")
-    assert shown is not None
     found = np.array([float(value) for value in shown.groups()])
     assert np.linalg.norm(found - WALK.positions(np.array([END_S]))[0]) < 0.10
     page.context.close()

@@ -122,7 +122,6 @@ def test_changed_options_try_the_picture_again(desk_browser, running, pictures, 
         camera.select_option("unknown: estimate its focal length")
         expect(answer).to_contain_text("The camera is not known")
         found = re.search(r"Focal length(\d+) px, estimated", answer.text_content() or "")
-        assert found is not None
         assert int(found[1]) == pytest.approx(520, rel=0.1)
 
 
@@ -315,7 +314,6 @@ def test_the_camera_is_tracked_and_the_track_says_when_it_is_lost_and_when_it_ju
         answer = page.locator(".answer")
         expect(answer.locator(".badge")).to_have_text("tracking")
         shown = re.search(r"Position(-?[\d.]+), (-?[\d.]+), (-?[\d.]+) m", answer.text_content() or "")
-        assert shown is not None
         np.testing.assert_allclose([float(one) for one in shown.groups()], picture_world.pose.position, atol=0.05)
         expect(answer).to_contain_text(re.compile(r"Off by about[\d.]+ cm"))
         expect(answer).to_contain_text("Jumps0")

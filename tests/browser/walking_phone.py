@@ -132,8 +132,7 @@ class WalkingPhone:
         Returns:
             The seconds at which they were marked.
         """
-        marked: list[float] = page.evaluate("recordTheWalk", list(moments))
-        return marked
+        return page.evaluate("recordTheWalk", list(moments))
 
 
 def _jpeg(picture: ByteArray) -> str:

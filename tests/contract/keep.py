@@ -70,7 +70,6 @@ def _keep_walk(map_file: Path, folder: Path) -> None:
     map_ = load_map(map_file)
     picture, features = cv2.imread(str(folder / QUERY)), get_extractor(map_.info.features)
     answer = Localizer(map_).localize(Query.of_picture(picture, features, map_.info.camera))
-    assert answer.pose is not None
     kept = {"landmarks": len(map_), "id": map_.info.id, "T_map_camera": answer.pose.T_map_camera.tolist()}
     (folder / ANSWER).write_text(json.dumps(kept), encoding="utf-8")
 
@@ -108,7 +107,6 @@ def _keep_jobs(stores: Stores) -> None:
     stores.recordings.note(entry.id, {".waypoints.csv": b"name,time,x,y,z\nW1,0.5,1,2,1.5\n"})
     queue.submit(entry.id, MAP)
     claim = leases.take("a worker")
-    assert claim is not None
     leases.publish(claim.lease, ("It is only a test.",))
     queue.submit(entry.id, TINY, JobOptions(pictures=True))
     uploads = UploadStore(stores.recordings, queue, 1e10)

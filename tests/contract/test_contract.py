@@ -32,8 +32,7 @@ VERSIONS = sorted(keep.KEPT.iterdir())
 @pytest.fixture(params=VERSIONS, ids=lambda folder: folder.name)
 def kept(request: pytest.FixtureRequest) -> Path:
     """The folder with what a version made and offered."""
-    folder: Path = request.param
-    return folder
+    return request.param
 
 
 @pytest.fixture
@@ -70,7 +69,6 @@ def test_a_map_localizes_as_it_did(kept: Path) -> None:
     picture = cv2.imread(str(kept / keep.QUERY))
     query = Query.of_picture(picture, get_extractor(map_.info.features), map_.info.camera)
     pose = Localizer(map_).localize(query).pose
-    assert pose is not None
     np.testing.assert_allclose(pose.T_map_camera, answer["T_map_camera"], rtol=0, atol=0.02)
 
 
@@ -84,7 +82,6 @@ def test_a_server_has_its_maps_cameras_sites_and_keys(stores: Stores, kept: Path
     assert SiteLibrary(stores.documents(SITES)).get(keep.SITE_NAME) == keep.SITE
     secret = (kept / f"{'shared-' if stores.are_shared else ''}{keep.SECRET_FILE}").read_text(encoding="utf-8")
     key = KeyStore(stores.documents(KEYS)).find(secret)
-    assert key is not None
     assert (key.name, key.scope) == (keep.KEY_NAME, Scope.MAP)
 
 

@@ -37,7 +37,6 @@ def test_an_upload_goes_on_at_whichever_server_it_reaches(uploads: Any) -> None:
         store = uploads[number % 2]
         assert store.get(upload.id).offset == start
         upload = store.append(upload.id, start, VIDEO[start : start + step])
-    assert upload.job is not None
     assert (upload.job.state, upload.job.map_name, upload.job.recording) == (JobState.QUEUED, "hall", upload.id)
     assert uploads[0].get(upload.id) == uploads[1].get(upload.id)
     assert uploads[0]._recordings.path(upload.id).read_bytes() == VIDEO

@@ -12,8 +12,6 @@ import pytest
 
 from rholoc.geometry import ByteArray, Camera, FloatArray, IntArray, Pose
 from rholoc.recordings import GivenPoses, Recording
-from rholoc.simulation import Scene
-from rholoc.simulation.recording import _test_site
 
 CAMERA = Camera(480, 360, 400.0, 400.0, 239.5, 179.5)
 _TEXELS_PER_M = 200.0
@@ -98,9 +96,3 @@ def wall() -> Wall:
         w, h = (int(side) for side in rng.integers(4, 50, 2))
         cv2.rectangle(picture, (x, y), (x + w, y + h), tuple(map(int, rng.integers(20, 236, 3))), -1)
     return Wall(picture)
-
-
-@pytest.fixture(scope="session")
-def site() -> Scene:
-    """The demo's room by seed 0."""
-    return _test_site(0)  # the one that simulated recordings are of

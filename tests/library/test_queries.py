@@ -166,7 +166,7 @@ def test_a_worker_elsewhere_publishes_what_the_map_learned(
 ) -> None:
     """The steps of its job, without the queue."""
     shared = open_storage()
-    shared.library.put("west", point_room.map_of(point_room.walk(80)[:45], "west"))
+    shared.library.put("west", point_room.map_of(point_room.walk(80)[:45:2], "west"))
     before = shared.library.get("west")
     keep_queries(tmp_path / "asked", before, point_room, LATELY_S)
     store = QueryStore(shared.objects)
@@ -182,7 +182,6 @@ def test_a_worker_elsewhere_publishes_what_the_map_learned(
         worker.stop()
     latest = queue.last_learning("west")
     queue.close()
-    assert latest is not None
     assert latest.error_code is None, latest.error_message
     shared.refresh()
     after = shared.library.get("west").info

@@ -25,7 +25,6 @@ from rholoc.library.recording_notes import (
 from rholoc.maps import Map
 from rholoc.progress import silent
 from rholoc.recordings import MemoryFrames, Recording, Waypoint, write_frames_csv, write_waypoints_csv
-from rholoc.worker import pipeline
 from rholoc.worker.pipeline import MappingPipeline, MappingTask
 
 PLACES = [(0.0, 0.0, 1.5), (2.0, 0.0, 1.5), (2.0, 3.5, 1.5)]
@@ -65,11 +64,10 @@ def test_a_job_reads_the_corrected_waypoints_and_the_chosen_frames(
         read.extend(recordings)
         return picture_world.map_
 
-    monkeypatch.setattr(pipeline, "build_map", build)
+    monkeypatch.setattr("rholoc.mapping.build.pipeline.build_map", build)
     task = MappingTask(room_recording, tmp_path / "map.rho", tmp_path, "room", JobOptions(), folder=room_recording)
     MappingPipeline().build(task, silent)
     notes = read_notes(notes_in(room_recording))
-    assert notes is not None
     assert (notes.frames, [one.name for one in notes.waypoints]) == (6, ["A", "B", "C"])
     corrected = waypoints_file([replace(one, time_s=0.05 * i) for i, one in enumerate(GIVEN)], notes)
     (room_recording / ".waypoints.csv").write_bytes(corrected)

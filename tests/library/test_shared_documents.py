@@ -49,7 +49,6 @@ def test_keys_are_shared_and_only_their_hashes_are_kept(open_storage: Any, tmp_p
     secret = here.create("robot", Scope.LOCALIZE)
     other.refresh()
     found = there.find(secret)
-    assert found is not None
     assert (found.name, found.scope) == ("robot", Scope.LOCALIZE)
     assert not any(secret.encode() in path.read_bytes() for path in (tmp_path / "data").glob("jobs.sqlite*"))
     there.revoke("robot")

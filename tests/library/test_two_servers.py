@@ -183,7 +183,6 @@ def test_maps_cameras_keys_and_recordings_are_brought_in(storage_url: str, tmp_p
     assert CameraLibrary(shared.documents(CAMERAS)).get("phone") == profile
     assert SiteLibrary(shared.documents(SITES)).get("campus") == site
     found = KeyStore(shared.documents(KEYS)).find(secret)
-    assert found is not None
     assert found.name == "robot"
     recordings = stores.recordings
     assert recordings.list() == [entry]

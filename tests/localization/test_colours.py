@@ -81,7 +81,6 @@ def test_a_query_knows_the_colours_of_its_picture() -> None:
     image[:, :32] = (1, 2, 3)  # blue, green, red
     image[:, 32:] = (40, 50, 60)
     colours = Query(features, CAMERA, image=image).colours
-    assert colours is not None
     assert colours.tolist() == [[3, 2, 1], [60, 50, 40]]
     assert Query(features, CAMERA).colours is None
     assert Query(features, CAMERA, image=image[..., 0]).colours is None

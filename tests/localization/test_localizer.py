@@ -42,7 +42,6 @@ def test_a_little_roll_does_not_shift_an_upright_answer(localizer: Localizer, po
     truth = Pose.from_heading(held.position, held.heading, roll=np.deg2rad(1.5))
     answer = localizer.localize(Query(point_room.see(truth, 5), point_room.camera, Dof.UPRIGHT))
     assert _off(answer, truth)[0] < 0.02
-    assert answer.pose is not None
     assert answer.pose.roll == pytest.approx(0, abs=1e-9)
 
 
@@ -51,7 +50,6 @@ def test_a_rolled_camera_is_found_with_six_degrees_of_freedom(localizer: Localiz
     truth = Pose.from_heading(upright.position, upright.heading, roll=0.5)
     answer = localizer.localize(Query(point_room.see(truth, 5), point_room.camera, Dof.FREE))
     assert _off(answer, truth)[0] < 0.03
-    assert answer.pose is not None
     assert answer.pose.roll == pytest.approx(0.5, abs=0.01)
 
 
@@ -73,9 +71,7 @@ def test_more_features_are_asked_for_only_where_few_do_not_suffice(localizer: Lo
     answer = localizer.localize(Query(few, point_room.camera, more_features=more))
     assert asked == [True]
     assert "extract" in answer.timings_ms
-    assert answer.pose is not None
     expected = localizer.localize(Query(every, point_room.camera)).pose
-    assert expected is not None
     np.testing.assert_array_equal(answer.pose.T_map_camera, expected.T_map_camera)
 
 
@@ -91,8 +87,6 @@ def test_a_sample_is_spread_over_all_features(point_room: Any) -> None:
 def test_the_same_query_gives_the_same_answer(localizer: Localizer, point_room: Any) -> None:
     query = Query(point_room.see(point_room.walk(5)[2], 3), point_room.camera)
     first, second = localizer.localize(query), localizer.localize(query)
-    assert first.pose is not None
-    assert second.pose is not None
     np.testing.assert_array_equal(first.pose.T_map_camera, second.pose.T_map_camera)
 
 
@@ -110,8 +104,6 @@ def test_errors_are_consistent_with_the_covariance(localizer: Localizer, point_r
     inside = []
     for seed, truth in enumerate(point_room.walk(20, sideways_m=0.1)):
         answer = localizer.localize(Query(point_room.see(truth, 2000 + seed), point_room.camera, Dof.FREE))
-        assert answer.pose is not None
-        assert answer.covariance is not None
         error = answer.pose.position - truth.position
         inside.append(error @ np.linalg.solve(answer.covariance[:3, :3], error) < 7.81)
     assert np.mean(inside) >= 0.85
@@ -151,7 +143,6 @@ def test_a_prior_of_another_heading_was_not_met(localizer: Localizer, point_room
 def test_a_priors_place_is_seen_by_views_that_look_its_way(localizer: Localizer, point_room: Any) -> None:
     index, truth = localizer.index, point_room.walk(9)[4]
     place = place_of_prior(index, Prior(truth, 4.0, 0.1), views_each=60)
-    assert place is not None
     turned = angles_between(index.view_headings, truth.heading)
     alike = np.flatnonzero(turned < 0.1 + np.deg2rad(30))
     assert 0 < len(alike) < len(turned)
@@ -182,7 +173,6 @@ def test_where_few_features_are_left_a_close_prior_finds_the_pose(localizer: Loc
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(index, "match_within", lambda *_, **__: Matches.none())
         found = localizer.candidate(Query(some, point_room.camera, prior=near))
-    assert found is not None
     assert pose_distances(found[0].optimum.T_map_camera, truth.T_map_camera)[0] < 0.05
 
 
@@ -191,7 +181,6 @@ def test_a_roll_that_only_the_request_forbids_is_named(localizer: Localizer, poi
     rolled = point_room.see(Pose.from_heading(held.position, held.heading, roll=0.5), 5)
     answer = localizer.localize(Query(rolled, point_room.camera, Dof.UPRIGHT))
     assert not answer.localized
-    assert answer.diagnosis is not None
     assert answer.diagnosis.cause is Cause.ROLLED
     assert "29°" in answer.diagnosis.message
 
@@ -211,7 +200,6 @@ def test_gravity_that_contradicts_forbids_an_answer(localizer: Localizer, point_
     assert _off(agreed, truth)[0] < 0.03
     contradicted = localizer.localize(Query(features, point_room.camera, Dof.FREE, gravity=-down))
     assert not contradicted.localized
-    assert contradicted.diagnosis is not None
     assert contradicted.diagnosis.cause is Cause.WRONG_GRAVITY
 
 
@@ -230,14 +218,12 @@ def test_another_room_is_refused(localizer: Localizer, point_room: Any) -> None:
         assert not answer.localized
         assert answer.pose is None
         assert answer.reason is not None
-        assert answer.diagnosis is not None
         assert answer.diagnosis.cause is Cause.UNKNOWN_PLACE
 
 
 def test_nothing_to_see_is_an_answer(localizer: Localizer, point_room: Any) -> None:
     answer = localizer.localize(Query(FeatureSet.empty(32), point_room.camera))
     assert answer.reason is Reason.NO_FEATURES
-    assert answer.diagnosis is not None
     assert answer.diagnosis.cause is Cause.TOO_LITTLE_TEXTURE
 
 
@@ -245,7 +231,6 @@ def test_a_deadline_that_has_passed_is_an_answer(localizer: Localizer, point_roo
     features = point_room.see(point_room.walk(5)[2], 3)
     answer = localizer.localize(Query(features, point_room.camera, deadline_s=0.0))
     assert answer.reason is Reason.DEADLINE
-    assert answer.diagnosis is not None
     assert answer.diagnosis.cause is Cause.TOO_LITTLE_TIME
 
 

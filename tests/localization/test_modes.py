@@ -23,7 +23,6 @@ def test_poses_on_arcs_keep_what_is_seen_in_the_middle_and_at_its_distance(point
     truth = point_room.walk(60)[20]
     query = Query(point_room.see(truth, 1), point_room.camera, Dof.FREE)
     verified = verify(localizer.index, query, query.camera.rays(query.features.pixels), truth.T_map_camera)
-    assert verified is not None
     seen = localizer.index.landmarks[verified.matches.landmarks[verified.optimum.density > 0]]
     centre, T = np.median(seen, axis=0), verified.optimum.T_map_camera
     arcs = list(poses_on_arcs(localizer.index, verified))

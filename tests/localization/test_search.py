@@ -129,7 +129,6 @@ def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
     best = found(0.95, 100.0)
     lesser, near, nearer = found(0.9, 70.0, x=9.0), found(0.9, 94.0, x=5.0), found(0.9, 99.0, x=0.09)
     alone = search(best, nearer).outcome(0.9)
-    assert alone is not None
     assert (alone.verified, alone.belief) == (best.verified, best.belief)  # what is beside it is the same place
     weight = 0.9 * np.exp(-1 / 12) / (0.95 + 0.9 * np.exp(-1 / 12))
     assert alone.modes is not None
@@ -141,7 +140,6 @@ def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
     assert aside.recognized == best.recognized
     assert aside.belief.exact == pytest.approx((1 - weight) * best.belief.exact)
     contested = search(best, lesser, near, nearer).outcome(0.9)
-    assert contested is not None
     assert contested.verified is best.verified
     of_near, of_lesser = 0.9 * np.exp(-0.5), 0.9 * np.exp(-2.5)
     whole = 0.95 + of_near + of_lesser
@@ -157,7 +155,6 @@ def test_a_candidate_is_as_sure_as_it_is_better_than_its_best_rival() -> None:
     assert rivalled is not None
     begun = search(far, found(0.2, 112.0, x=5.0))
     answer = begun.outcome(0.9)
-    assert answer is not None
     assert answer.near_prior  # the one elsewhere is no longer sure
 
 
@@ -178,7 +175,6 @@ def test_candidates_come_with_their_confidence_however_doubtful(
     assert belief == answer.belief
     assert verified.inliers == answer.inliers == len(answer.inlier_pixels) > 0
     given_out = Localizer(localizer.map, min_recognized=answer.recognized, index=localizer.index).localize(query)
-    assert given_out.pose is not None
     assert (abs(given_out.pose.roll) > 1e-6) is rolled
 
 
@@ -205,7 +201,6 @@ def test_more_features_are_looked_up_where_a_quick_look_was_not_sure(localizer: 
     sure = Query(every, point_room.camera, more_features=lambda: pytest.fail("asked for more"))
     assert localizer.attempt(few) is None
     answer = localizer.attempt(sure)
-    assert answer is not None
     assert answer.confidence >= 0.9
     assert localizer.localize(sure).localized
     unknown = localizer.localize(replace(few, intrinsics=Intrinsics.UNKNOWN))
@@ -220,5 +215,4 @@ def test_a_refusal_of_few_features_is_for_a_bare_wall(
     seen = point_room.see(point_room.walk(9)[4], 8)
     strange = replace(seen, descriptors=np.random.default_rng(1).integers(0, 256, seen.descriptors.shape, np.uint8))
     answer = localizer.localize(Query(strange.take(np.arange(count)), point_room.camera))
-    assert answer.diagnosis is not None
     assert answer.diagnosis.cause is cause

@@ -75,11 +75,9 @@ def test_samples_are_drawn_by_chance_and_the_same_each_time() -> None:
 def test_ransac_finds_the_pose_and_counts_what_agrees() -> None:
     rays, points = seen(40, 15)
     found = lo_ransac(rays, points, 500.0, 4.0, 1000)
-    assert found is not None
     assert pose_distances(found[0], TRUE)[0] < 1e-3
     assert 25 <= found[1] <= 27
     four = lo_ransac(rays[:4], points[:4], 500.0, 4.0, 1000)
-    assert four is not None
     assert four[1] == 4
     assert lo_ransac(rays[:3], points[:3], 500.0, 4.0, 1000) is None
     rng = np.random.default_rng(1)
@@ -117,7 +115,6 @@ def test_a_priors_place_is_none_where_no_view_is_near_or_looks_its_way(localizer
     index = localizer.index
     pose = Pose(index.map.views.T_map_camera[10])
     here = place_of_prior(index, Prior(pose, 0.5, 0.2), 5)
-    assert here is not None
     assert here.view == 10
     away = Pose.from_heading(pose.position + np.array([50.0, 0, 0]), pose.heading, 0.0)
     assert place_of_prior(index, Prior(away, 0.5, 0.2), 5) is None

@@ -94,7 +94,6 @@ def test_frames_that_contradict_their_relative_pose_are_refused_and_the_frame_na
     T[2] = T[2] @ pose_matrix(Rotation.from_euler("y", turned_deg, degrees=True).as_matrix(), np.array(moved_m))
     answer = localize_together(localizer, replace(asked, T_rig_cameras=T)).first
     assert not answer.localized
-    assert answer.diagnosis is not None
     assert answer.diagnosis.cause is Cause.WRONG_MOTION
     assert answer.diagnosis.message.startswith("Frame 2 ")
 
@@ -129,8 +128,6 @@ def test_the_covariance_holds_what_the_errors_are(localizer: Localizer, point_ro
     for start in range(12):
         truths = walk[start : start + 9 : 4]
         found = localize_together(localizer, _asked(point_room, truths, 60))
-        assert found.first.pose is not None
-        assert found.first.covariance is not None
         error = found.first.pose.position - truths[0].position
         inside.append(error @ np.linalg.solve(found.first.covariance[:3, :3], error) < 7.81)
     assert np.mean(inside) >= 0.85

@@ -67,13 +67,10 @@ def test_colours_are_those_of_the_picture_and_of_the_landmarks_that_agree(point_
     seen = point_room.see(Pose(room_map.views.T_map_camera[20]), 3, 1.0)
     query = Query(seen, point_room.camera, Dof.FREE)
     plain, verified = (Localizer(one).candidate(query) for one in (room_map, coloured))
-    assert plain is not None
-    assert verified is not None
     assert np.isnan(plain[0].support.colours)
     assert np.isnan(verified[0].support.colours)  # of the picture nothing is known
     right = np.full((len(seen), 3), 7, dtype=np.uint8)
     right[verified[0].matches.detections] = coloured.landmarks.colours[verified[0].matches.landmarks]
     for colours, least, most in ((right, 0.9, 1.0), (rng.permutation(right), -0.3, 0.3)):
         found = Localizer(coloured).candidate(replace(query, features=replace(seen, colours=colours)))
-        assert found is not None
         assert least < found[0].support.colours < most

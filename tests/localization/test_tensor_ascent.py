@@ -68,7 +68,6 @@ def test_a_rolled_camera_is_localized(tensor_localizer: Localizer, point_room: A
     for roll in (0.5, -1.5, 3.0):
         truth = Pose.from_heading(upright.position, upright.heading, roll)
         answer = tensor_localizer.localize(Query(point_room.see(truth, 5), point_room.camera, Dof.FREE))
-        assert answer.pose is not None
         assert np.linalg.norm(answer.pose.position - truth.position) < 0.03
         assert answer.pose.roll == pytest.approx(roll, abs=0.01)
 

@@ -55,7 +55,6 @@ def test_the_last_steps_go_by_what_was_seen_from_hereabouts(point_room: Any) -> 
         query = Query(exact.see(truth, 800 + seed), point_room.camera, Dof.FREE)
         rays = query.camera.rays(query.features.pixels)
         found = verify(MapIndex(map_), query, rays, truth.T_map_camera)
-        assert found is not None
         assert elsewhere[found.matches.landmarks].sum() > 10
         climbed = ascend(map_.densities, found.evidence, truth.T_map_camera, (FINAL_TOLERANCE_PX,) * 3, Dof.FREE)
         for name, optimum in (("verified", found.optimum), ("climbed", climbed)):
@@ -71,7 +70,6 @@ def test_a_pose_is_polished_by_matches_that_the_narrow_radius_leaves_out(point_r
         query = Query(blurred.see(truth, 300 + seed), point_room.camera, Dof.FREE)
         index, rays = MapIndex(map_), query.camera.rays(query.features.pixels)
         found = verify(index, query, rays, truth.T_map_camera)
-        assert found is not None
         better = polished(index, query, found)
         assert better.support == found.support
         assert better.matches is found.matches

@@ -14,8 +14,7 @@ from rholoc.maps import Map, load_map, save_map
 
 @pytest.fixture(scope="module")
 def map_(point_room: Any) -> Map:
-    made: Map = point_room.map_of(point_room.walk(45), "walk")
-    return made
+    return point_room.map_of(point_room.walk(45), "walk")
 
 
 def test_landmarks_know_their_patches(point_room: Any, map_: Map) -> None:

@@ -73,7 +73,6 @@ def test_covariances_are_what_the_errors_of_links_come_to() -> None:
     for _ in range(60):
         links = [link("a", "b", T, rng), link("b", "c", T, rng), link("a", "c", T, rng)]
         placed = solve_site(site_of("abc", links)).maps[2]
-        assert placed.pose is not None
         errors.append(placed.pose.matrix[:3, 3] - T["c"][:3, 3])
         claimed.append(np.array(placed.covariance)[:3, :3])
     mahalanobis = [

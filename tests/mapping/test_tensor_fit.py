@@ -59,7 +59,6 @@ def test_every_feature_has_a_density_that_is_valid_where_it_was_seen(ray_map: Ma
         ray_map, DensityKind.TENSOR, progress=lambda stage, fraction, message="": heard.append((stage, fraction))
     )
     densities = map_.densities
-    assert densities is not None
     assert map_.info.density is DensityKind.TENSOR
     assert set(densities.features) == set(range(len(ray_map)))
     assert heard[-1] == (Stage.DENSITIES, 1.0)
@@ -73,7 +72,6 @@ def test_every_feature_has_a_density_that_is_valid_where_it_was_seen(ray_map: Ma
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_the_degree_is_as_asked(ray_map: Map, degree: int) -> None:
     fitted = fit_densities(_few(ray_map), DensityKind.TENSOR, degree).densities
-    assert fitted is not None
     assert fitted.degree == degree
 
 

@@ -25,8 +25,7 @@ from rholoc.recordings import read_recording
 @pytest.fixture(scope="module")
 def hall(point_room: Any) -> Map:
     """A small map that remembers its observations."""
-    map_: Map = point_room.map_of(point_room.walk(60)[:12], "walk")
-    return map_
+    return point_room.map_of(point_room.walk(60)[:12], "walk")
 
 
 def written(map_: Map, form: ExportFormat) -> bytes:
@@ -82,9 +81,7 @@ def test_a_colmap_model_of_a_map_reads_back_as_a_recording(hall: Map, tmp_path: 
     unpacked(hall, tmp_path)
     blank_pictures(hall, tmp_path)
     recording = read_recording(tmp_path)
-    assert recording.poses is not None
     np.testing.assert_allclose(recording.poses.T_map_camera, hall.views.T_map_camera, atol=1e-6)
-    assert recording.camera is not None
     assert recording.camera.cx == pytest.approx(hall.info.camera.cx)
 
 
@@ -92,9 +89,7 @@ def test_transforms_of_a_map_read_back_as_a_recording(hall: Map, tmp_path: Path)
     (tmp_path / "transforms.json").write_bytes(written(hall, ExportFormat.NERFSTUDIO))
     blank_pictures(hall, tmp_path)
     recording = read_recording(tmp_path)
-    assert recording.poses is not None
     np.testing.assert_allclose(recording.poses.T_map_camera, hall.views.T_map_camera, atol=1e-9)
-    assert recording.camera is not None
     assert recording.camera.matrix == pytest.approx(hall.info.camera.matrix)
 
 

@@ -44,7 +44,6 @@ from same_maps import assert_same_tables
 
 
 def numbers(element: ElementTree.Element | None) -> np.ndarray:
-    assert element is not None
     return np.array((element.text or "").split(), dtype=float)
 
 
@@ -284,8 +283,7 @@ TABLES = ("landmarks", "descriptors", "views", "observations")
 
 
 def table_of(map_: Map, name: str) -> MapTable:
-    table: MapTable = getattr(map_, name)
-    return table
+    return getattr(map_, name)
 
 
 @pytest.mark.parametrize("name", TABLES)

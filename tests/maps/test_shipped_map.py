@@ -18,7 +18,6 @@ def test_the_shipped_map_is_read_with_all_that_it_reports() -> None:
     assert source.views == len(map_.views)
     report = map_.info.report
     assert report.features == len(map_)
-    assert report.held_out is not None
     assert report.held_out.frames == report.held_out.localized == 4
     assert (report.coverage, report.coaching) == (None, ())
     assert trust_of(map_.info).trusted

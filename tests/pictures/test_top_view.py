@@ -31,7 +31,6 @@ def test_a_top_view_names_what_it_shows_and_keeps_its_proportions(tmp_path: Path
     figure = plot_top_view(estimated, truth, landmarks, [("W1", np.array([1.0, 0.0, 1.5]))], title="A walk")
     axes = figure.axes[0]
     legend = axes.get_legend()
-    assert legend is not None
     labels = " ".join(text.get_text() for text in legend.get_texts())
     for expected in ("true path", "estimated, 45 frames", "no pose, 5 frames", "300 landmarks", "waypoints"):
         assert expected in labels
@@ -39,7 +38,6 @@ def test_a_top_view_names_what_it_shows_and_keeps_its_proportions(tmp_path: Path
     assert axes.get_aspect() == 1
     save_figure(figure, tmp_path / "view.png")
     image = cv2.imread(str(tmp_path / "view.png"))
-    assert image is not None
     assert image.std() > 5
 
 

@@ -28,7 +28,6 @@ def _found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _started_by(program: Program) -> int:
     """The process that the program started."""
-    assert program._process.stdout is not None
     return int(program._process.stdout.readline())
 
 

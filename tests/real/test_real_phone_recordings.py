@@ -24,7 +24,6 @@ def test_an_android_phones_folder(real_data: Path) -> None:
     assert [one.kind for one in recording.warnings] == [WarningKind.NOT_USED]  # session_metadata.json
     assert len(recording.frames.times) == 608
     assert recording.frames.times[-1] - recording.frames.times[0] == pytest.approx(23.5, abs=0.1)
-    assert recording.imu is not None
     assert recording.imu.includes_gravity
     assert np.median(np.diff(recording.imu.times)) == pytest.approx(0.005, abs=2e-4)
     assert np.linalg.norm(recording.imu.acceleration, axis=1).mean() == pytest.approx(9.8, abs=0.1)
@@ -37,9 +36,7 @@ def test_the_rig_of_euroc(real_data: Path) -> None:
     assert recording.format is RecordingFormat.EUROC
     assert recording.warnings == ()
     assert len(recording.frames.times) == 90
-    assert recording.camera is not None
     assert recording.camera.fx == 458.654
-    assert recording.poses is not None
     assert recording.poses.known.all()
     positions = recording.poses.T_map_camera[:, :3, 3]
     assert np.linalg.norm(np.diff(positions, axis=0), axis=1).sum() == pytest.approx(1.45, abs=0.05)
@@ -47,8 +44,6 @@ def test_the_rig_of_euroc(real_data: Path) -> None:
     fit = calibrate_gyro(recording.frames.times, recording.poses.T_map_camera[:, :3, :3], recording.imu)
     free = replace(recording.imu, R_camera_imu=None)
     found = calibrate_gyro(recording.frames.times, recording.poses.T_map_camera[:, :3, :3], free)
-    assert fit is not None
-    assert found is not None
     assert fit.residual_deg < 0.2
     assert np.degrees(rotation_angles(fit.R_camera_imu, found.R_camera_imu)) < 3
     assert force_points_up(recording.imu, recording.frames.times, recording.poses.T_map_camera[:, :3, :3])
@@ -59,15 +54,11 @@ def test_an_iphones_tables_without_its_video(real_data: Path) -> None:
     assert recording.format is RecordingFormat.IOS_LOGGER
     assert recording.warnings[0].kind is WarningKind.NO_IMAGES
     assert len(recording.frames.times) == 1309
-    assert recording.frame_intrinsics is not None
     assert recording.frame_intrinsics[0].tolist() == [1461.888184, 1461.888184, 963.666687, 694.755127]
-    assert recording.poses is not None
-    assert recording.imu is not None
     T = recording.poses.T_map_camera
     assert np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1).sum() == pytest.approx(24, abs=0.1)
     # The axes of ARKit and CoreMotion, sign and unit: the gyroscope fits the poses, gravity's reaction points up.
     found = calibrate_gyro(recording.frames.times, T[:, :3, :3], replace(recording.imu, R_camera_imu=None))
-    assert found is not None
     assert recording.imu.R_camera_imu is not None
     assert np.degrees(rotation_angles(found.R_camera_imu, recording.imu.R_camera_imu)) < 1
     felt = np.column_stack(

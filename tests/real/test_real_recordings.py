@@ -17,7 +17,6 @@ def test_the_kitchen_with_its_poses(real_data: Path) -> None:
     recording = read_recording(kitchen, camera="525.505,525.505,320,240", frames="400:1000")
     table = np.loadtxt(kitchen / "poses.txt")
     table = table[(table[:, 0] >= 400) & (table[:, 0] < 1000)]
-    assert recording.poses is not None
     assert recording.poses.known.all()
     np.testing.assert_array_equal(recording.frames.numbers, table[:, 0])
     np.testing.assert_array_equal(recording.poses.T_map_camera[:, :3, 3], table[:, 1:4])

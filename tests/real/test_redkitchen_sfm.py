@@ -23,7 +23,7 @@ from rholoc.trajectory.estimate import estimate_trajectory
 
 _WAYPOINT_FRAMES = (424, 700, 772, 976)  # the far ends of the walk, along it and across: they fix its rotation
 _CAMERA = "525.505,525.505,320,240"
-_INTERVAL_S = 0.2
+_INTERVAL_S = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ _OTHERS = {
 
 
 def first_half(real_data: Path) -> Map:
-    recording = read_recording(real_data / "redkitchen", camera=_CAMERA, frames="400:700:3")
+    recording = read_recording(real_data / "redkitchen", camera=_CAMERA, frames="400:700:4")
     return build_map([recording], BuildOptions(poses=PoseMethod.GIVEN, report=False))
 
 
@@ -121,7 +121,7 @@ def errors_m(map_: Map, real_data: Path) -> np.ndarray:
 @pytest.mark.real
 def test_the_second_half_makes_the_map_no_worse_and_other_rooms_are_refused(real_data: Path) -> None:
     first = first_half(real_data)
-    second = read_recording(real_data / "redkitchen", camera=_CAMERA, frames="700:1000:3")
+    second = read_recording(real_data / "redkitchen", camera=_CAMERA, frames="700:1000:4")
     updated = update_map(first, replace(second, poses=None))
     before, after = errors_m(first, real_data), errors_m(updated, real_data)
     assert (after < 0.05).sum() >= (before < 0.05).sum() >= 0.9 * len(before)
@@ -137,4 +137,4 @@ def test_the_second_half_makes_the_map_no_worse_and_other_rooms_are_refused(real
 
     for other, camera in _OTHERS.items():
         with pytest.raises(MappingFailed, match="does not show the place"):
-            update_map(first, read_recording(real_data / other, camera=camera))
+            update_map(first, read_recording(real_data / other, camera=camera, frames="::10"))

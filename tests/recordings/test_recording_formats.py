@@ -83,12 +83,10 @@ def test_the_walk_comes_back_from_every_format(name: str, tmp_path: Path) -> Non
 )
 def test_depth_comes_with_its_frame(name: str, known: int, tmp_path: Path) -> None:
     recording = read(name, tmp_path)
-    assert recording.depth is not None
     chosen = select_frames(recording, slice(2, None, 3)).depth
     assert chosen is not None
     for depth, row in ((recording.depth, 5), (chosen, 1)):
         metres = depth.read(row)
-        assert metres is not None
         assert np.isnan(metres[0, 0])
         np.testing.assert_allclose(metres[1:], 1.05, atol=2e-4)
     assert sum(path is None for path in recording.depth.paths) == known  # the last of TUM's list is left out
@@ -110,7 +108,6 @@ def check_imu(name: str, recording: Recording) -> None:
     if name in WITHOUT_IMU:
         assert imu is None
         return
-    assert imu is not None
     times = imu.times + (phone.START_S if name == "advio" else 0)
     _, _, rate, felt = phone.truth(times)
     assert len(times) >= 178
@@ -127,7 +124,6 @@ def check_poses(name: str, recording: Recording) -> None:
     if name not in POSED:
         assert recording.poses is None
         return
-    assert recording.poses is not None
     assert recording.poses.known.all()
     assert recording.poses.metric is (name not in ("colmap", "nerfstudio"))
     np.testing.assert_allclose(recording.poses.T_map_camera, phone.camera_poses(POSED[name]), atol=1e-4)
@@ -172,7 +168,6 @@ def test_every_reader_has_a_format_of_its_own_and_a_walk_here() -> None:
 def test_what_a_recorder_logs_of_every_frame(tmp_path: Path) -> None:
     android = read_recording(phone.write_recording("mars-android", tmp_path / "android"), frames="3:5")
     assert android.readout_s == pytest.approx(0.015)
-    assert android.frame_intrinsics is not None
     np.testing.assert_array_equal(android.frame_intrinsics[:, :2], [[64, 65], [65, 66]])
     assert np.isnan(android.frame_intrinsics[:, 2:]).all()
     ios = read_recording(phone.write_recording("mars-ios", tmp_path / "ios"))
@@ -181,7 +176,6 @@ def test_what_a_recorder_logs_of_every_frame(tmp_path: Path) -> None:
         for logged in (ios, recording):
             np.testing.assert_array_equal(logged.frame_intrinsics, np.tile(phone.INTRINSICS, (24, 1)))
     spectacular = read_recording(phone.write_recording("spectacular", tmp_path / "spectacular"))
-    assert spectacular.frame_intrinsics is not None
     np.testing.assert_allclose(spectacular.frame_intrinsics[:, 0], 60 + 0.1 * np.arange(24))
 
 
@@ -191,7 +185,6 @@ def test_sensor_logger_without_gravity(platform: str, tmp_path: Path) -> None:
     phone.write_sensor_logger(folder, platform)
     (folder / "TotalAcceleration.csv").unlink(missing_ok=True)
     imu = read_recording(folder).imu
-    assert imu is not None
     assert not imu.includes_gravity
     R, _, _, felt = phone.truth(imu.times)
     np.testing.assert_allclose(imu.acceleration, felt - np.einsum("nji,j->ni", R, [0, 0, phone.GRAVITY]), atol=1e-2)
@@ -206,7 +199,6 @@ def test_the_raw_tables_of_ios_logger_serve_without_the_fused_one(tmp_path: Path
     phone.write_rows(folder / "Accel.txt", "", accelerometer.tolist())
     (folder / "MotARH.txt").unlink()
     imu = read_recording(folder).imu
-    assert imu is not None
     np.testing.assert_allclose(imu.acceleration, phone.truth(imu.times)[3], atol=0.02)
 
 
@@ -243,7 +235,6 @@ def test_waypoints_and_intrinsics_may_be_added_to_any_format(tmp_path: Path) -> 
     assert recording.format is RecordingFormat.OPENCAMERA_SENSORS
     assert [waypoint.name for waypoint in recording.waypoints] == ["W0", "W1", "W2"]
     assert recording.camera == Camera(64, 48, 60, 60, 31.5, 23.5)
-    assert recording.imu is not None
     np.testing.assert_array_equal(recording.imu.R_camera_imu, phone.R_PORTRAIT_CAMERA_IMU)
     assert recording.readout_s == 0.02
 
@@ -285,7 +276,6 @@ def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
         assert old in path.read_text()
         path.write_text(path.read_text().replace(old, new))
         recording = read_recording(tmp_path / name)
-        assert recording.camera is not None
         assert recording.camera.lens is Lens.FISHEYE
         assert recording.camera.distortion[:2] == DISTORTED[name][:2]  # nerfstudio's others are called k3 and k4
 
@@ -310,7 +300,6 @@ def test_a_frame_that_tracking_lost_has_no_pose(tmp_path: Path) -> None:
         read_recording(folder)
     (folder / "frame-000005.pose.txt").write_text("inf " * 16)
     poses = read_recording(folder).poses
-    assert poses is not None
     assert np.flatnonzero(~poses.known).tolist() == [5, 6, 7]
 
 
@@ -344,7 +333,6 @@ def test_a_cameras_own_intrinsics_of_several_in_a_colmap_model(tmp_path: Path) -
     folder = colmap_of_two_cameras(tmp_path / "walk")
     recording = read_recording(folder)
     plain = read_recording(phone.write_recording("colmap", tmp_path / "plain"))
-    assert recording.camera is not None
     assert recording.camera.distortion == ()
     assert recording.camera.fx == pytest.approx(60, rel=0.02)
     assert recording.frames.size[0] >= phone.SIZE[0] - 2
@@ -358,8 +346,6 @@ def test_a_binary_colmap_model_is_read_as_its_text_is(tmp_path: Path) -> None:
     _to_binary(binary / "sparse" / "0")
     one, other = read_recording(text), read_recording(binary)
     assert other.camera == one.camera
-    assert other.poses is not None
-    assert one.poses is not None
     np.testing.assert_allclose(other.poses.T_map_camera, one.poses.T_map_camera, atol=1e-9)
     assert other.frames.numbers.tolist() == one.frames.numbers.tolist()
 
@@ -423,7 +409,6 @@ def test_a_transform_that_nerfstudio_applied_is_undone(tmp_path: Path) -> None:
     values["applied_transform"] = applied[:3].tolist()
     (folder / "transforms.json").write_text(json.dumps(values))
     poses = read_recording(folder).poses
-    assert poses is not None
     np.testing.assert_allclose(poses.T_map_camera, phone.camera_poses(POSED["nerfstudio"]), atol=1e-4)
 
 
@@ -434,7 +419,6 @@ def test_pictures_of_a_scanner_app_with_their_own_focal_lengths_become_frames_of
         values["intrinsics"][0] = values["intrinsics"][4] = 60 + 0.1 * i
         path.write_text(json.dumps(values))
     recording = read_recording(folder)
-    assert recording.camera is not None
     assert 60 < recording.camera.fx < 60 + 0.1 * phone.FRAMES
     assert recording.frames.size == (recording.camera.width, recording.camera.height)
 
@@ -446,7 +430,6 @@ def test_intrinsics_of_arkit_scenes_may_be_a_millisecond_off(tmp_path: Path, shi
         scan, time = path.stem.split("_")
         path.rename(path.with_name(f"{scan}_{float(time) + shift_s:.3f}.pincam"))
     camera = read_recording(folder).camera
-    assert camera is not None
     assert camera.fx == phone.INTRINSICS[0]
 
 
@@ -454,7 +437,6 @@ def test_a_broken_depth_image_does_not_keep_a_scan_from_being_read(tmp_path: Pat
     folder = phone.write_recording("scanner-app", tmp_path / "walk")
     (folder / "depth_00000.png").write_bytes(b"cut off")
     depth = read_recording(folder).depth
-    assert depth is not None
     assert depth.camera is not None
     assert depth.read(0) is None
     assert depth.read(1) is not None
@@ -476,7 +458,6 @@ def test_polycams_refined_cameras_are_preferred(tmp_path: Path) -> None:
         values = json.loads(path.read_text())
         path.write_text(json.dumps({**values, "t_03": values["t_03"] + 1}))
     poses = read_recording(tmp_path / "walk").poses
-    assert poses is not None
     moved = poses.T_map_camera[:, 0, 3] - phone.camera_poses(phone.R_LANDSCAPE_CAMERA_IMU)[:, 0, 3]
     np.testing.assert_allclose(moved, 1, atol=1e-6)
 
@@ -486,12 +467,10 @@ def test_metashapes_scale_and_fourth_coefficient(tmp_path: Path) -> None:
     text = path.read_text()
     path.write_text(text.replace("<k2>", "<k4>0.02</k4><k2>"))
     camera = read_recording(tmp_path / "walk").camera
-    assert camera is not None
     assert camera.distortion[4] != 0
     start, end = text.index("<components>"), text.index("<cameras>")
     path.write_text(text[:start] + text[end:])
     recording = read_recording(tmp_path / "walk")
-    assert recording.poses is not None
     assert not recording.poses.metric
     assert [warning.kind for warning in recording.warnings] == [WarningKind.SCALE_UNKNOWN]
 
@@ -533,7 +512,6 @@ def test_frames_whose_logged_focal_length_changes_become_frames_of_one_camera(tm
 
     phone.edit_rows(folder / "odometry.csv", zoomed)
     recording = read_recording(folder, frames="4:")
-    assert recording.camera is not None
     assert recording.camera.fx == 71.5
     assert isinstance(recording.frames, SelectedFrames)
     frames = recording.frames.source

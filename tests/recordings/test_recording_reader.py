@@ -111,7 +111,6 @@ def test_numbers_with_gaps_are_chosen_by_number(make_images, tmp_path: Path) -> 
     (folder / "poses.txt").write_text(poses([100, 105, 110, 115]))
     recording = read_recording(folder, frames="105:115")
     assert recording.frames.numbers.tolist() == [105, 110]
-    assert recording.poses is not None
     assert recording.poses.T_map_camera[:, 0, 3].tolist() == [1, 2]
 
 
@@ -138,7 +137,6 @@ def test_poses_belong_to_frames_by_number_or_by_time(make_images, tmp_path: Path
             read_recording(folder)
         write_camera_json(folder / "camera.json", CameraFile(fps=30))
     given = read_recording(folder).poses
-    assert given is not None
     assert np.flatnonzero(given.known).tolist() == known
     order = np.argsort(np.array(keys, dtype=float))[: len(known)]
     np.testing.assert_array_equal(given.T_map_camera[given.known, 0, 3], order)
@@ -346,7 +344,6 @@ def check_whole(recording: Recording) -> None:
     assert recording.name == "phone"
     assert recording.camera == CAMERA
     np.testing.assert_allclose(recording.frames.times, 50 + np.arange(12) / 20)
-    assert recording.imu is not None
     assert recording.imu.R_camera_imu is not None
     assert not recording.imu.includes_gravity
     assert [waypoint.name for waypoint in recording.waypoints] == ["W0", "W1", "W2"]
@@ -428,7 +425,6 @@ def test_several_videos_are_reported(own: Path, make_video) -> None:
 def test_a_camera_of_another_resolution_is_scaled_and_of_another_shape_refused(own: Path) -> None:
     write_camera_json(own / "camera.json", CameraFile(CAMERA.resized(640, 480)))
     camera = read_recording(own).camera
-    assert camera is not None
     np.testing.assert_allclose([camera.width, camera.fx, camera.cx], [64, 60, 32])
     write_camera_json(own / "camera.json", CameraFile(Camera(48, 64, 60, 60, 24, 32)))
     with pytest.raises(InvalidCamera, match="48×64"):

@@ -161,7 +161,6 @@ def test_waypoints_on_earth_are_metres_around_the_first(tmp_path: Path) -> None:
     assert a.position == pytest.approx((0, 0, 0), abs=1e-6)
     assert b.position == pytest.approx((0, 11.127, 0), abs=2e-3)
     assert c.position == pytest.approx((6.788, 0, 1.5), abs=2e-3)
-    assert c.earth is not None
     assert (c.earth.latitude_deg, c.earth.longitude_deg, c.earth.height_m) == (52.52, 13.4051, 75.5)
 
 

@@ -74,7 +74,6 @@ def test_serve_tls_answers_over_https_and_shows_where_to_record(tmp_path: Path) 
     command += ["--port", str(port), "--maps", str(tmp_path / "maps"), "--data", str(tmp_path / "data")]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:
-        assert process.stderr is not None
         assert f"https://127.0.0.1:{port}/record" in process.stderr.readline()
         process.stderr.readline()
         assert f"https://127.0.0.1:{port}" in process.stderr.readline()  # it listens, and takes calls from here on

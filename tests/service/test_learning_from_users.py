@@ -145,7 +145,7 @@ def asked_often(serve, point_room, picture_world):
     map_ = point_room.map_of(point_room.walk(80)[:45:2], "west")
     save_map(map_, running.settings.maps_dir / "west.rho")
     (running.settings.maps_dir / "old.rho").write_bytes(picture_world.rho())
-    keep_queries(running.settings.data_dir, map_, point_room, LATELY_S, 36)
+    keep_queries(running.settings.data_dir, map_, point_room, LATELY_S)
     return running
 
 

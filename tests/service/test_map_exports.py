@@ -216,7 +216,6 @@ def test_a_process_that_is_killed_is_started_again(tmp_path, library):
     async def scenario() -> None:
         renderings = Renderings(tmp_path / "kept", library, StorageLanes())
         await renderings.get("room", Rendering.COVERAGE)
-        assert renderings._program is not None
         renderings._program._process.kill()
         assert cv2.imdecode(np.frombuffer((await renderings.get("room", Rendering.PREVIEW)).content, np.uint8), 1).any()
         await renderings.close()

@@ -28,7 +28,7 @@ def campus(serve, picture_world, point_room):
     folder = running.settings.maps_dir
     (folder / "room.rho").write_bytes(picture_world.rho())
     walk = point_room.walk(80)
-    for name, poses in (("west", walk[:45]), ("east", walk[25:65])):
+    for name, poses in (("west", walk[:45:2]), ("east", walk[25:65:2])):
         save_map(point_room.map_of(poses, name), folder / f"{name}.rho")
     return running
 
@@ -45,15 +45,12 @@ def test_an_answer_is_in_the_sites_frame_and_on_earth(client, picture_world) -> 
     client.put_site("campus", {"maps": [{"map": "room", "floor": "2", "pose": TURNED}], "earth": EARTH})
     answer = client.localize("room", picture_world.png(), dof=6)
     assert answer.localized
-    assert answer.pose is not None
-    assert answer.site is not None
     x, y, z = answer.pose.position
     assert answer.site.position == pytest.approx((10.0 - y, 20.0 + x, 3.0 + z), abs=1e-6)
     assert answer.site.heading == pytest.approx(
         (-answer.pose.heading[1], answer.pose.heading[0], answer.pose.heading[2])
     )
     assert (answer.site.site, answer.site.version, answer.site.floor) == ("campus", 1, "2")
-    assert answer.site.earth is not None
     assert answer.site.earth.latitude_deg == pytest.approx(52.52 + (20.0 + x) / 111_270, abs=1e-6)
     assert answer.site.earth.height_m == pytest.approx(77.0 + z, abs=1e-3)
     own, there = np.array(answer.covariance), np.array(answer.site.covariance)

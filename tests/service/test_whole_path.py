@@ -20,7 +20,6 @@ from rholoc.simulation import (
     PHONE_CAMERA,
     Light,
     make_blank_wall,
-    make_test_site,
     make_walk,
     render_view,
     simulate_recording,
@@ -36,11 +35,6 @@ QUERY_SECONDS = (1.07, 3.03, 5.11)
 def running(serve):
     """A service with a worker."""
     return serve(worker=True)
-
-
-@pytest.fixture(scope="module")
-def site():
-    return make_test_site(0)
 
 
 @pytest.fixture(scope="module")

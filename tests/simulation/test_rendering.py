@@ -126,7 +126,7 @@ def test_textured_rooms_give_features_and_blank_walls_do_not(site: Scene) -> Non
 
 
 def test_rooms_and_pictures_follow_from_their_seed(site: Scene) -> None:
-    again, other = make_test_site(0), make_test_site(3)
+    again, other = make_test_site.__wrapped__(0), make_test_site(3)
     assert all(np.array_equal(a.paint.albedo, b.paint.albedo) for a, b in zip(site.faces, again.faces, strict=True))
     assert any(
         a.paint.albedo.shape != b.paint.albedo.shape or not np.array_equal(a.paint.albedo, b.paint.albedo)

@@ -45,7 +45,6 @@ def test_a_simulated_recording_reads_back(folder: Path) -> None:
     assert recording.camera == CAMERA
     assert recording.frames.size == (160, 120)
     np.testing.assert_allclose(recording.frames.times, np.arange(21) / 30, atol=1e-6)
-    assert recording.imu is not None
     assert recording.imu.includes_gravity
     np.testing.assert_allclose(np.diff(recording.imu.times), 0.01, atol=1e-6)
     assert recording.waypoints == ()  # fewer than three are reached

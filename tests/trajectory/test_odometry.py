@@ -132,8 +132,8 @@ def test_a_single_row_makes_no_step() -> None:
 
 @pytest.fixture(scope="module")
 def walk() -> SyntheticWalk:
-    """Half of the walk."""
-    return SyntheticWalk(times=np.arange(0.0, 16.0, 0.2))
+    """Its first ten seconds."""
+    return SyntheticWalk(times=np.arange(0.0, 10.0, 0.2))
 
 
 @pytest.mark.slow
@@ -141,7 +141,6 @@ def test_odometry_makes_pictures_metric(walk: SyntheticWalk) -> None:
     bare = walk.recording(imu=None, waypoints=())
     found = estimated(walk, replace(bare, odometry=drifting(walk)), PoseMethod.VISUAL)
     assert found.scale is Scale.METRIC
-    assert found.report.scale is not None
     assert found.report.scale.startswith("Odometry fixes the scale to 1.")
     alignment = align_poses(found.T_map_camera, true_poses(walk, found))
     assert alignment.scale == pytest.approx(1.0, abs=0.02)

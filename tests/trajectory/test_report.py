@@ -118,7 +118,6 @@ def test_without_a_scale_or_trust_the_report_says_so() -> None:
     assert report.waypoint_times_s is None
     assert report.waypoint_residuals_m is None
     assert report.waypoint_mistake is None
-    assert report.camera is not None
     assert report.camera.focal_sigma_px == 5.0
     assert (report.disagreement_of_depth, report.disagreement_deg) == (None, 0.2)
     plain = _report(_found(frame=frame, left_out={}, mistaken=()), PoseMethod.VISUAL, 10, np.arange(8), [])

@@ -27,7 +27,7 @@ def task(tmp_path: Path, point_room: Any, monkeypatch: pytest.MonkeyPatch) -> Ma
     MapLibrary(tmp_path / "maps").put("room", point_room.map_of(point_room.walk(60)[:30], "first"))
     recording = Recording(MemoryFrames([np.zeros((48, 64), np.uint8)] * 2), "walk", tmp_path)
     monkeypatch.setattr(pipeline, "read_recording", lambda *_args, **_options: recording)
-    monkeypatch.setattr(pipeline, "update_map", lambda map_, *_: next_version(map_))
+    monkeypatch.setattr("rholoc.mapping.learn.from_recordings.update_map", lambda map_, *_: next_version(map_))
     options = JobOptions(kind=JobKind.UPDATE)
     return MappingTask(tmp_path / "walk.mp4", tmp_path / "work" / "map.rho", tmp_path / "maps", "room", options)
 
@@ -69,7 +69,7 @@ def test_a_recording_of_another_place_leaves_the_map(task: MappingTask, monkeypa
     def refuse(*_: object) -> Map:
         raise MappingFailed("walk does not show the place of the map.")
 
-    monkeypatch.setattr(pipeline, "update_map", refuse)
+    monkeypatch.setattr("rholoc.mapping.learn.from_recordings.update_map", refuse)
     before = save_state(task)
     with pytest.raises(MappingFailed):
         MappingPipeline().build(task, silent)
@@ -96,7 +96,7 @@ def test_a_room_that_is_drawn_is_put_into_the_published_map(
     published = MapLibrary(task.maps_dir).get("room").info
     MappingPipeline().furnish(task, MapLibrary(task.maps_dir), lambda: None, Limits())  # the recording shows nothing
     assert len(MapLibrary(task.maps_dir).get("room").room) == 0
-    monkeypatch.setattr(pipeline, "draw_room", draw)
+    monkeypatch.setattr("rholoc.mapping.room.drawing.draw_room", draw)
     MappingPipeline().furnish(task, MapLibrary(task.maps_dir), lambda: None, Limits())
     furnished = MapLibrary(task.maps_dir).get("room")
     assert (len(furnished.room), furnished.info) == (1, published)

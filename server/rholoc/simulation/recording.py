@@ -89,7 +89,7 @@ def simulate_recording(
     """
     out.mkdir(parents=True, exist_ok=True)
     walk = make_walk(walk, seconds, seed) if isinstance(walk, int) else walk
-    scene = _test_site(seed) if scene is None else scene
+    scene = make_test_site(seed) if scene is None else scene
     times = np.arange(max(1, round(seconds * fps))) / fps
     T_map_camera = walk.T_map_camera(times)
 
@@ -118,11 +118,6 @@ def render_view(
     renderer, white = _lit_renderer(scene, light)
     exposure = expose(meter(renderer.radiance(camera.resized(*_METER_SIZE), [pose])), white)
     return develop(renderer.radiance(camera, [pose] * len(SAMPLES)), exposure, np.random.default_rng(seed))
-
-
-@lru_cache(maxsize=2)
-def _test_site(seed: int) -> Scene:
-    return make_test_site(seed)
 
 
 @lru_cache(maxsize=2)

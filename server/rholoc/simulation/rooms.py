@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -27,11 +28,13 @@ START_M = (1.45, 0.95, 1.4)  # from the room's corner on the floor: the origin o
 _Framed = Callable[[int, float, float, float, float], list[Decor]]
 
 
+@lru_cache(maxsize=2)
 def make_test_site(seed: int = 0) -> Scene:
     """The test site: an L-shaped part of a 6 × 5 × 2.7 m room, with furniture, posters, a window and two lamps.
 
     Its map frame has its origin at the start of the first walk, ``START_M`` from the room's corner, x and y along
-    its walls. Other seeds give other rooms: the same plan with other furniture sizes, posters and colours.
+    its walls. Other seeds give other rooms: the same plan with other furniture sizes, posters and colours. The last two
+    are remembered, for it takes seconds to make a room and to light it.
     """
     build = Builder(seed)
     rng = build.rng("plan")

@@ -103,6 +103,11 @@ class Box:
         """Corners (8, 3) [m], map frame, x of the box counting slowest."""
         return np.asarray(self.centre + (_CORNERS * self.size) @ self.axes)
 
+    @lazy
+    def bounds(self) -> FloatArray:
+        """Least and greatest coordinates (2, 3) [m] of the corners, map frame."""
+        return np.array([self.corners.min(axis=0), self.corners.max(axis=0)])
+
     def cuts(self, start: FloatArray, end: FloatArray, margin: float) -> BoolArray:
         """Mask (N,) of the lines from points ``start`` to points ``end`` (N, 3) that pass through the box, without
         the share ``margin`` at either end.
@@ -111,10 +116,10 @@ class Box:
         half = (0.5 * self.size).astype(np.float32)
         near = np.full(len(start), margin, dtype=np.float32)
         far = np.full(len(start), 1 - margin, dtype=np.float32)
+        offset, way = start - self.centre.astype(np.float32), end - start
         for axis in range(3):
-            origin = (start - self.centre.astype(np.float32)) @ axes[axis]
-            step = (end - start) @ axes[axis]
-            step = np.where(np.abs(step) < 1e-9, np.float32(1e-9), step)
+            origin, step = offset @ axes[axis], way @ axes[axis]
+            step[np.abs(step) < 1e-9] = 1e-9
             first, second = (-half[axis] - origin) / step, (half[axis] - origin) / step
             near = np.maximum(near, np.minimum(first, second))
             far = np.minimum(far, np.maximum(first, second))
@@ -166,12 +171,17 @@ class Scene:
         shape, start, end = start.shape[:-1], start.reshape(-1, 3), end.reshape(-1, 3)
         low, high = np.minimum(start, end).T.copy(), np.maximum(start, end).T.copy()  # (3, N)
         hit = np.zeros(len(start), dtype=bool)
+        bottom, top = low.min(axis=1, initial=np.inf), high.max(axis=1, initial=-np.inf)
         for box in self.boxes:
-            candidates = ~hit
-            for axis, (least, most) in enumerate(zip(box.corners.min(axis=0), box.corners.max(axis=0), strict=True)):
-                candidates &= (low[axis] < most + _NEAR_M) & (high[axis] > least - _NEAR_M)
-            rows = np.flatnonzero(candidates)
-            hit[rows] = box.cuts(start[rows], end[rows], margin)
+            least, most = box.bounds + _NEAR_M * np.array([[-1.0], [1.0]])
+            if (bottom >= most).any() or (top <= least).any():
+                continue
+            near = ~hit
+            for axis in range(3):
+                near &= (low[axis] < most[axis]) & (high[axis] > least[axis])
+            rows = np.flatnonzero(near)
+            if len(rows):
+                hit[rows] = box.cuts(start[rows], end[rows], margin)
         return hit.reshape(shape)
 
 

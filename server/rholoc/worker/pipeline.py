@@ -1,4 +1,7 @@
-"""Steps of a job: build a map file from a recording, and publish it."""
+"""Steps of a job: build a map file from a recording, and publish it.
+
+What makes maps is loaded where a job needs it: a worker that waits for jobs, or for their processes, keeps no solvers.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,6 @@ from rholoc.library.cameras import CameraLibrary
 from rholoc.library.maps import MapLibrary
 from rholoc.library.queries import QueryStore
 from rholoc.library.recording_notes import WAYPOINTS_FILE, notes_of, write_notes
-from rholoc.mapping.build.pipeline import BuildOptions, build_map
-from rholoc.mapping.learn.from_queries import learn_from_queries
-from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
-from rholoc.mapping.room.drawing import draw_room
 from rholoc.maps import Map, load_map, save_map, trust_of
 from rholoc.processes.child import run_in_child
 from rholoc.processes.limits import Limits
@@ -151,6 +150,8 @@ def write_room(task: MappingTask, target: Path, progress: ProgressListener) -> b
 
     Raises the errors of :func:`read_recording`, and Cancelled.
     """
+    from rholoc.mapping.room.drawing import draw_room
+
     map_ = load_map(task.built_file)
     drawn = draw_room(map_, [_recording_of(task)], progress)
     if drawn is map_:
@@ -180,6 +181,8 @@ def _recording_of(task: MappingTask) -> Recording:
 
 
 def _learned(task: MappingTask, progress: ProgressListener) -> Map:
+    from rholoc.mapping.learn.from_queries import learn_from_queries
+
     assert task.data_dir is not None
     progress(Stage.READ, 0.0, "reading the queries")
     map_ = MapLibrary(task.maps_dir).get(task.map_name)
@@ -197,6 +200,8 @@ def _updates(task: MappingTask) -> bool:
 
 
 def _built(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
+    from rholoc.mapping.build.pipeline import BuildOptions, build_map
+
     poses = task.options.poses or BuildOptions.poses
     options = BuildOptions(
         density=task.options.density, features=task.options.features, poses=poses, pictures=task.options.pictures
@@ -205,6 +210,8 @@ def _built(task: MappingTask, recording: Recording, progress: ProgressListener) 
 
 
 def _updated(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
+    from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
+
     map_ = MapLibrary(task.maps_dir).get(task.map_name)
     return update_map(map_, recording, UpdateOptions(task.options.poses, pictures=task.options.pictures), progress)
 

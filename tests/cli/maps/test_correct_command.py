@@ -131,13 +131,11 @@ def test_a_map_is_placed_on_earth_and_keeps_its_place_when_its_frame_moves(rholo
     assert (status, err) == (0, "")
     assert json.loads(out)["residual_m"] < 0.01
     placed = load_map(hall).info.earth
-    assert placed is not None
     assert placed.heading_deg % 360 == pytest.approx(0, abs=0.1) or placed.heading_deg == pytest.approx(360, abs=0.1)
     point = np.array([1.0, 2.0, 0.5])
     there = placed.place(point)
     assert rholoc("correct", "origin", hall, "--at", "1,2,0.5")[0] == 0
     moved = load_map(hall).info.earth
-    assert moved is not None
     assert (moved.latitude_deg, moved.longitude_deg) == pytest.approx((there.latitude_deg, there.longitude_deg))
 
 
@@ -145,7 +143,6 @@ def test_a_map_is_placed_in_a_national_grid(rholoc: Run, hall: Path) -> None:
     places = ("--point", "0,0,0=391779.24,5820072.41,74", "--heading", "0", "--crs", "EPSG:25833")
     assert rholoc("correct", "earth", hall, *places)[0] == 0
     placed = load_map(hall).info.earth
-    assert placed is not None
     assert (placed.latitude_deg, placed.longitude_deg) == pytest.approx((52.520002251, 13.404999635), abs=1e-8)
     status, _, err = rholoc("correct", "earth", hall, *places[:-1], "EPSG:25833+7837")
     assert (status, "de_bkg_gcg2016.tif" in err) == (1, True)

@@ -21,8 +21,7 @@ Run = Callable[..., tuple[int, str, str]]
 @pytest.fixture(scope="module")
 def hall(point_room: Any) -> Map:
     """A small map that remembers its observations."""
-    map_: Map = point_room.map_of(point_room.walk(60)[:12], "walk")
-    return map_
+    return point_room.map_of(point_room.walk(60)[:12], "walk")
 
 
 @pytest.mark.parametrize(
@@ -71,11 +70,9 @@ def test_a_map_goes_through_csv_and_localizes_to_the_same_pose(
     pose = point_room.walk(60)[5]
     query = Query(point_room.see(pose, 1000), point_room.camera, Dof.FREE)
     answer = Localizer(again).localize(query).pose
-    assert answer is not None
     assert np.linalg.norm(answer.position - pose.position) < 0.05
     if kind is DensityKind.RAY:
         expected = Localizer(load_map(file)).localize(query).pose
-        assert expected is not None
         np.testing.assert_allclose(answer.T_map_camera, expected.T_map_camera, rtol=0, atol=1e-6)
 
 
@@ -83,7 +80,6 @@ def test_a_report_is_drawn_and_printed(rholoc: Run, file: Path) -> None:
     status, out, _ = rholoc("report", file, "--json")
     assert (status, json.loads(out)) == (0, report_to_json(load_map(file).info.report))
     picture = cv2.imread(str(file.with_name("hall-report.png")))
-    assert picture is not None
     assert picture.std() > 5
 
 

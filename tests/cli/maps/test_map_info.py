@@ -15,6 +15,7 @@ import pytest
 from kept_queries import keep_queries
 from rholoc.geometry import Camera
 from rholoc.library.maps import MapLibrary
+from rholoc.mapping.learn import from_queries
 from rholoc.maps import Map, load_map, save_map
 from rholoc.reports import Advice, CoachingReport, ExpectedError, MapReport, TrajectoryReport, WalkFigures
 
@@ -68,8 +69,8 @@ def test_json_has_everything(rholoc: Run, file: Path, hall: Map) -> None:
 def maps(tmp_path: Path, point_room: Any) -> Path:
     """A folder with two maps that overlap."""
     walk = point_room.walk(80)
-    save_map(point_room.map_of(walk[:45], "first"), tmp_path / "west.rho")
-    save_map(point_room.map_of(walk[25:65], "second"), tmp_path / "east.rho")
+    save_map(point_room.map_of(walk[:45:2], "first"), tmp_path / "west.rho")
+    save_map(point_room.map_of(walk[25:65:2], "second"), tmp_path / "east.rho")
     return tmp_path
 
 
@@ -109,7 +110,10 @@ def test_refusals_are_one_line_and_leave_the_map(rholoc: Run, maps: Path) -> Non
 
 
 @pytest.mark.slow
-def test_a_map_learns_from_its_users_and_the_one_before_is_kept(rholoc: Run, maps: Path, point_room: Any) -> None:
+def test_a_map_learns_from_its_users_and_the_one_before_is_kept(
+    rholoc: Run, maps: Path, point_room: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(from_queries, "_ROUNDS", 0)  # how much is learned is beside the point
     west, data = maps / "west.rho", maps / "data"
     kept = keep_queries(data, load_map(west), point_room, 1.8e9)
     assert kept >= 30
@@ -121,7 +125,6 @@ def test_a_map_learns_from_its_users_and_the_one_before_is_kept(rholoc: Run, map
     assert figures["version"] == 2
     assert figures["report"]["learned"][0]["queries"]["kept"] == kept
     before = MapLibrary(maps).previous("west")
-    assert before is not None
     assert before.version == 1
     status, out, _ = rholoc("queries", west, "--data", data, "--delete")
     assert (status, "deleted" in out) == (0, True)

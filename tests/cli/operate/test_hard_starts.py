@@ -35,8 +35,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def readiness(url: str) -> dict[str, Any]:
-    checks: dict[str, Any] = httpx.get(f"{url}/readyz", timeout=30).json()["checks"]
-    return checks
+    return httpx.get(f"{url}/readyz", timeout=30).json()["checks"]
 
 
 def localizes(url: str) -> bool:

@@ -194,7 +194,6 @@ def test_a_phone_gets_a_key_of_its_own_that_expires(tmp_path: Path) -> None:
     keys = KeyStore(tmp_path)
     where, secret = phone_link("https://hall:8443", keys).rstrip("/").split("#/key/")
     key = keys.find(secret)
-    assert key is not None
     assert (where, key.scope, key.expired) == ("https://hall:8443/record", Scope.MAP, False)
     assert key.expires == pytest.approx(time.time() + 7200, abs=60)
     assert phone_link("https://hall:8443", None) == "https://hall:8443/record"

@@ -27,8 +27,7 @@ SHIPPED = Path(__file__).parents[3] / "maps"
 
 @pytest.fixture(scope="module")
 def hall(point_room: Any) -> Map:
-    map_: Map = point_room.map_of(point_room.walk(150)[:20], "walk")
-    return map_
+    return point_room.map_of(point_room.walk(150)[:20], "walk")
 
 
 @pytest.fixture

@@ -84,7 +84,6 @@ def test_every_extractor_is_compared_on_every_scene(tmp_path: Path) -> None:
     assert [(pair.scene, pair.features) for pair in found] == [(s, n) for s in "ab" for n in extractor_names()]
     for pair in found:
         if pair.scene == "a":  # the same picture twice
-            assert pair.registered is not None
             assert pair.registered.repeatability == 1
             assert pair.registered.precision == pytest.approx(1, abs=0.02)  # but for features that look alike
             assert pair.stereo_precision is None
@@ -118,7 +117,6 @@ def scene(wrong: int, noise_px: float = 0.3) -> tuple[FloatArray, FloatArray]:
 @pytest.mark.parametrize("wrong", [0, 140])
 def test_a_pose_is_found_among_wrong_matches_and_through_distortion(solver: Solver, wrong: int) -> None:
     T = solve(solver, *scene(wrong), CAMERA)
-    assert T is not None
     errors = trajectory_errors(T[None], POSE.T_map_camera[None])
     assert errors.position_m[0] < 0.01
     assert np.degrees(errors.rotation_rad[0]) < 0.2
@@ -183,7 +181,6 @@ def test_truth_gives_the_frames_that_it_lists_their_poses(wall: Any, tmp_path: P
         with_poses(replace(recording, poses=None), use_truth=True)
     write_trajectory_csv(tmp_path / "truth.csv", table)
     poses = with_poses(replace(recording, poses=None), use_truth=True).poses
-    assert poses is not None
     assert np.flatnonzero(poses.known).tolist() == rows.tolist()
     np.testing.assert_allclose(poses.T_map_camera[rows], T[rows], atol=1e-4)
     # poses that a recording brings itself stand

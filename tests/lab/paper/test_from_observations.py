@@ -90,10 +90,8 @@ def test_the_map_localizes_where_the_walk_went(fitted: Map, point_room: Any, wal
     for seed, pose in enumerate(walked[3:21:4], start=100):
         features = point_room.see(pose, seed)
         answer = localizer.localize(Query(features, point_room.camera, Dof.FREE))
-        assert answer.pose is not None
         assert pose_distances(answer.pose.T_map_camera, pose.T_map_camera)[0] < 0.03
         climbed = alone.localize(features, point_room.camera)
-        assert climbed is not None
         assert pose_distances(climbed.optimum.T_map_camera, pose.T_map_camera)[0] < 0.05
         tolerances = [step.tolerance_px for step in climbed.steps]
         assert tolerances == sorted(tolerances, reverse=True)
@@ -111,7 +109,6 @@ def test_fitted_as_printed_nothing_localizes(table: ObservationTable, point_room
     assert min(errors) > 0.03
     printed, observed = fit_figures(map_, True), fit_figures(fit_densities(map_, DensityKind.OBSERVED), False)
     assert printed is not None
-    assert observed is not None
     assert observed.peaked_share > 0.99
     assert observed.fitted_share < 0.05 < observed.constant_share
 
@@ -135,7 +132,6 @@ def test_the_table_of_a_map_makes_a_map(fitted: Map, point_room: Any) -> None:
 
 def test_every_tenth_view_is_held_out_for_the_report(table: ObservationTable, point_room: Any) -> None:
     map_ = map_from_observations(table, point_room.camera, "table.csv")
-    assert map_.info.report.held_out is not None
     assert map_.info.report.held_out.frames == 2
 
 

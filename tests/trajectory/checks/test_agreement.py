@@ -40,7 +40,6 @@ def test_the_second_reconstruction_is_known_in_the_frame_of_the_first() -> None:
     found = compare(
         _walk(), np.ones(_COUNT, bool), every_second, turned.poses(_walk())[::2], np.arange(20) < 18, _DEPTH
     )
-    assert found.second_positions is not None
     np.testing.assert_allclose(found.second_positions[:36:2], _walk()[:36:2, :3, 3], atol=1e-9)
     assert np.isnan(found.second_positions[1::2]).all()
     assert np.isnan(found.second_positions[36:]).all()

@@ -164,7 +164,6 @@ def kitchen(real_data: Path) -> Recording:
 
 
 def _written(recording: Recording, write: Callable[[FloatArray], FloatArray]) -> Recording:
-    assert recording.poses is not None
     T = write(recording.poses.T_map_camera)
     return replace(recording, poses=GivenPoses(np.ones(len(T), dtype=np.bool_), T))
 
@@ -188,8 +187,6 @@ def test_axes_are_recognised_by_the_pictures(
 ) -> None:
     recording = _written(kitchen, write)
     assert recording.camera is not None
-    assert recording.poses is not None
-    assert kitchen.poses is not None
     check = check_given_poses(recording, recording.camera)
     assert check.axes is axes
     assert check.exact
@@ -198,7 +195,6 @@ def test_axes_are_recognised_by_the_pictures(
 
 @pytest.mark.real
 def test_auto_takes_exact_poses_and_corrects_their_axes(kitchen: Recording) -> None:
-    assert kitchen.poses is not None
     found = estimate_trajectory(_written(kitchen, lambda T: T @ _FLIP), PoseMethod.AUTO)
     np.testing.assert_allclose(found.T_map_camera, kitchen.poses.T_map_camera, atol=1e-9)
     assert "OpenGL" in found.report.why
@@ -219,12 +215,11 @@ def test_auto_says_why_it_did_not_use_poses_that_contradict_the_pictures(kitchen
 @pytest.mark.slow
 def test_auto_adjusts_poses_that_drift(real_data: Path) -> None:
     """ARKit's poses along a corridor with doors that look alike: all pictures are placed, and fit each other."""
-    recording = read_recording(real_data / "corridor_lidar" / "scan", frames="::3")
+    recording = read_recording(real_data / "corridor_lidar" / "scan", frames="::4")
     found = estimate_trajectory(recording, PoseMethod.AUTO)
     assert len(found.rows) >= 0.95 * len(recording.frames.times)
     assert "adjusted to its pictures" in found.report.why
     assert found.report.reprojection_error_px is not None
     assert found.report.reprojection_error_px < 1.5
-    assert recording.poses is not None
     moved_m = np.linalg.norm(found.T_map_camera[:, :3, 3] - recording.poses.T_map_camera[found.rows, :3, 3], axis=1)
     assert np.median(moved_m) < 0.6

@@ -115,7 +115,6 @@ def test_what_gravity_and_pictures_say_of_up() -> None:
     np.testing.assert_array_equal(gravity.direction, [0, 0, 1])
     assert "gravity" in why
     pictures, why = up_by_pictures(reconstructed()[:, :3, :3])
-    assert pictures is not None
     np.testing.assert_allclose(pictures.direction, UP.direction, atol=1e-6)
     assert why.startswith("By the no-roll prior")
     assert gravity.sigma_deg < pictures.sigma_deg
@@ -206,7 +205,6 @@ def test_a_camera_that_looks_straight_up_has_any_heading() -> None:
 def test_how_well_up_is_known() -> None:
     assert up_by_gravity()[0].sigma_deg == 0.3
     pictures, why = up_by_pictures(reconstructed()[:, :3, :3])
-    assert pictures is not None
     assert pictures.sigma_deg == 1.5
     spread = np.linalg.svd(reconstructed()[:, :3, 0], compute_uv=False) / np.sqrt(len(TIMES))
     assert f"spread {np.degrees(np.arcsin(spread[1])):.0f}°" in why

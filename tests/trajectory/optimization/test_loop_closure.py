@@ -71,7 +71,6 @@ def test_features_without_a_place_prove_nothing() -> None:
 def test_where_a_loops_keyframes_stand_to_each_other_is_free_of_drift(drift_m: float) -> None:
     state, pixels = _rooms(np.array([0.0, drift_m, 0.0]))
     found = loop_pose(_pair(2, 9), place_features(_neighbours(), pixels, state))
-    assert found is not None
     R = state.R_map_camera[found.first]
     moved = R @ found.T_first_second[:3, 3]
     np.testing.assert_allclose(np.sign(found.second - found.first) * moved, [0.15, 0.0, 0.0], atol=1e-3)
@@ -149,7 +148,6 @@ def test_of_two_ways_to_a_loops_pose_the_one_with_more_points_is_taken() -> None
         known = placed.known.copy()
         known[placed.labels[poor][10:]] = False
         found = loop_pose(_pair(2, 9), replace(placed, known=known))
-        assert found is not None
         assert found.first == 11 - poor
 
 

@@ -68,7 +68,6 @@ def _measured(depth: DepthImages | None) -> ScaleMeasurement | None:
 
 def test_depth_gives_the_unit_of_a_reconstruction(tmp_path: Path) -> None:
     found = _measured(_depth_images(tmp_path, np.ones(_COUNT)))
-    assert found is not None
     assert found.source is ScaleSource.DEPTH
     assert found.ratio == pytest.approx(_UNIT, rel=2e-3)
     assert 0.01 <= found.sigma < 0.011
@@ -79,14 +78,12 @@ def test_depth_gives_the_unit_of_a_reconstruction(tmp_path: Path) -> None:
 def test_depth_that_wavers_along_the_walk_is_less_certain(tmp_path: Path) -> None:
     factors = 1 + 0.08 * np.sin(np.arange(_COUNT))
     found = _measured(_depth_images(tmp_path, factors))
-    assert found is not None
     assert abs(found.ratio / _UNIT - 1) < 2 * found.sigma
     assert found.sigma > 0.02
 
 
 def test_depth_of_other_places_fixes_no_scale(tmp_path: Path) -> None:
     found = _measured(_depth_images(tmp_path, np.geomspace(0.4, 2.5, _COUNT)))
-    assert found is not None
     assert not found.usable
 
 
@@ -129,17 +126,14 @@ def _by_steps(steps: list[Step]) -> tuple[ScaleMeasurement | None, State | None]
 @pytest.mark.parametrize(("is_mounting", "source"), [(False, ScaleSource.ODOMETRY), (True, ScaleSource.MOUNTING)])
 def test_steps_give_the_unit_of_a_reconstruction(is_mounting: bool, source: ScaleSource) -> None:
     found, state = _by_steps(_steps(np.ones(_COUNT - 1), is_mounting=is_mounting))
-    assert found is not None
     assert found.source is source
     assert found.ratio == pytest.approx(_UNIT)
     assert found.sigma == pytest.approx(0.01)
-    assert state is not None
     np.testing.assert_allclose(np.diff(state.positions, axis=0), np.diff(arc(_COUNT)[:, :3, 3], axis=0), atol=1e-9)
 
 
 def test_steps_that_slip_are_less_certain() -> None:
     found, _ = _by_steps(_steps(np.tile([0.95, 1.0, 1.05], _COUNT)[: _COUNT - 1]))
-    assert found is not None
     assert 0.012 < found.sigma < 0.05
     assert abs(found.ratio / _UNIT - 1) < 2 * found.sigma
 
@@ -148,7 +142,6 @@ def test_steps_of_another_way_fix_no_scale() -> None:
     about = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     for steps in (_steps(np.geomspace(0.4, 2.5, _COUNT - 1)), _steps(np.ones(_COUNT - 1), about)):
         found, state = _by_steps(steps)
-        assert found is not None
         assert not found.usable
         assert state is None
     assert _by_steps(_steps(np.ones(_COUNT - 1))[:4]) == (None, None)

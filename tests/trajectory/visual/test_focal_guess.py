@@ -39,7 +39,6 @@ def test_a_stated_focal_length_is_where_pictures_start_from(walk: SyntheticWalk)
 
 def test_the_gyroscope_is_calibrated_by_followed_corners(walk: SyntheticWalk) -> None:
     found = calibrate_by_flow(walk.flow, PHONE_CAMERA, walk.imu)
-    assert found is not None
     assert found.fits
     assert found.time_offset_s == pytest.approx(DELAY_S, abs=0.006)
 
@@ -90,14 +89,12 @@ def _matched(camera: Camera, noise_px: float = 0.3) -> list[tuple[FloatArray, Fl
 @pytest.mark.parametrize("share", [0.65, 1.2])
 def test_pairs_of_a_set_give_the_focal_length_that_they_agree_on(share: float) -> None:
     found = camera_by_matches(_matched(centred_camera((640, 480), share * 640)), (640, 480))
-    assert found is not None
     assert found.focal == pytest.approx(share * 640, rel=0.08)
 
 
 def test_pairs_of_a_set_show_barrel_distortion() -> None:
     bulging = replace(centred_camera((640, 480), 390.0), distortion=(-0.28, 0.07, 0.0, 0.0))
     found = camera_by_matches(_matched(bulging), (640, 480))
-    assert found is not None
     assert found.distortion[0] == pytest.approx(-0.28, abs=0.05)
     assert found.focal == pytest.approx(390.0, rel=0.12)
 

@@ -65,7 +65,8 @@ _UNSEEN_SIGMA_RAD = 1.0  # of a keyframe that no measurement fixes
 _FIRST_DAMPING = 10.0
 _SETTLING_STEPS = 6
 _SHARES = (1.0, 0.5, 0.25)  # of a failed step, to retry with every point re-optimized
-_MAX_DENSE = 4000  # unknowns besides the points, up to which their information is inverted as a dense matrix
+_ELIMINATED = tuple(map(ord, "lxvb"))  # points and inertial states: what is left of the unknowns is small and dense
+_MAX_DENSE = 4000  # unknowns left, up to which their information is inverted as a dense matrix
 _HOLDS = (1e-2, 0.3, 10.0)  # increasing strengths of the points' prior, each used if a step fails with the one before
 
 
@@ -248,23 +249,25 @@ class Adjusted:
         return [np.full((size, size), np.nan) for _ in keys]
 
     def _marginals_of(self, system: gtsam.GaussianFactorGraph, keys: Sequence[int], size: int) -> list[FloatArray]:
-        """The same by one linear system: from the dense information of all but the points, which takes a second for 300
-        keyframes, or by a tree if that would be too large. Raises RuntimeError or LinAlgError if it is singular.
+        """The same by one linear system: from the dense information of all but the points and the inertial states, or
+        by a tree if that would be too large. Raises RuntimeError or LinAlgError if the system is singular.
         """
         every = [self._ordering.at(i) for i in range(self._ordering.size())]
-        points = [key for key in every if gtsam.symbolChr(key) == ord("l")]
-        rest, zero = every[len(points) :], self._values.zeroVectors()
-        *starts, total = itertools.accumulate((len(zero.at(key)) for key in rest), initial=0)
+        rest = [key for key in every if gtsam.symbolChr(key) not in _ELIMINATED]
+        sizes = self._values.zeroVectors()
+        *starts, total = itertools.accumulate((len(sizes.at(key)) for key in rest), initial=0)
         if total > _MAX_DENSE:
             tree = system.eliminateMultifrontal(self._ordering)
             return [_marginal(tree, key, size) for key in keys]
-        _, reduced = system.eliminatePartialMultifrontal(_ordered(points))
+        gone = [key for key in every if gtsam.symbolChr(key) in _ELIMINATED]
+        _, reduced = system.eliminatePartialMultifrontal(_ordered(gone))
         factor = cho_factor(reduced.hessian(_ordered(rest))[0])
-        own = np.zeros((len(keys), total, size))
+        own = np.zeros((total, len(keys), size))
         for k, key in enumerate(keys):
             start = starts[rest.index(key)]
-            own[k, start : start + size] = np.eye(size)
-        return [unit.T @ cho_solve(factor, unit) for unit in own]
+            own[start : start + size, k] = np.eye(size)
+        found = cho_solve(factor, own.reshape(total, -1)).reshape(own.shape)
+        return [own[:, k].T @ found[:, k] for k in range(len(keys))]
 
 
 def adjust(
