@@ -16,7 +16,7 @@ from rholoc.geometry import ByteArray, Camera, FloatArray, Pose, align_poses, po
 from rholoc.recordings import Recording, RecordingFormat, read_recording
 from rholoc.recordings.frame_slice import select_frames
 from rholoc.reports import WarningKind
-from rholoc.simulation import PHONE_CAMERA, Renderer, make_test_site, make_walk
+from rholoc.simulation import PHONE_CAMERA, Renderer, Scene, make_walk
 from rholoc.trajectory import PoseMethod, Scale
 from rholoc.trajectory.estimate import _chosen_moments, estimate_trajectory
 
