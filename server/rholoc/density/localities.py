@@ -90,8 +90,9 @@ def gather_places(landmark: FloatArray, seen_from: FloatArray) -> list[IntArray]
 
 
 def _place(landmark: FloatArray, positions: FloatArray) -> tuple[FloatArray, float]:
-    """The middle (3,) of a place's views and the radius [m] around it in which its density is to be valid. It is 1.2 ×
-    the views' reach, 0.6 to 0.95 × the distance of the landmark.
+    """Mean position (3,) of a place's views, and the radius [m] around it within which its density is valid.
+
+    The radius is 1.2 × the largest distance of a view from the mean, but 0.6 to 0.95 × the landmark's distance.
     """
     middle = positions.mean(axis=0)
     distance = float(np.linalg.norm(landmark - middle))

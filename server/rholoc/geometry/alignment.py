@@ -66,7 +66,7 @@ def umeyama(source: FloatArray, target: FloatArray, weights: FloatArray | None =
 
 
 def upright_umeyama(source: FloatArray, target: FloatArray) -> Similarity:
-    """The least-squares similarity between points (N, 3) of two frames that are both upright: it turns about z alone.
+    """Least-squares similarity from ``source`` (N, 3) to ``target`` (N, 3), whose rotation is about z only.
 
     The points must not lie on one vertical line.
     """
@@ -81,7 +81,7 @@ def upright_umeyama(source: FloatArray, target: FloatArray) -> Similarity:
 def kabsch(source: FloatArray, target: FloatArray) -> Similarity:
     """The least-squares rotation and translation, without scale, that take ``source`` (N, 3) to ``target`` (N, 3).
 
-    At least three points that do not lie on a line fix it.
+    The points must be at least three, and not collinear.
     """
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     R = aligning_rotation(source - source_mean, target - target_mean)
@@ -91,11 +91,10 @@ def kabsch(source: FloatArray, target: FloatArray) -> Similarity:
 def posed_alignment(
     source: FloatArray, target: FloatArray, weights: FloatArray, fixed_scale: bool, min_spread_m: float = 0.0
 ) -> Similarity:
-    """Similarity from poses ``source`` (N, 4, 4) to poses ``target`` (N, 4, 4) of the same cameras; rotations fix its
-    rotation.
+    """Similarity from poses ``source`` (N, 4, 4) to poses ``target`` (N, 4, 4) of the same cameras.
 
-    So a walk along a line, or on the spot, is aligned as well. The rotation is the weighted mean of the relative
-    rotations alone. The scale stays 1 if it is fixed, if the rotated positions do not correlate positively with the
+    Its rotation is the weighted mean of the relative rotations alone, so a walk along a line, or on the spot, can be
+    aligned as well. The scale stays 1 if it is fixed, if the rotated positions do not correlate positively with the
     target's, or if the target's spread is at most ``min_spread_m``. ``weights`` (N,) are relative.
     """
     w = _normalized(weights, len(source))

@@ -54,7 +54,7 @@ def check_archive(archive: Path, max_files: int = MAX_FILES) -> None:
 
     Raises:
         InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that :func:`unpack` refuses.
-        TooLarge: over ``DEFAULT_MAX_BYTES`` or ``max_files``, or an entry of over 1 MiB shrank 200-fold.
+        TooLarge: over ``DEFAULT_MAX_BYTES`` or ``max_files``, or an entry over 1 MiB is compressed more than 200-fold.
     """
     with _opened(archive, max_files) as packed:
         for entry in _checked_entries(packed, archive, DEFAULT_MAX_BYTES):

@@ -63,7 +63,7 @@ class ImuConvention:
         time_unit: one of s, ms, µs, ns.
         in_g: whether the acceleration is in multiples of standard gravity, not m/s².
         includes_gravity: whether it includes gravity's reaction.
-        apple_sign: whether it is negated as in CoreMotion: −1 g upwards at rest.
+        apple_sign: whether the acceleration is negated as in CoreMotion: −1 g upwards at rest.
     """
 
     time_unit: str = "s"
@@ -109,9 +109,10 @@ def normalise_imu(
 
 
 def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> str | None:
-    """Unit of times (M,), s, ms, µs or ns, with a median interval of at most ``longest_s`` and over a thousandth of it.
+    """Unit of times (M,): the one of s, ms, µs and ns that makes their median interval plausible.
 
-    None if no unit fits, or without two different times; of several that fit, the largest.
+    Plausible is more than ``longest_s`` / 1000 and at most ``longest_s`` [s]; intervals of 0 are ignored. None if no
+    unit fits, or without two different times.
     """
     steps = np.abs(np.diff(times))
     steps = steps[steps > 0]
@@ -215,9 +216,10 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
 
 
 def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
-    """Whether the gyroscope's values are degrees: too fast for a hand as radians (12 rad/s), or consistent only as
-    degrees with the rotation of gravity in the accelerations ``felt``, if these include it (else None). False below 20
-    rows.
+    """Whether a gyroscope's samples ``turned`` are in degrees per second, not radians per second.
+
+    They are if as radians their 95th percentile exceeds 12 rad/s, or if as degrees they predict the rotation of gravity
+    three times better. ``felt`` are accelerations that include gravity; None if there are none. False below 20 rows.
     """
     if len(turned.values) < _MIN_TO_MEASURE:
         return False
@@ -316,8 +318,8 @@ def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[R
 
 
 def _gravity_turns(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray]:
-    """Gravity's direction (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors (K, 3) between them. K =
-    0 if the sensors overlap too little. Rotation vectors are in the gyroscope's unit.
+    """Unit direction of the accelerations ``felt`` (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors
+    (K, 3) between the windows, in the angular unit of ``turned``. K = 0 if the sensors overlap by less than 0.8 s.
     """
     first, last = max(felt.times[0], turned.times[0]), min(felt.times[-1], turned.times[-1])
     edges = np.arange(first, last, _TURN_WINDOW_S)

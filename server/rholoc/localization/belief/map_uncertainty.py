@@ -58,8 +58,10 @@ def _alternative(index: MapIndex, one: Alternative) -> Alternative:
 
 
 def _widened(answer: Localization, of_map: FloatArray) -> Localization:
-    """The answer with the map's covariance (6, 6) added to the independent share of its own, its probabilities lowered
-    by the ratios in which the map's lowers those of being within 50 cm and 20°, and within 10 cm and 5°.
+    """The answer with the map's covariance ``of_map`` (6, 6) added to ``INDEPENDENT_SHARE`` × its own.
+
+    ``recognized`` and ``exact`` are lowered by the ratios in which the map's covariance lowers the probabilities of an
+    error within 50 cm and 20°, and within 10 cm and 5°.
     """
     assert answer.covariance is not None
     own = INDEPENDENT_SHARE * answer.covariance

@@ -87,7 +87,7 @@ def refined_together(
 def _climbed(
     equations: Sequence[_Equations | None], T_map_cameras: FloatArray, links: Sequence[Link], iterations: int
 ) -> FloatArray:
-    """Poses (N, 4, 4) after Gauss–Newton steps by each frame's equations, None where it has none, and the links."""
+    """Poses (N, 4, 4) after Gauss–Newton steps by the frames' equations (None: no matches) and the links."""
     T = T_map_cameras
     for _ in range(iterations):
         slope, curvature = _link_equations(T, links)

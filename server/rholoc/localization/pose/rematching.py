@@ -19,7 +19,7 @@ SEARCH_RADII_PX = (14.0, 5.0)
 FINAL_TOLERANCE_PX = 4.0
 _POLISHING_RADIUS_PX = 10.0
 _MIN_MATCHES = 6
-ENOUGH_MATCHES = 60  # of some features, within the first radius, for the rest not to be looked at there
+ENOUGH_MATCHES = 60  # of a sample of features, within the first radius, for the others to be skipped there
 _VIEWS_ALIKE = 10
 _WIDE_ITERATIONS = 2  # at each tolerance of the ascent within the wider radius
 

@@ -47,8 +47,10 @@ def sampled_points(views: Sequence[DepthView]) -> FloatArray:
 
 
 def voxel_size(points: FloatArray, finest: float, surface_voxels: int) -> float:
-    """Edge of a voxel, at least ``finest``, at which points (P, 3) occupy at most ``surface_voxels`` voxels, and their
-    box ``MAX_VOXELS``.
+    """Smallest of the sizes ``finest`` × 1.15ⁿ of a voxel that is large enough for points (P, 3) in the grid's axes.
+
+    The points then occupy at most ``surface_voxels`` voxels, and the box of their 1 % to 99 % quantiles (with margin)
+    has at most ``MAX_VOXELS``.
     """
     size = finest
     low, high = np.quantile(points, _OUTER, axis=0)

@@ -33,9 +33,9 @@ class Wall:
 
     Attributes:
         normal: (2,) unit, towards the room.
-        offset: of the plane from the origin.
-        ends: from where to where, along the normal turned by 90° anti-clockwise.
-        top: height up to which.
+        offset: signed distance of the plane from the origin along the normal.
+        ends: start and end of the closed part along :attr:`along`, the normal rotated by 90° anti-clockwise.
+        top: height of the closed part's upper edge.
     """
 
     normal: FloatArray

@@ -51,7 +51,7 @@ class LiveCamera:
         Call it once.
 
         Raises:
-            InvalidInput: no frame has arrived for five seconds, or the camera was unplugged.
+            InvalidInput: no frame has arrived for five seconds, or the camera or stream has ended.
         """
         self._reader.start()
         while True:

@@ -75,7 +75,7 @@ class PycolmapStarts:
         self._folder.cleanup()
 
     def begin(self, mapper: Mapper) -> None:
-        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread, which writes the database before the first."""
+        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread. The first one also writes the database."""
         self._begun[mapper] = self._pool.submit(self._largest_piece, mapper)
 
     def largest_piece(self, mapper: Mapper) -> Piece | None:

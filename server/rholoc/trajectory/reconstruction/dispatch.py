@@ -41,7 +41,7 @@ def reconstruct(
     Args:
         sights: sightings of the keyframes.
         imu: None if there is none or it is not to be used.
-        waypoints: with times; if these are unknown, all possible assignments to pauses. Empty without waypoints.
+        waypoints: assignments of times to the waypoints; a single one if times are known. Empty without waypoints.
         progress: listener for :data:`Stage.POSES`.
 
     Raises:
@@ -86,8 +86,9 @@ def _judged(sights: Sights, found: Reconstruction) -> Reconstruction:
 
 
 def _with_camera_by_matches(walk: Pictured) -> Pictured:
-    """A set of pictures with the camera that its pairs agree on, of the first lens if several took it; unchanged if the
-    camera is known, EXIF tells its focal length, or they do not agree.
+    """The set of pictures with a camera estimated from its matches; of lens 0 if several lenses took it.
+
+    Unchanged if the camera is known, EXIF states the focal length, or the pairs of pictures disagree on it.
     """
     sights = walk.sights
     if sights.camera is not None or sights.focal_px is not None:

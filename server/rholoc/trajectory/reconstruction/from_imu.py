@@ -81,7 +81,8 @@ def start_with_imu(
     """A metric, upright start from rotations, directions between neighbours, and the IMU; None if the IMU covers too
     little.
 
-    ``felt`` are the cameras' rotations by the gyroscope. Returns the state, without points, and what it was made from.
+    ``felt`` are the cameras' rotations by the gyroscope. Returns the state, without points, and the solution for
+    positions, velocities and bias that it comes from.
     """
     count, times = len(sights.rows), sights.times
     R, _ = average_rotations(count, replace(evidence, loops=[]).rotations, times, felt)

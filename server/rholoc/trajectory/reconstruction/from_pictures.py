@@ -61,8 +61,8 @@ _ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures th
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
-_ANOTHER_PLACE = 4  # pictures that fit each other alone, from which they may show another place
-_LOOSE = 0.1  # of the extent, by which poses are uncertain, for them to be worth nothing
+_ANOTHER_PLACE = 4  # minimum pictures of a separate component that may show another place
+_LOOSE = 0.1  # pose uncertainty as a share of the extent, above which a reconstruction is useless
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Pictured:
         sights: sightings of K keyframes.
         camera: of the sights, or a first guess of it.
         evidence: of the sights.
-        waypoints: with times; if these are unknown, all possible assignments to pauses. Empty without waypoints.
+        waypoints: assignments of times to the waypoints; a single one if times are known. Empty without waypoints.
         reason: one line on why the IMU was not used, or empty.
     """
 
@@ -251,8 +251,8 @@ def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple
 
 
 def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> _Part:
-    """The part with each picture's zoom estimated; the part as it is if the zooms are alike, it is no pinhole, or that
-    fails.
+    """The part, adjusted again with each picture's zoom estimated. Returns ``part`` itself if the zooms are alike, the
+    camera is not a pinhole, or the adjustment fails.
     """
     if part.adjusted.state.camera.lens is not Lens.PINHOLE:
         return part
@@ -273,9 +273,10 @@ def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: Adjust
 
 
 def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
-    """Weak pairs of the walk that may show the same place as the part does. Of two pictures of the part, those that its
-    poses fit, as near to each other as clear pairs are. Of a picture that it has not, those beside a clear pair with
-    the part: what else looks alike has better matches where it belongs.
+    """Weak pairs of the walk that probably show one place, judged by the part's poses.
+
+    Both pictures in the part: they are no farther apart than a clear pair of either, and their median epipolar error is
+    at most 5e-3 of the focal length. Otherwise: both pictures have a clear pair with a picture of the part.
     """
     count = len(walk.sights.rows)
     T = np.full((count, 4, 4), np.nan)
