@@ -126,11 +126,13 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
 
 
 def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
-    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if the median interval is then 2 ms to
-    4 s.
+    """Convert times (N,) of frames to seconds, and warn if they are not in the documented unit ``says``.
 
-    Otherwise the unit follows from the interval, as for an IMU. Raises InvalidRecording if none fits or they span
-    years.
+    That unit is used if the median interval is then 2 ms to 4 s; else the unit that makes the interval 2 ms to 2 s;
+    else ``says`` after all.
+
+    Raises:
+        InvalidRecording: the times span more than 48 hours.
     """
     steps = np.abs(np.diff(times)) / _PER_SECOND[says]
     plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
@@ -158,7 +160,7 @@ def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[Record
     """Rows (K,) whose time exceeds all times (M,) before it, and a warning about the other rows, if any.
 
     Raises:
-        InvalidRecording: more than 5 % are other rows.
+        InvalidRecording: more than 5 % of the rows are dropped.
     """
     latest = np.maximum.accumulate(times)
     advances = np.concatenate([[True], times[1:] > latest[:-1]])
@@ -204,7 +206,10 @@ def gap_rows(times: FloatArray) -> IntArray:
 
 
 def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConvention:
-    """Convention with unit and gravity by accelerations (M, 3), the rest from ``says``; ``says`` below 20 rows."""
+    """Convention ``says`` with ``in_g`` and ``includes_gravity`` as measured from accelerations (M, 3).
+
+    Unchanged with fewer than 20 rows, or if the norms fit neither unit.
+    """
     if len(values) < _MIN_TO_MEASURE:
         return says
     low, median = np.percentile(np.linalg.norm(values, axis=1), [10, 50])

@@ -58,8 +58,9 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
 
 
 def _unexpected(error: str) -> MappingFailed:
-    """MappingFailed for users in place of an unforeseen error, such as a library's, with its text; of a singular system
-    it says that the walk's shape is left open.
+    """MappingFailed in place of an unforeseen error, such as a library's, with its text.
+
+    For a singular system the message says that the measurements do not determine the walk's shape.
     """
     if _SINGULAR in error:
         return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")

@@ -64,15 +64,15 @@ def estimate_trajectory(
     progress: ProgressListener = silent,
     show: ImageListener | None = None,
 ) -> Trajectory:
-    """The poses of a recording's frames: of the keyframes that could be placed, or of the frames with a given pose.
+    """Estimate poses of a recording's frames: of the keyframes that can be placed, or of the frames with a given pose.
 
-    ``scale`` and ``upright`` of the result tell whether something measured made them metric and upright.
+    ``scale`` and ``upright`` of the result state whether a measurement made the poses metric and upright.
 
     Args:
-        recording: with frames, and what else the method needs.
-        method: where poses come from.
-        progress: is called with each step that is done.
-        show: is shown the frames that may get a pose, where they are decoded for their features; from threads.
+        recording: the recording, with the measurements that the method needs.
+        method: source of the poses.
+        progress: called after each step.
+        show: called from threads with row and image of frames that may become keyframes, while they are decoded.
 
     Raises:
         InvalidRecording: the method needs poses or an IMU that the recording does not have, or a frame is damaged.
@@ -100,7 +100,10 @@ def estimate_trajectory(
 
 
 def _with_poses_in_metres(recording: Recording) -> Recording:
-    """The recording, its poses scaled by the median of known lengths if no unit is stated; unchanged without any."""
+    """The recording with its poses scaled to metres by the median ratio of its known lengths.
+
+    Unchanged if the poses are metric already, or if there are no poses or lengths.
+    """
     poses = recording.poses
     if poses is None or poses.metric:
         return recording
@@ -309,7 +312,10 @@ def _placed(
 
 
 def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, progress: ProgressListener) -> Trajectory:
-    """Trajectory of the placed keyframes with its report. Raises MappingFailed below half (of a set: a quarter)."""
+    """Trajectory of the placed keyframes with its report.
+
+    Raises MappingFailed if less than half of the keyframes are placed (a quarter of a set of pictures).
+    """
     flow, rows = sights.flow, sights.rows
     missing = missing_spans(flow, rows, found.placed)
     share = float(found.placed.mean())
@@ -403,9 +409,11 @@ def _require_keyframes(rows: IntArray, frames: int) -> None:
 
 
 def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None) -> IntArray:
-    """Keyframes of a film at steps of image motion; of a set all pictures up to ``MAX_PICTURES``, else the least alike.
-    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than 1200 pictures, they
-    are chosen at even steps.
+    """Rows of the keyframes.
+
+    A film: the sharpest frames at steps of image motion. A set of pictures: all up to ``MAX_PICTURES``, else the least
+    alike of them (of 1200 evenly spaced ones if there are more), or evenly spaced ones without ``features``. A rig's
+    pictures: all pictures of a moment or none.
     """
     if recording.mounted:
         return _chosen_moments(len(flow.times), _rows_of(recording, recording.mounted))

@@ -123,9 +123,10 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
 
 
 def _beside(estimate: FocalEstimate, verified: Verified, others: list[Refocused], is_square: bool) -> FocalEstimate:
-    """An estimate with ``exact`` and ``of_others`` by the poses by other focal lengths. Each is weighed by its
-    likelihood, with the same excess of the errors as in a covariance, and by :func:`_prior`. Few inliers do not confirm
-    pixels that are not square: ``exact`` is at most a half then.
+    """The estimate with ``exact`` and ``of_others`` from ``verified`` and the poses by ``others``, other focal lengths.
+
+    A pose's weight is its likelihood, tempered by ``SYSTEMATIC``², times :func:`_prior`. If pixels are not square and
+    there are fewer than ``ENOUGH_MATCHES`` inliers, ``exact`` is at most 0.5.
     """
     scales, modes = zip((1.0, verified), *others, strict=True)
     nats = np.array([mode.optimum.value for mode in modes]) / SYSTEMATIC**2
@@ -182,9 +183,11 @@ def _followed(
 
 
 def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused]:
-    """Poses by ever shorter and ever longer focal lengths, from half to twice the query's, each as many times as far
-    from what the verified pose shows. Either way ends where too little is explained. If one of them explains more than
-    the verified pose, the best is refined.
+    """Poses by focal lengths from half to twice the query's, at most eight.
+
+    Each starts from the verified pose moved along the optical axis, its distance from the landmarks scaled like the
+    focal length. The search in either direction ends when the likelihood falls by :func:`_margin`. If a pose has a
+    higher likelihood than the verified one, the best is refined, and appended.
     """
     T = verified.optimum.T_map_camera
     depths_m = (index.landmarks[verified.inlier_landmarks] - T[:3, 3]) @ T[:3, 2]
@@ -234,7 +237,7 @@ def _refocused(index: MapIndex, query: Query, scale: float, T_map_camera: FloatA
 
 
 def _refined(index: MapIndex, query: Query, scale: float, verified: Verified) -> list[Refocused]:
-    """Of a pose by another focal length and those towards the best fit, at most two, the one that explains most."""
+    """The likeliest of ``verified`` (at ``scale``) and at most two poses by ascents of its focal length, as a list."""
     found = [(scale, verified)]
     for _ in range(_ROUNDS - 1):
         scale, last = found[-1]
@@ -252,7 +255,8 @@ def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
     """Probability 0 to 1 that a verified pose's focal length is harmless, given poses by others.
 
     A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
-    length fits from some distance. Therefore only a pose that explains clearly more counts (:func:`_margin`).
+    length fits from some distance. Therefore another pose only counts if its likelihood exceeds that of the verified
+    one by :func:`_margin`.
     """
     _, best = _explaining_most(verified, others)
     gain = best.optimum.value - verified.optimum.value - _margin(verified)
@@ -260,7 +264,7 @@ def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
 
 
 def _margin(verified: Verified) -> float:
-    """Nats by which another pose explains clearly more, or less, than a verified one."""
+    """Log-likelihood ratio [nats] that makes another pose clearly better, or worse, than a verified one."""
     return max(_CLEAR * verified.optimum.value, _CLEAR_NATS)
 
 

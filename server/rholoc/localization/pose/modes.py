@@ -29,8 +29,8 @@ def is_seen_from_afar(verified: Verified) -> bool:
 
 
 def poses_on_arcs(index: MapIndex, verified: Verified) -> Iterator[FloatArray]:
-    """Iterate over four poses (4, 4): the verified one carried by 8° up, down, left and right around the median of the
-    landmarks that it sees. None if it sees none.
+    """Iterate over four poses (4, 4): the verified one rotated by 8° up, down, left and right about the median of its
+    inlier landmarks. Yields nothing without inliers.
     """
     T = verified.optimum.T_map_camera
     seen = verified.inlier_landmarks

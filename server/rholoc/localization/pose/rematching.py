@@ -105,9 +105,10 @@ def settling(index: MapIndex, matches: Matches, optimum: Optimum) -> IntArray:
 
 
 def polished(index: MapIndex, query: Query, verified: Verified) -> Verified:
-    """A pose refined once more by matches within 10 px. The matches and the evidence for it stay what they were.
+    """The pose refined once more by matches within 10 px; its matches and evidence stay.
 
-    From afar features are detected less exactly than the narrow radius allows: which of them it lets in would decide.
+    Seen from afar, features are detected less exactly than the narrow radius of :func:`verify` assumes, and the choice
+    of matches by that radius would bias the pose.
     """
     densities, T = index.map.densities, verified.optimum.T_map_camera
     matches, _ = index.match_near(query.features, query.camera, T, _POLISHING_RADIUS_PX)

@@ -265,7 +265,7 @@ def _disparity(left: ByteArray, right: ByteArray, disparities: int) -> FloatArra
 
 
 def _agreeing(views: Sequence[DepthView]) -> list[DepthView]:
-    """The depth views without points on whose depth none of the five nearest views of other pairs agrees within 3 %."""
+    """Depth views without unconfirmed pixels: one of the five nearest views of other pairs must agree within 3 %."""
     centres = np.array([view.T_map_camera[:3, 3] for view in views]).reshape(-1, 3)
     axes = np.array([view.T_map_camera[:3, 2] for view in views]).reshape(-1, 3)
     kept = []

@@ -18,7 +18,7 @@ from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_foun
 from rholoc.maps import FramePose, LinkOrigin, Map, Site, SiteLink, SiteMap
 from rholoc.progress import ProgressListener, silent
 
-_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 1e-3, np.deg2rad(0.01)  # of a pose that somebody gave without a covariance
+_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 1e-3, np.deg2rad(0.01)  # of a pose that was given without a covariance
 _HELD_SIGMA = 1e-5  # m and rad, of a given pose while others are placed by it
 _CONTRADICTION_SIGMAS = 5.0
 _MIN_SIGMA_M, _MIN_SIGMA_DEG = 0.02, 0.3  # of a link that was found: the maps themselves are no better
@@ -32,10 +32,10 @@ _MAX_LOCALIZED = 60
 
 
 def solve_site(site: Site) -> Site:
-    """The site with the poses of all maps that can be placed.
+    """The site with the poses of all maps that given poses and links determine.
 
-    A pose that somebody gave stays; others follow from links by least squares. Where nobody gave any, the first map's
-    frame is the site's. Maps that nothing joins to a map with a pose have none.
+    Given poses stay; others follow from links by least squares. Without any given pose, the first map's frame becomes
+    the site's. A map that no links connect to a map with a pose gets None.
 
     Raises:
         InvalidInput: links and given poses contradict each other; says around which maps, and by how much.

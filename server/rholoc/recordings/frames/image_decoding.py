@@ -105,7 +105,7 @@ def read_frame(path: Path, size: tuple[int, int]) -> ByteArray:
 
 
 def read_grey(path: Path) -> IntArray:
-    """An image file of one channel → its values (H, W), all of their up to 16 bits. EXIF orientation is ignored.
+    """An image file of one channel, up to 16 bits → its unscaled values (H, W). EXIF orientation is ignored.
 
     Raises:
         InvalidImage: the file cannot be read or decoded, has several channels, or more than 50 megapixels.

@@ -54,7 +54,7 @@ _MAX_NAMED = 3
 
 
 def recognises(folder: Path) -> bool:
-    """Whether the folder has a ROS bag, or is one."""
+    """Whether the folder contains a ROS bag, or is a bag of ROS 2."""
     return bool(_bags(folder))
 
 
@@ -83,9 +83,9 @@ def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
         topics: names of the topics to use, if there are several of a kind.
 
     Raises:
-        InvalidRecording: it is damaged, has no pictures, or has no topic of a name.
+        InvalidRecording: the bag is damaged, has no pictures, or lacks one of ``topics``.
         InvalidCamera: its intrinsics are impossible.
-        InvalidTrajectory: its poses are.
+        InvalidTrajectory: its poses are impossible.
     """
     with opened_bag(path) as reader:
         found = _Topics.of(reader, topics)

@@ -102,8 +102,9 @@ def _with_camera_by_matches(walk: Pictured) -> Pictured:
 
 
 def _with_lenses_by_matches(walk: Pictured, progress: ProgressListener) -> Pictured:
-    """A set whose pictures by further lenses look as if the first one had taken them, zoomed by what pairs of one and
-    the other agree on, and matched once more. Lenses for which the pairs leave that open stay as they are.
+    """The set of pictures with those of other lenses converted to lens 0, and matched again.
+
+    A lens's zoom relative to lens 0 is estimated from pairs of pictures by both. Lenses without a clear estimate stay.
     """
     sights = walk.sights
     if sights.lenses is None:
@@ -121,9 +122,9 @@ def _with_lenses_by_matches(walk: Pictured, progress: ProgressListener) -> Pictu
 
 
 def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
-    """Reconstruct a film by following it. If that leaves out more than 10 %, contradicts itself or fails, also as a
-    set. Returns the one that places more, or the set if the film contradicts itself. Raises MappingFailed if neither
-    works.
+    """Reconstruct a film from tracked corners. If that leaves out more than 10 %, contradicts itself or fails, also
+    as a set of pictures. Returns the reconstruction that places more keyframes; that of the set if the first one
+    contradicts itself. Raises MappingFailed if neither works.
     """
     found: Reconstruction | None = None
     failure = MappingFailed("No two pictures overlap enough.", ADVICE)

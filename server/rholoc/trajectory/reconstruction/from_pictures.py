@@ -90,14 +90,15 @@ class Pictured:
         return self.observed(self.evidence, FEATURES_PER_KEYFRAME)
 
     def observed(self, evidence: Evidence, features: int) -> Observations:
-        """The same by some evidence, of about ``features`` matched features per keyframe."""
+        """Sightings by given evidence, with about ``features`` matched features per keyframe. Raises MappingFailed."""
         fewest = MIN_SIGHTINGS if self.sights.is_film else _FEWEST_OF_SET
         found = evidence.observations(self.sights, features, fewest)
         return with_depths(found, self.sights.depth, self.camera)
 
     def matched(self, lens: int, other: int) -> list[tuple[FloatArray, FloatArray]]:
-        """Pixels (M, 2) of matches in pictures by a lens and in pictures by another or the same one, of each clear
-        pair.
+        """Matches of each clear pair of a picture by lens ``lens`` with one by lens ``other`` (or the same).
+
+        Returns for each pair the pixels (M, 2) in the former and in the latter picture.
         """
         lenses = np.zeros(len(self.sights.rows)) if self.sights.lenses is None else self.sights.lenses
         places = [found.pixels.astype(np.float64) for found in self.sights.features]
@@ -234,8 +235,10 @@ def _placed_by(
 
 
 def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[_Part, Pictured]:
-    """The part adjusted to more sightings and the weak pairs that fit it, with further pictures that these place.
-    Returns the part as it is if that fails or bends it; and the walk, with the pairs that were used if they were.
+    """Adjust a part to more features and to the weak pairs that fit it, and add the pictures that these place.
+
+    Returns the new part, and the walk with the weak pairs used. If the adjustment fails or disagrees with ``part``,
+    both arguments unchanged.
     """
     sights, evidence = walk.sights, walk.evidence
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
@@ -328,9 +331,11 @@ def _is_loose(found: Reconstruction) -> bool:
 
 
 def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
-    """The part with the most pictures confirmed by another part. Ties: parts in metres first, then the smallest, which
-    adds least. If less than half of all ``count`` pictures are confirmed: parts of which no other one contradicts more
-    pictures than are confirmed first, then those in metres, then the largest.
+    """The part with the most pictures confirmed by another part.
+
+    Ties, if at least half of all ``count`` pictures are confirmed: parts in metres first, then the smallest. Otherwise:
+    first parts of which no other one contradicts more pictures than are confirmed, then parts in metres, then the
+    largest.
     """
     agreements = [_agreements(part, parts) for part in parts]
     confirmed = [_confirmed(found) for found in agreements]
