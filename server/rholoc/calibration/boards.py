@@ -146,7 +146,10 @@ class BoardFinder:
 
     @lazy
     def _detectors(self) -> list[Any]:
-        """Detectors for each dictionary of markers, and for both ways of starting the pattern."""
+        """Detectors for each dictionary of markers, with OpenCV's present and its legacy pattern.
+
+        After the first board was found, only the detector that found it.
+        """
         size, square = (self.board.columns + 1, self.board.rows + 1), self.board.square_m
         detectors = []
         for number in _DICTIONARIES:

@@ -24,10 +24,10 @@ class Places:
     """T places that features were seen from.
 
     Attributes:
-        features: (T,) of which feature each is, never falling.
-        positions: (T, 3) metres, the middle of its views.
-        radii: (T,) metres, how far around it a density is to be valid.
-        members: T times (n,) the sightings from there, in their order.
+        features: (T,) feature of each place, non-decreasing.
+        positions: (T, 3) mean position of its views [m].
+        radii: (T,) radius around it within which a density is to be valid [m].
+        members: T arrays (n,) of rows of the sightings from the place, in their order.
     """
 
     features: IntArray

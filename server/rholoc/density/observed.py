@@ -98,7 +98,10 @@ class ObservedDensities(TensorDensities):
         return super().problem(features) if whole else "its densities do not fit together"
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
-        """All densities, with their places, radii, directions and how many observations each has."""
+        """All densities as rows; the domain is place, radius [m], mean bearing and number of observations.
+
+        The arguments are not used.
+        """
         domain = np.column_stack([self.places, self.radii, self.middles, self.counts])
         return DensityRows(self.features, domain.astype(np.float32))
 
@@ -154,9 +157,9 @@ class ObservedDensities(TensorDensities):
         return cls(**vars(whole), middles=middles, moments=moments, counts=counts)
 
     def moved(self, similarity: Similarity) -> ObservedDensities:
-        """The densities of the same places in another frame; where it is turned, what they are there is fitted anew.
+        """The same densities in the target frame of ``similarity``, fitted to their own values if it rotates.
 
-        Exact for a rotation about the vertical; a tilt changes what is upright, and is as exact as (3) can be.
+        Exact for a rotation about z. A tilt changes the roll of upright cameras; the fit is then an approximation.
         """
         moved = replace(
             self,
@@ -268,8 +271,10 @@ def fitted_by_place(
     fit: Callable[[FloatArray, FloatArray, float], tuple[FloatArray, FloatArray]],
     progress: Callable[[float, str], None],
 ) -> ObservedDensities:
-    """A density for each place; ``fit`` takes bearings (n, 3) in its frame, positions (n, 3) in radii, and the radius.
-    Fitted to what is stored, so that a map read back is the one that was fitted.
+    """Fit a density for each place with ``fit``, to places and radii as rounded for files.
+
+    ``fit`` takes bearings (n, 3) in the density's frame, positions (n, 3) relative to the place in radii, and the
+    radius [m], and returns coefficients and moments. Raises ValueError without bearings.
     """
     if sightings.bearings is None:
         raise ValueError("the bearings at which the features were seen were not kept")

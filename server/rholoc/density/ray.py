@@ -202,10 +202,10 @@ class RayDensities:
     def kept_coefficients(
         cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
     ) -> FloatArray:
-        """None of them: they follow from the landmark and the tolerance.
+        """Empty: ray coefficients follow from the landmark and the tolerance.
 
         Raises:
-            ValueError: these do not follow from them.
+            ValueError: the given ones differ from those by more than 1e-6 × the largest.
         """
         if domain[0] <= 0:
             raise ValueError("has a tolerance that is not positive")

@@ -184,10 +184,10 @@ class TensorDensities:
     def kept_coefficients(
         cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
     ) -> FloatArray:
-        """(U X H,) float32: those that a fit does not leave zero.
+        """Coefficients (U · X · H,) float32 of the stored monomials (:func:`kept_powers`).
 
         Raises:
-            ValueError: another is not zero.
+            ValueError: another coefficient is not zero.
         """
         columns = coefficient_columns(degree)
         rest = np.delete(coefficients, columns)
@@ -316,8 +316,8 @@ _ARRAYS = {  # of a file: type and number of dimensions
 class LocalTensorDensities:
     """The densities of the matches that have a valid one around a pose.
 
-    A fitted polynomial is slightly off everywhere, in the height of its bump more than in the bump's place: at a given
-    pose its peak over (u, v) is not quite 1. A pixel must be somewhere, so ρ counts from that peak:
+    A fitted polynomial has errors, in the height of its bump more than in its position: at a given pose its peak over
+    (u, v) is not exactly 1. The feature is at some pixel, so ρ is relative to that peak:
 
         ρ_f = max(0, 1 − (max_{u,v} q_f − q_f) / t)
 

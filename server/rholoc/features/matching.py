@@ -30,8 +30,8 @@ class MatchLimits:
     """Maximum distances between two descriptors of the same point.
 
     Attributes:
-        strict: a distance that rarely occurs by chance, for matching without knowing where to look.
-        loose: a distance that suffices if geometry already tells where to look.
+        strict: limit for matching among all features, which chance rarely meets.
+        loose: limit for matching among features that geometry has selected.
         spread: the scale at which a difference of distances matters (bits, or the Euclidean unit).
     """
 

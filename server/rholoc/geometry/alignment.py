@@ -27,8 +27,9 @@ class Similarity:
         return pose_matrix(self.rotation @ T_source_camera[:, :3, :3], self.points(T_source_camera[:, :3, 3]))
 
     def covariances(self, covariances: FloatArray) -> FloatArray:
-        """Covariances (N, 6, 6) of such poses, of the position and then a small rotation from the left, each in the
-        axes of the source frame → those in the axes of the target frame.
+        """Covariances (N, 6, 6) of poses in the source frame → those of the poses in the target frame.
+
+        Each is of the position, then of a small rotation from the left, along the axes of its frame.
         """
         J = np.zeros((6, 6))
         J[:3, :3], J[3:, 3:] = self.scale * self.rotation, self.rotation

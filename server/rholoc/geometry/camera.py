@@ -225,16 +225,16 @@ class Camera:
     def project(self, points: FloatArray) -> FloatArray:
         """Points (N, 3) in the camera frame → pixels (N, 2).
 
-        NaN where the lens shows none: of a pinhole with z ≤ 0, of a fisheye beyond the angle that it is described for.
+        NaN for points that the lens cannot show: z ≤ 0 for a pinhole, beyond :func:`widest_angle` for a fisheye.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         places = places_of(self.lens, points, self.distortion)
         return np.asarray(places * (self.fx, self.fy) + (self.cx, self.cy))
 
     def slopes(self, points: FloatArray) -> FloatArray:
-        """∂ pixel / ∂ point (N, 2, 3) at points (N, 3) in the camera frame, NaN where the lens shows none.
+        """Derivative (N, 2, 3) of the pixel by the point, at points (N, 3) in the camera frame.
 
-        Of a pinhole without its distortion.
+        NaN for points that the lens cannot show. A pinhole's distortion is ignored.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         return np.asarray(slopes_of(self.lens, points, self.distortion) * np.array([[self.fx], [self.fy]]))

@@ -129,7 +129,7 @@ def _undistorted(places: FloatArray, distortion: tuple[float, ...]) -> FloatArra
 
 
 def _distorted(plane: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """Points (N, 2) on the plane z = 1 → places in the image (N, 2) of a pinhole."""
+    """Points (N, 2) on the plane z = 1 → normalized image coordinates (N, 2) of a pinhole with distortion."""
     if not distortion:
         return plane
     x, y = plane.T

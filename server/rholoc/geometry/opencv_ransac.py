@@ -192,8 +192,9 @@ def _triples(
 
 
 def _enough(share: float, success: float) -> int:
-    """Number of samples of three after which one of inliers alone, if these are ``share``, was drawn with chance
-    ``success``.
+    """Number of samples of three matches after which one of inliers only was drawn with probability ``success``.
+
+    ``share`` is the share of inliers among the matches.
     """
     hit = share**3
     return 1 if hit >= 1 else math.ceil(math.log(1 - success) / math.log1p(-max(hit, 1e-12)))

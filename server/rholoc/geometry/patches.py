@@ -2,7 +2,7 @@
 
 A detector measures in the image the orientation and the diameter of the patch that it describes (Lowe 2004). With the
 landmark's position that makes a vector in the map frame: across the camera's ray, along the orientation, and as long as
-the patch's diameter. From any other pose it foretells the orientation and size that the patch is detected with.
+the patch's diameter. From any other pose it predicts the orientation and size of the detected patch.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ TOO_LITTLE_TIME = Diagnosis(
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well a picture agrees with the best pose that the search found.
+    """Agreement of a picture with the best pose that the search found.
 
     Attributes:
         inliers: number of matches that agree with the pose.

@@ -168,7 +168,7 @@ def _caption(map_: Map, coverage: Coverage) -> str:
 
 
 def _trust(map_: Map) -> str:
-    """One line on whether the map is to be trusted and how far it expects to be off [cm]."""
+    """One line with the map's trust (yes, no, unknown) and its expected error [cm]."""
     expected_m, trust = expected_error_m(map_.info), trust_of(map_.info)
     expected = "unknown" if expected_m is None else f"{100 * expected_m:.1f} cm"
     trusted = {True: "yes", False: "no", None: "unknown"}[trust.trusted]
@@ -176,7 +176,7 @@ def _trust(map_: Map) -> str:
 
 
 def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> None:
-    """Plot the share of the held-out frames whose error is at most as large, or say why there is no such figure."""
+    """Plot the cumulative distribution of the held-out frames' errors, or say why there is none."""
     _panel(
         axes,
         "Consistency of frames of the walk",

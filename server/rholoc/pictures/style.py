@@ -34,7 +34,7 @@ def figure_of(size_inches: tuple[float, float] | None, dpi: int) -> Figure:
 
 
 def missing_fonts() -> list[str]:
-    """Names of the fonts that pictures need and this machine does not have, of DejaVu Sans and its monospaced form."""
+    """Names of the fonts that pictures need (DejaVu Sans and DejaVu Sans Mono) and that are not installed."""
     missing = []
     for family in ("DejaVu Sans", "DejaVu Sans Mono"):
         try:

@@ -264,7 +264,7 @@ def with_sign_by_poses(
     """The IMU, with its acceleration negated and a warning if upright poses at ``times`` (N,) show Apple's sign."""
     if poses is None or force_points_up(imu, times[poses.known], poses.T_map_camera[poses.known, :3, :3]) is not False:
         return imu, ()
-    text = "The acceleration points down at rest, against its format; it was turned round."
+    text = "The acceleration points down at rest, against its format; its sign was reversed."
     return replace(imu, acceleration=-imu.acceleration), (RecordingWarning(WarningKind.SIGN, text),)
 
 

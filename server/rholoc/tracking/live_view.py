@@ -89,7 +89,7 @@ class LiveView(PoseMessages):
 
 
 def _calling(subscribed: Callable[[int], None]) -> ServerListener:
-    """Listener that calls ``subscribed`` with the id of each channel that somebody subscribes to."""
+    """Listener that calls ``subscribed`` with the channel's id at each subscription."""
     from foxglove.websocket import ServerListener
 
     class Listener(ServerListener):

@@ -113,7 +113,7 @@ def _checksum(data: bytes) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """The last pose, when its frame arrived on the monotonic clock, and the velocity: motion (6,) per second."""
+    """The last pose, the arrival time of its frame on the monotonic clock [s], and the velocity (6,) [m/s, rad/s]."""
 
     time_s: float
     arrived_s: float

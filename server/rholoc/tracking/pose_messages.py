@@ -114,7 +114,7 @@ class PoseMessages(ABC):
             self._is_begun = True
 
     def camera(self, time_s: float, name: str, T_map_camera: FloatArray) -> None:
-        """Write the transform of one of several cameras: its frame, which has its name, in the map."""
+        """Write the transform from the map to the frame ``name`` of one of several cameras; ``T_map_camera`` (4, 4)."""
         self._transforms("/tf", time_s, (MAP, name, T_map_camera))
 
     def belief(self, time_s: float, recognized: float, confidence: float) -> None:

@@ -17,10 +17,10 @@ from rholoc.localization.index.map_error import (
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.types import MAX_ALTERNATIVES, MIN_WEIGHT, Alternative, Belief, Localization, Query, Reason
 
-_VIEWS_HERE = 10  # the views that saw most of what an answer rests on: from hereabouts
+_VIEWS_HERE = 10  # views that saw most of an answer's inlier landmarks, and hence are near the pose
 # How probably a pose is exact in a map that failed a check, beside one in a map that passed. Such maps differ: of sure
 # answers in those of simulated walks nearly all were right, or hardly any.
-_IN_UNTRUSTED_MAP = 0.8
+_IN_UNTRUSTED_MAP = 0.8  # factor on ``exact``
 
 
 def with_map_error(index: MapIndex, answer: Localization, spread: FloatArray | None = None) -> Localization:

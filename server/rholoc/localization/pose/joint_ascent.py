@@ -78,7 +78,7 @@ def refined_together(
     evidences: Sequence[Evidence], T_map_cameras: FloatArray, links: Sequence[Link], dof: Dof
 ) -> FloatArray:
     """Last steps from the poses (N, 4, 4) of N frames, as :func:`~rholoc.localization.pose.ascent.refined` takes them
-    for one. A frame without evidence goes by its links. Returns their poses.
+    for one. A frame without evidence is placed by its links alone. Returns the poses (N, 4, 4).
     """
     equations = [partial(refinement_equations, one, dof=dof) if len(one) else None for one in evidences]
     return _climbed(equations, T_map_cameras, links, _LAST_ITERATIONS) if any(equations) else T_map_cameras

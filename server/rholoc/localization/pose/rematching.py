@@ -91,8 +91,8 @@ def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optim
 
 
 def settling(index: MapIndex, matches: Matches, optimum: Optimum) -> IntArray:
-    """Rows of the matches that the last steps go by; none if fewer than six of them agree, or the densities have no
-    exact peaks.
+    """Rows of the matches for the last steps of an ascent; none if fewer than six of them are inliers, or the densities
+    have no exact peaks.
 
     Landmarks that were only seen from elsewhere look different from here and are detected less exactly. They help to
     find and to believe a pose, but the last steps only use landmarks that nearby views saw too.

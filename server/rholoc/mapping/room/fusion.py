@@ -19,13 +19,13 @@ _SAMPLED_STEP = 4  # pixels
 
 @dataclass(eq=False)
 class DistanceGrid:
-    """Signed distances of voxels to the nearest surface, in voxels, positive in front of it.
+    """Truncated signed distances of voxels to the nearest surface, positive in front of it.
 
     Attributes:
         origin: (3,) centre of voxel (0, 0, 0), in the grid's axes.
         size: edge of a voxel, in the map's unit.
         R_grid_map: (3, 3) rotation from the map frame to the grid's axes, whose z is up.
-        distances: (X, Y, Z) float32, from -1 to 1 truncations.
+        distances: (X, Y, Z) float32, -1 to 1, in units of ``TRUNCATION`` voxels.
         weights: (X, Y, Z) float32, 0 where nothing is known.
     """
 

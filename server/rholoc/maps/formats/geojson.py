@@ -60,7 +60,7 @@ def names_from_geojson(content: bytes, earth: SiteOnEarth | None) -> MapNames:
     in_map = document.get("frame") == _MAP_FRAME
     if not in_map and earth is None:
         raise InvalidInput(
-            "The map has no place on Earth, so longitude and latitude say nothing in it.",
+            "The map's pose on Earth is unknown, so longitude and latitude cannot be converted.",
             'Place it on Earth first, or send metres of the map with "frame": "map" beside "type".',
         )
     place = None if in_map else earth

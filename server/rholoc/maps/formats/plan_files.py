@@ -207,7 +207,7 @@ def _settings(text: bytes) -> dict[str, Any]:
 
 
 def _placed_picture(picture: bytes, settings: dict[str, Any]) -> tuple[bytes, FloorPlan]:
-    """A picture of ``map_server`` as PNG with dark walls, and where it lies. Raises InvalidInput if bad or huge."""
+    """A picture of ``map_server`` as PNG with dark walls, and its pose. Raises InvalidInput if broken or too large."""
     try:
         with Image.open(io.BytesIO(picture)) as image:
             if image.width * image.height > MAX_PIXELS:

@@ -22,7 +22,7 @@ class LeftOut:
 
     Attributes:
         off_m: (3,) measured minus estimated position [m].
-        sigmas: its length in standard deviations of the difference.
+        sigmas: length of ``off_m`` in standard deviations of the difference; NaN if unknown.
     """
 
     off_m: FloatArray

@@ -1,4 +1,4 @@
-"""Choose the reconstruction method by the measurements at hand. Runs in a child process."""
+"""Choose the reconstruction method by the available measurements. Runs in a child process."""
 
 from __future__ import annotations
 
