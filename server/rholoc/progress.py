@@ -17,7 +17,7 @@ class Stage(StrEnum):
     OBSERVATIONS = "observations"  # observations are being linked into features
     DENSITIES = "densities"  # densities are being fitted
     REPORT = "report"  # held-out frames are being localized
-    LINKS = "links"  # of a site instead: its maps are being held against each other
+    LINKS = "links"  # of a site instead: its maps are being compared
     PUBLISHED = "published"  # the map is in the library, or the site's links are stored
 
 

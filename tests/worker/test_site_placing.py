@@ -99,7 +99,7 @@ def test_what_changed_meanwhile_is_left_alone(maps: MapLibrary, sites: SiteLibra
     sites.put("house", moved)
     problems = store_links(links, "house", sites, maps)
     assert problems[:2] == (
-        "kitchen or study changed while it was held against the other.",
+        "kitchen or study has changed since the search for a link.",
         "Nothing joins study to the others.",
     )
     after = sites.get("house")

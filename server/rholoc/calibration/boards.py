@@ -1,4 +1,4 @@
-"""Calibration boards: where their corners are, on the board and in a picture."""
+"""Calibration boards: positions of their corners on the board and in a picture."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ class Board:
     """A flat board. Its corners lie at z = 0, (x, y) in metres, row by row.
 
     Attributes:
-        kind: what is printed on it.
-        columns, rows: of inner corners.
-        square_m: the side of a square, in metres.
+        kind: its printed pattern.
+        columns, rows: numbers of inner corners.
+        square_m: side of a square [m].
     """
 
     kind: BoardKind
@@ -59,7 +59,7 @@ class Board:
         """From ``COLUMNSxROWS`` as boards are sold: inner corners of a checkerboard, squares of a ChArUco board.
 
         Raises:
-            InvalidInput: it is not that, a side is not 3 to 50, or a square not 0.1 to 10,000 mm.
+            InvalidInput: ``size`` has another form, a side is not 3 to 50, or a square not 0.1 to 10,000 mm.
         """
         match = re.fullmatch(r"(\d{1,3})[x×](\d{1,3})", size.strip().lower())
         if match is None or not all(int(side) in _SIDES for side in match.groups()):
@@ -95,9 +95,9 @@ class Sighting:
 
     Attributes:
         row: the frame's row in its source.
-        corners: (C,) which of the board's corners are seen.
-        pixels: (C, 2) where.
-        blur_px: the width of edges that should be steps.
+        corners: (C,) numbers of the board's corners that are seen.
+        pixels: (C, 2) their pixels.
+        blur_px: width of the edges between black and white.
     """
 
     row: int
@@ -113,8 +113,9 @@ class BoardFinder:
         self.board = board
 
     def find(self, row: int, image: ByteArray) -> Sighting | None:
-        """The board in an image (H, W, 3) BGR or (H, W) of frame ``row``; None if not found (ChArUco: below 12 corners
-        or a quarter).
+        """Find the board in an image (H, W, 3) BGR or (H, W) of frame ``row``; None if it is not found.
+
+        A checkerboard must be in view as a whole; a ChArUco board with 12 corners and a quarter of them.
         """
         gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
         shrink = min(1.0, _LONGER_SIDE_PX / max(gray.shape))
@@ -145,7 +146,10 @@ class BoardFinder:
 
     @lazy
     def _detectors(self) -> list[Any]:
-        """Detectors for each dictionary of markers, and for both ways of starting the pattern."""
+        """Detectors for each dictionary of markers, with OpenCV's present and its legacy pattern.
+
+        After the first board was found, only the detector that found it.
+        """
         size, square = (self.board.columns + 1, self.board.rows + 1), self.board.square_m
         detectors = []
         for number in _DICTIONARIES:
@@ -165,9 +169,7 @@ class BoardFinder:
 
 
 def _refined(gray: ByteArray, pixels: FloatArray, window_px: float) -> FloatArray:
-    """Corners (C, 2) refined to a fraction of a pixel within ``window_px``: nearby gradients are across the way to
-    each.
-    """
+    """Corners (C, 2) refined to a fraction of a pixel by the gradients within ``window_px`` of each (cornerSubPix)."""
     half = int(np.clip(window_px, 2, 12))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
     start = np.ascontiguousarray(pixels[:, None], dtype=np.float32)

@@ -41,7 +41,7 @@ class CalibrationView:
 
     Attributes:
         sighting: the corners.
-        residuals_px: (C, 2) seen − projected.
+        residuals_px: (C, 2) detected minus projected corner.
         T_camera_board: (4, 4).
     """
 
@@ -57,9 +57,9 @@ class Calibration:
     Attributes:
         camera: the intrinsics.
         sigmas: standard deviations of fx, fy, cx, cy in pixels and of each distortion coefficient.
-        rms_px: of the distances between corners seen and projected.
+        rms_px: RMS distance between detected and projected corners.
         board: the board that was filmed.
-        found: what was found in the recording.
+        found: views of the board found in the recording.
         views: the views that were used.
     """
 
@@ -124,9 +124,9 @@ def calibrate(
         lens: of the camera: a pinhole or a fisheye.
 
     Raises:
-        InvalidInput: a panorama, which has no intrinsics to be found.
-        InvalidRecording: the board is not seen, in fewer than eight different views, tilted by less than 6°, or the
-            result is inexact.
+        InvalidInput: the lens is a panorama's, which needs no calibration.
+        InvalidRecording: the board is not found, there are fewer than eight different views, they are tilted by less
+            than 6° (RMS), or the result is inexact.
     """
     if lens not in _PARAMETERS:
         raise InvalidInput("A panorama needs no calibration: its size says it all.", "Store it as equirectangular.")

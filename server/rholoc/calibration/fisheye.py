@@ -52,7 +52,7 @@ def solve_fisheye(
         The camera, T_camera_board (4, 4) of each view, and standard deviations (8,) of fx, fy, cx, cy, k1, k2, k3, k4.
 
     Raises:
-        InvalidCamera: no fisheye explains the views.
+        InvalidCamera: no fisheye camera fits the views.
     """
     found = [_refined(start, sightings, board) for start in _starts(sightings, board, size)]
     if not found:
@@ -81,9 +81,7 @@ def _starts(sightings: Sequence[Sighting], board: Board, size: tuple[int, int]) 
 
 
 def _refined(found: _Solution, sightings: Sequence[Sighting], board: Board) -> _Solution:
-    """The solution after refining all intrinsics and poses together (Levenberg and Marquardt); as it is if nothing
-    lowers its cost.
-    """
+    """Refine all intrinsics and poses together (Levenberg–Marquardt); ``found`` itself if no step lowers its cost."""
     damping, least, most = _DAMPING
     for _ in range(_STEPS):
         weighted = found.slopes * found.weights[:, None]

@@ -24,9 +24,9 @@ class BoardViews:
     """Views of a board found in a recording.
 
     Attributes:
-        searched: in how many frames the board was looked for.
-        found: how many of them show it.
-        chosen: the sharp and different ones among these, the sharpest first.
+        searched: number of frames in which the board was searched.
+        found: number of frames in which it was found.
+        chosen: sharp and different views among these, the sharpest first.
     """
 
     searched: int
@@ -38,8 +38,8 @@ def find_views(frames: FrameSource, board: Board, advance: Callable[[], None] = 
     """Look for the board in the sharpest frame of each of at most 160 stretches, and choose views.
 
     Args:
-        frames: where from; all are decoded once.
-        board: what to look for.
+        frames: frames of the recording; all are decoded once.
+        board: the board.
         advance: called after each frame.
 
     Raises:
@@ -52,9 +52,10 @@ def find_views(frames: FrameSource, board: Board, advance: Callable[[], None] = 
 
 
 def choose_views(found: Sequence[Sighting], board: Board, size: tuple[int, int]) -> tuple[Sighting, ...]:
-    """At most 40 sharp and different views, the sharpest first, then always the one least like those before.
+    """At most 40 sharp and different views: the sharpest, then repeatedly the one that differs most from all chosen.
 
-    Sharp: blur up to 1.6 × the sharpest quarter's; different: outlines 3 % of the diagonal of ``size`` apart.
+    Sharp: blur up to 1.6 × its 25th percentile. Different: the board's outline is at least 3 % of the diagonal of
+    ``size`` (width, height) from all chosen ones, in the mean over its corners.
     """
     if not found:
         return ()

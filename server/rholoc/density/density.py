@@ -19,7 +19,7 @@ from rholoc.geometry import FloatArray, IntArray, Similarity
 Arrays = Mapping[str, NDArray[Any]]
 
 TARGET_RADIUS = 60 / 525
-"""How wide a density is on the plane z = 1, if nothing else is asked: 60 px at a focal length of 525 px."""
+"""Default radius of a density on the plane z = 1: 60 px at a focal length of 525 px."""
 
 
 class DensityKind(StrEnum):
@@ -36,9 +36,9 @@ class Sightings:
 
     Attributes:
         landmarks: (F, 3) metres, map frame.
-        features: (V,) which landmark was seen.
-        positions: (V, 3) metres, from where.
-        bearings: (V, 3) unit vectors in the map frame, at which pixel; None where they were not kept.
+        features: (V,) row of the landmark that was seen.
+        positions: (V, 3) position of the camera [m].
+        bearings: (V, 3) unit vector towards the detection, map frame; None if not kept.
     """
 
     landmarks: FloatArray
@@ -52,8 +52,8 @@ class DensityRows:
     """The T densities of a map as a table lists them.
 
     Attributes:
-        features: (T,) the feature that each is of, never falling.
-        domain: (T, C) float32, what is needed beside the coefficients, by ``Densities.domain_columns``.
+        features: (T,) feature of each density, non-decreasing.
+        domain: (T, C) float32, values of the form's ``Densities.domain_columns``.
     """
 
     features: IntArray
@@ -101,11 +101,11 @@ class Densities(Protocol):
     Attributes:
         kind: the form.
         degree: P, the highest power of each variable.
-        has_exact_peaks: whether a density peaks exactly where its landmark is, so that the last steps of an ascent may
-            go by the peaks alone.
-        degrees: the degrees that it may have.
-        variables: the names of s, in the order of equation (3).
-        domain_columns: what Table 5 lists of a density besides its coefficients.
+        has_exact_peaks: whether a density peaks exactly at its landmark, so that the last steps of an ascent may use
+            the peaks alone.
+        degrees: possible degrees.
+        variables: names of the variables s, in the order of equation (3).
+        domain_columns: names of the columns that Table 5 has of a density besides its coefficients.
     """
 
     kind: ClassVar[DensityKind]
@@ -122,20 +122,23 @@ class Densities(Protocol):
         ...
 
     def problem(self, features: int) -> str:
-        """Why these cannot be the densities of a map of ``features`` features, as "it has …"; empty if they can."""
+        """Reason why these cannot be the densities of a map with ``features`` features, a clause; empty if they can."""
         ...
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
-        """All densities as rows, of landmarks with ``variances`` (F,) [m²], sorted by feature."""
+        """All densities as rows of Table 5, sorted by feature.
+
+        ``variances`` (F,) [m²] are those of the landmarks' positions, the mean over the axes.
+        """
         ...
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
-        """All (P + 1)ⁿ of equation (3) in the order of Table 5, of the density at ``row``.
+        """All (P + 1)ⁿ coefficients of equation (3) of one density, in the order of Table 5.
 
         Args:
-            row: of :meth:`rows`.
-            landmark: (3,) of its feature.
-            domain: (C,) of the same row.
+            row: row of the density in :meth:`rows`.
+            landmark: (3,) landmark of the row's feature [m].
+            domain: (C,) domain of the row.
         """
         ...
 
@@ -143,16 +146,16 @@ class Densities(Protocol):
     def kept_coefficients(
         cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
     ) -> FloatArray:
-        """The part that is kept of the coefficients that :meth:`coefficients_of` returned.
+        """The part of the result of :meth:`coefficients_of` that a map stores; the inverse when reading Table 5.
 
         Raises:
-            ValueError: they are not those of such a density; says why, as of a row ("has …").
+            ValueError: no density of this form has these coefficients; the message continues "row N …".
         """
         ...
 
     @classmethod
     def from_rows(cls, degree: int, rows: DensityRows, landmarks: FloatArray, kept: Sequence[FloatArray]) -> Self:
-        """The densities of :meth:`rows`, of a map's landmarks (F, 3), with what is kept of each one's coefficients.
+        """Densities from :meth:`rows`, a map's landmarks (F, 3), and the :meth:`kept_coefficients` of each row.
 
         Raises:
             ValueError: the rows contradict each other; says which.
@@ -173,7 +176,7 @@ class Densities(Protocol):
         ...
 
     def moved(self, similarity: Similarity) -> Self:
-        """The densities of the same features in the frame that ``similarity`` leads to."""
+        """The same features' densities in the target frame of ``similarity``."""
         ...
 
     @classmethod

@@ -64,7 +64,7 @@ class Evidence:
         return np.asarray(np.trace(self.covariances, axis1=1, axis2=2) / 3)
 
     def refocused(self, scale: float) -> Evidence:
-        """The same detections through a lens of ``scale`` times the focal length."""
+        """The evidence if the camera's focal length were ``scale`` times as long: rays of the same pixels."""
         rays = self.rays * (1.0, 1.0, scale)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         return replace(self, rays=rays, across=basis_across(rays), focal_px=self.focal_px * scale)

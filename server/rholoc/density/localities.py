@@ -24,10 +24,10 @@ class Places:
     """T places that features were seen from.
 
     Attributes:
-        features: (T,) of which feature each is, never falling.
-        positions: (T, 3) metres, the middle of its views.
-        radii: (T,) metres, how far around it a density is to be valid.
-        members: T times (n,) the sightings from there, in their order.
+        features: (T,) feature of each place, non-decreasing.
+        positions: (T, 3) mean position of its views [m].
+        radii: (T,) radius around it within which a density is to be valid [m].
+        members: T arrays (n,) of rows of the sightings from the place, in their order.
     """
 
     features: IntArray
@@ -90,8 +90,9 @@ def gather_places(landmark: FloatArray, seen_from: FloatArray) -> list[IntArray]
 
 
 def _place(landmark: FloatArray, positions: FloatArray) -> tuple[FloatArray, float]:
-    """The middle (3,) of a place's views and the radius [m] around it in which its density is to be valid. It is 1.2 ×
-    the views' reach, 0.6 to 0.95 × the distance of the landmark.
+    """Mean position (3,) of a place's views, and the radius [m] around it within which its density is valid.
+
+    The radius is 1.2 × the largest distance of a view from the mean, but 0.6 to 0.95 × the landmark's distance.
     """
     middle = positions.mean(axis=0)
     distance = float(np.linalg.norm(landmark - middle))

@@ -5,11 +5,11 @@
 over N_f points s_i = (u, v, x, h), n(s) being how many observations lie in the small volume w around s. What is fitted
 is q = N_f w ρ, a polynomial of the form (3) with values n; N_f and w only scale it.
 
-As printed, with points where the feature *was* seen, the loss determines next to nothing: where the observations lie
-further apart than w is wide, n is 1 at all of them and a constant has no loss at all. No term of the sum tells where
-the feature was *not* seen, so nothing makes a peak.
+As printed, with points where the feature *was* seen, the loss hardly constrains the density: if the observations lie
+further apart than w is wide, n is 1 at all of them, and a constant has zero loss. No term of the sum states where the
+feature was *not* seen, so the fit has no peak.
 
-But every observation tells that, too: the feature was seen at this pixel, hence at no other. :func:`fit_observed`
+But an observation implies that, too: the feature was seen at this pixel, hence at no other. :func:`fit_observed`
 therefore sums over all pixels of the view, counting an observation fully at its pixel and less with distance,
 
     n(u, v) = 1 − |z (u − u_i, v − v_i)|² / r²,    z = b · h,    r = 60 px,
@@ -18,13 +18,13 @@ which falls through 0 at r, to negative values where the feature was not, and is
 it without bias. The factor z, the component of the bearing b along the heading, avoids a division. Every observation is
 injected for every heading of the layout (rotational symmetry, Figure 4).
 
-Pixels and headings are the same for all observations, only the positions are those of the walk: the samples are a
-product, and so is their pseudo-inverse. What an observation adds is a rank-one update of a matrix as small as the
-position has monomials (:mod:`rholoc.density.recursive_least_squares`): coefficients can be estimated as observations
+Pixels and headings are the same for all observations; only the positions are those of the walk. The samples are a
+product, and so is their pseudo-inverse. An observation is a rank-one update of a matrix as small as the position has
+monomials (:mod:`rholoc.density.recursive_least_squares`): coefficients can be estimated as observations
 arrive.
 
-Such a fit knows the dependence on the position only as far as the walk showed it: along the walk the peaks lie within a
-pixel of the feature; a step aside, no observation tells how the feature moves, and the polynomial keeps it in place.
+Such a fit determines the dependence on the position only along the walk: there the peaks lie within a pixel of the
+feature. A step aside, no observation constrains how the feature's pixel changes, and the polynomial keeps it in place.
 """
 
 from __future__ import annotations
@@ -61,9 +61,9 @@ class ObservedDensities(TensorDensities):
     """T densities, each local to a place, of the form that :class:`TensorDensities` describes.
 
     Attributes:
-        middles: (T, 3) unit vectors: the middle of the bearings that the feature was seen at from the place.
-        moments: (T, X, X) Σ φ φᵀ + ridge over the observations, φ being the position's monomials.
-        counts: (T,) how many observations each was fitted to.
+        middles: (T, 3) unit vectors: mean bearing of the feature from the place, map frame.
+        moments: (T, X, X) Σ φ φᵀ over the observations + ridge, with φ the position's monomials.
+        counts: (T,) number of observations that each density was fitted to.
     """
 
     kind: ClassVar[DensityKind] = DensityKind.OBSERVED
@@ -86,7 +86,7 @@ class ObservedDensities(TensorDensities):
         return np.asarray(TARGET_RADIUS * distances)
 
     def problem(self, features: int) -> str:
-        """Why these cannot be the densities of a map of so many ``features``; empty where they can."""
+        """Reason why these cannot be the densities of a map with ``features`` features, a clause; empty if they can."""
         count, size = len(self.features), len(kept_powers(self.degree)[1])
         whole = (
             self.middles.shape == (count, 3)
@@ -98,7 +98,10 @@ class ObservedDensities(TensorDensities):
         return super().problem(features) if whole else "its densities do not fit together"
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
-        """All densities, with their places, radii, directions and how many observations each has."""
+        """All densities as rows; the domain is place, radius [m], mean bearing and number of observations.
+
+        The arguments are not used.
+        """
         domain = np.column_stack([self.places, self.radii, self.middles, self.counts])
         return DensityRows(self.features, domain.astype(np.float32))
 
@@ -154,9 +157,9 @@ class ObservedDensities(TensorDensities):
         return cls(**vars(whole), middles=middles, moments=moments, counts=counts)
 
     def moved(self, similarity: Similarity) -> ObservedDensities:
-        """The densities of the same places in another frame; where it is turned, what they are there is fitted anew.
+        """The same densities in the target frame of ``similarity``, fitted to their own values if it rotates.
 
-        Exact for a rotation about the vertical; a tilt changes what is upright, and is as exact as (3) can be.
+        Exact for a rotation about z. A tilt changes the roll of upright cameras; the fit is then an approximation.
         """
         moved = replace(
             self,
@@ -180,7 +183,10 @@ class ObservedDensities(TensorDensities):
         return replace(moved, coefficients=coefficients, moments=np.swapaxes(back, 0, 1) @ self.moments @ back)
 
     def _samples(self, density: int, R_map_other: FloatArray, of_position: FloatArray) -> FloatArray:
-        """Values (A, B, C) of a density at another frame's layout; ``of_position`` (B, X): the positions' monomials."""
+        """Values (A, B, C) of density ``density`` at the layout's samples of another local frame.
+
+        ``R_map_other`` (3, 3) takes that frame to the map frame; ``of_position`` (B, X) are the positions' monomials.
+        """
         layout = layout_of(self.degree)
         plane_powers, _, heading_powers = kept_powers(self.degree)
         axes = layout.axes @ R_map_other.T @ self.R_local_map[density].T  # rows: the cameras' axes in this frame
@@ -196,7 +202,7 @@ class ObservedDensities(TensorDensities):
 
     @classmethod
     def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> ObservedDensities:
-        """One for each place that a feature was seen from.
+        """Fit one density for each place that a feature was seen from.
 
         Raises:
             ValueError: the bearings at which the features were seen were not kept.
@@ -208,9 +214,9 @@ class ObservedDensities(TensorDensities):
 
         Args:
             density: its row.
-            bearings: (N, 3) unit vectors in the map frame, in the order that they came.
-            positions: (N, 3) metres, from where.
-            forgetting: what the weight of everything before is multiplied by at each; 1 forgets nothing.
+            bearings: (N, 3) unit vectors in the map frame, in the order of time.
+            positions: (N, 3) positions of the cameras [m].
+            forgetting: factor 0 to 1 on the weight of all earlier observations at each new one; 1 forgets nothing.
         """
         size = self.coefficients.shape[2]
         of_position = self.coefficients[density].transpose(1, 0, 2).reshape(size, -1)
@@ -222,7 +228,7 @@ class ObservedDensities(TensorDensities):
         return fit
 
     def position_monomials(self, density: int, positions: FloatArray) -> FloatArray:
-        """φ (N, X) of positions (N, 3) about a density's place."""
+        """Monomials φ (N, X) of map positions (N, 3) [m], relative to a density's place in units of its radius."""
         return monomials(kept_powers(self.degree)[1], (positions - self.places[density]) / self.radii[density])
 
     def with_fit(self, density: int, fit: RecursiveFit, observations: int) -> tuple[FloatArray, FloatArray, int]:
@@ -245,7 +251,7 @@ _ARRAYS: dict[str, tuple[type, int]] = {  # of a file, beside those of a tensor:
 def fit_observed(
     sightings: Sightings, degree: int, progress: Callable[[float, str], None] = lambda done, text: None
 ) -> ObservedDensities:
-    """Densities that minimize the loss (5) over all pixels of the views that saw a feature, one for each place.
+    """Densities that minimize the loss (5) over all pixels of the views that saw a feature, one per feature and place.
 
     Raises:
         ValueError: the bearings at which the features were seen were not kept.
@@ -265,8 +271,10 @@ def fitted_by_place(
     fit: Callable[[FloatArray, FloatArray, float], tuple[FloatArray, FloatArray]],
     progress: Callable[[float, str], None],
 ) -> ObservedDensities:
-    """A density for each place; ``fit`` takes bearings (n, 3) in its frame, positions (n, 3) in radii, and the radius.
-    Fitted to what is stored, so that a map read back is the one that was fitted.
+    """Fit a density for each place with ``fit``, to places and radii as rounded for files.
+
+    ``fit`` takes bearings (n, 3) in the density's frame, positions (n, 3) relative to the place in radii, and the
+    radius [m], and returns coefficients and moments. Raises ValueError without bearings.
     """
     if sightings.bearings is None:
         raise ValueError("the bearings at which the features were seen were not kept")

@@ -27,10 +27,10 @@ class Presence:
     """Where each of F features was seen from.
 
     Attributes:
-        direction: (F, 3) the mean unit vector from the landmark to the cameras.
-        cosine_limit: (F,) of the widest angle to it at which the feature may still be seen.
-        nearest: (F,) metres, the least distance it was seen from.
-        farthest: (F,) metres, the greatest.
+        direction: (F, 3) mean direction from the landmark to the cameras, unit vectors.
+        cosine_limit: (F,) cosine of the largest angle to ``direction`` at which the feature may be seen.
+        nearest: (F,) smallest distance [m] from which it was seen.
+        farthest: (F,) largest distance [m] from which it was seen.
     """
 
     direction: FloatArray
@@ -40,7 +40,7 @@ class Presence:
 
     @classmethod
     def of(cls, landmarks: FloatArray, positions: FloatArray, features: IntArray) -> Presence:
-        """From landmarks (F, 3) and, for each of N observations, the camera's position (N, 3) and the feature (N,)."""
+        """From landmarks (F, 3) [m] and N observations: the camera's position (N, 3) and the feature's row (N,)."""
         count = len(landmarks)
         away = positions - landmarks[features]
         distance = np.linalg.norm(away, axis=1)

@@ -47,7 +47,7 @@ def observation_information(
 def range_information(
     bearings: FloatArray, positions: FloatArray, ranges_m: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Λ (N, 3, 3) and η (N, 3) that a measured distance adds to an observation's own.
+    """Λ (N, 3, 3) [1/m²] and η (N, 3) [1/m] of measured distances, to add to :func:`observation_information`.
 
     Args:
         bearings, positions: as of :func:`observation_information`.
@@ -68,8 +68,8 @@ def landmarks_from_information(information: FloatArray, eta: FloatArray) -> tupl
         eta: (F, 3), 1/m.
 
     Returns:
-        Landmarks (F, 3), metres, and covariances (F, 3, 3), m². A feature whose rays are all parallel has no
-        landmark: NaN in both.
+        Landmarks (F, 3), metres, and covariances (F, 3, 3), m². NaN in both for a feature with parallel rays only
+        (smallest eigenvalue of Λ at most 1e-9 × the largest).
     """
     values = np.linalg.eigvalsh(information)
     determined = values[:, 0] > _ALONG * values[:, 2]
@@ -126,7 +126,10 @@ class RayOffsets:
 
     @classmethod
     def between(cls, landmarks: FloatArray, basis: FloatArray, T_map_camera: FloatArray) -> RayOffsets:
-        """Of landmarks (M, 3) and the bases (M, 3, 2) across their rays, in the camera frame, at a pose (4, 4)."""
+        """Offsets at a pose (4, 4) of landmarks (M, 3), map frame, from rays.
+
+        ``basis`` (M, 3, 2) has two unit vectors perpendicular to each ray, camera frame.
+        """
         to_landmark = landmarks - T_map_camera[:3, 3]
         across = (T_map_camera[:3, :3] @ basis).transpose(0, 2, 1)  # (M, 2, 3), map frame
         # ∂e/∂x = −(R E)ᵀ; a rotation δ from the left turns m − x by −δ: ∂e/∂δ = (R E)ᵀ [m − x]×
@@ -169,7 +172,7 @@ class RayDensities:
         return 2
 
     def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalRayDensities:
-        """All matches': a ray density is valid everywhere."""
+        """Densities of all matches, because a ray density is valid at every pose."""
         return LocalRayDensities(evidence)
 
     def problem(self, features: int) -> str:
@@ -177,8 +180,9 @@ class RayDensities:
         return ""
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
-        """A row for each feature, with r (1,) [m]: 60 px at its views' mean distance (1 m without views), and its
-        variance.
+        """A row for each feature. Its domain is the tolerance r (1,) [m], with r² = a² + variance.
+
+        a is 60 px (at a focal length of 525 px) at the mean distance of its views, or at 1 m without views.
         """
         count = len(sightings.landmarks)
         away = np.linalg.norm(sightings.positions - sightings.landmarks[sightings.features], axis=1)
@@ -198,10 +202,10 @@ class RayDensities:
     def kept_coefficients(
         cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
     ) -> FloatArray:
-        """None of them: they follow from the landmark and the tolerance.
+        """Empty: ray coefficients follow from the landmark and the tolerance.
 
         Raises:
-            ValueError: these do not follow from them.
+            ValueError: the given ones differ from those by more than 1e-6 × the largest.
         """
         if domain[0] <= 0:
             raise ValueError("has a tolerance that is not positive")

@@ -40,9 +40,9 @@ class RecursiveFit:
         """The state after one more observation; this one stays as it is.
 
         Args:
-            phi: (X,) the monomials where it was made.
-            value: (K,) what was observed.
-            forgetting: λ, 0 < λ ≤ 1: what the weight of all before is multiplied by.
+            phi: (X,) monomials at the observation's position.
+            value: (K,) observed values.
+            forgetting: λ, 0 < λ ≤ 1: factor on the weight of all earlier observations.
         """
         seen = self.covariance @ phi
         gain = seen / (forgetting + phi @ seen)

@@ -46,7 +46,7 @@ from rholoc.lazy import lazy
 DEGREES = (1, 2, 3)
 HEADING_LIMIT_RAD = math.radians(50.0)
 _VIEWPORT = 0.75  # half the width of the viewport on the plane z = 1
-_HEADINGS = {1: 60, 2: 120, 3: 200}  # how many a degree's layout has: several for each of (P + 1)³ monomials
+_HEADINGS = {1: 60, 2: 120, 3: 200}  # number in a degree's layout: several for each of (P + 1)³ monomials
 _RIDGE = 1e-12
 _ZERO = 1e-6  # of the greatest coefficient
 _CHUNK = 2_000_000  # samples of as many densities are held at once
@@ -69,10 +69,10 @@ class TensorDensities:
     Attributes:
         degree: P.
         coefficients: (T, U, X, H) float32.
-        features: (T,) the feature that each density is of, never falling.
-        landmarks: (T, 3) metres.
-        places: (T, 3) metres, the places they are seen from.
-        radii: (T,) metres, how far around its place each is valid.
+        features: (T,) feature of each density, non-decreasing.
+        landmarks: (T, 3) the features' landmarks [m].
+        places: (T, 3) places from which the landmarks were seen [m].
+        radii: (T,) distance from its place up to which each density is valid [m].
     """
 
     kind: ClassVar[DensityKind] = DensityKind.TENSOR
@@ -114,8 +114,10 @@ class TensorDensities:
         return taken
 
     def near(self, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> LocalTensorDensities:
-        """Densities at a pose (4, 4) of matches whose landmark is within √((2 × tolerance)² + (2 σ)²) of their ray, σ
-        of the landmark, and for which a density is valid there.
+        """Densities of the matches that have a valid one at a pose (4, 4) and whose landmark is near their ray.
+
+        Near is a distance of at most √((2 × tolerance)² + (2 σ)²), with σ of the landmark and the tolerance [px] taken
+        at the landmark's depth.
         """
         points = (evidence.landmarks - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]
         along = np.einsum("mi,mi->m", points, evidence.rays)
@@ -134,9 +136,10 @@ class TensorDensities:
         )
 
     def choose(self, features: IntArray, T_map_camera: FloatArray) -> tuple[IntArray, IntArray]:
-        """For which of ``features`` (M,) there is a density valid at a pose (4, 4), and its row: (K,) and (K,).
+        """Choose a density valid at a pose (4, 4) for each of ``features`` (M,).
 
-        Of several valid ones, the one whose direction is nearest to the heading.
+        Returns the indices (K,) in ``features`` with a valid density, and the densities' rows (K,). Of several valid
+        ones, the one whose direction is nearest to the heading is chosen.
         """
         position, heading = T_map_camera[:3, 3], T_map_camera[:3, 2]
         starts = np.searchsorted(self.features, features)
@@ -152,7 +155,7 @@ class TensorDensities:
         return chosen, row[chosen]
 
     def problem(self, features: int) -> str:
-        """Why these cannot be the densities of a map of so many ``features``; empty where they can."""
+        """Reason why these cannot be the densities of a map with ``features`` features, a clause; empty if they can."""
         count = len(self.features)
         sizes = tuple(len(powers) for powers in kept_powers(self.degree))
         whole = (
@@ -168,7 +171,7 @@ class TensorDensities:
         return "" if bool(np.all(self.distances > 0)) else "a density's place is its landmark"
 
     def rows(self, sightings: Sightings, variances: FloatArray) -> DensityRows:
-        """All densities, with their places and radii."""
+        """All densities as rows with the domain x, y, z of the place and the radius [m]; the arguments are not used."""
         return DensityRows(self.features, np.column_stack([self.places, self.radii]).astype(np.float32))
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
@@ -181,10 +184,10 @@ class TensorDensities:
     def kept_coefficients(
         cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
     ) -> FloatArray:
-        """(U X H,) float32: those that a fit does not leave zero.
+        """Coefficients (U · X · H,) float32 of the stored monomials (:func:`kept_powers`).
 
         Raises:
-            ValueError: another is not zero.
+            ValueError: another coefficient is not zero.
         """
         columns = coefficient_columns(degree)
         rest = np.delete(coefficients, columns)
@@ -249,8 +252,10 @@ class TensorDensities:
         )
 
     def moved(self, similarity: Similarity) -> TensorDensities:
-        """The densities of the same places in another frame; fitted anew where it is turned, for positions count along
-        the map's axes."""
+        """The same densities in the target frame of ``similarity``.
+
+        Fitted anew if it rotates, because the polynomials' positions are along the map's axes.
+        """
         landmarks, places = similarity.points(self.landmarks), similarity.points(self.places)
         radii, coefficients = similarity.scale * self.radii, self.coefficients
         if not np.array_equal(similarity.rotation, np.eye(3)):
@@ -259,9 +264,9 @@ class TensorDensities:
 
     @classmethod
     def fit(cls, sightings: Sightings, degree: int, progress: Callable[[float, str], None]) -> TensorDensities:
-        """One for each place that a feature was seen from; the observations enter by the landmark, their intersection.
+        """Fit one density for each place that a feature was seen from, to the landmark rather than the observations.
 
-        Fitted to what is stored, so that a map read back is the one that was fitted.
+        The fit uses the places and radii as rounded for files, so that a stored map equals the fitted one.
         """
         places = Places.of(sightings)
         landmarks, count = sightings.landmarks[places.features], len(places.features)
@@ -274,7 +279,10 @@ class TensorDensities:
         return cls(degree, np.concatenate(parts), places.features, landmarks, places.positions, places.radii)
 
     def target_radii(self, distances: FloatArray) -> FloatArray:
-        """Radii (T,) [m] where the fit's target is 0; ``distances`` (T,) are not used: they are from the places."""
+        """Radii (T,) [m] at which the fit's target is 0: 60 px at the landmarks' distances from the places.
+
+        ``distances`` (T,) are not used.
+        """
         return np.asarray(TARGET_RADIUS * self.distances)
 
     def valid_at(self, position: FloatArray, heading: FloatArray, rows: IntArray) -> BoolArray:
@@ -285,13 +293,13 @@ class TensorDensities:
         return np.asarray(near & (self.directions[rows] @ heading >= math.cos(HEADING_LIMIT_RAD)))
 
     def all_coefficients(self, rows: IntArray) -> FloatArray:
-        """(N, (P + 1)⁸) float32: all of equation (3)'s at ``rows`` (N,), in the order of Table 5, zeros among them."""
+        """All coefficients (N, (P + 1)⁸) float32 of the densities in ``rows`` (N,), in Table 5's order, with zeros."""
         full = np.zeros((len(rows), (self.degree + 1) ** len(self.variables)), dtype=np.float32)
         full[:, coefficient_columns(self.degree)] = self.coefficients[rows].reshape(len(rows), -1)
         return full
 
     def at(self, plane: FloatArray, T_map_camera: FloatArray) -> Peaks:
-        """All densities at pixels ``plane`` (T, 2) on the plane z = 1, each at its own, of a camera at (4, 4)."""
+        """Evaluate each density at its own pixel ``plane`` (T, 2), on the plane z = 1, of a camera at a pose (4, 4)."""
         return _peaks(self, LocalVariables.of(self, plane, T_map_camera))
 
 
@@ -308,8 +316,8 @@ _ARRAYS = {  # of a file: type and number of dimensions
 class LocalTensorDensities:
     """The densities of the matches that have a valid one around a pose.
 
-    A fitted polynomial is slightly off everywhere, in the height of its bump more than in the bump's place: at a given
-    pose its peak over (u, v) is not quite 1. A pixel must be somewhere, so ρ counts from that peak:
+    A fitted polynomial has errors, in the height of its bump more than in its position: at a given pose its peak over
+    (u, v) is not exactly 1. The feature is at some pixel, so ρ is relative to that peak:
 
         ρ_f = max(0, 1 − (max_{u,v} q_f − q_f) / t)
 
@@ -318,11 +326,11 @@ class LocalTensorDensities:
     in metres, and saves evaluating the features whose bump is far away.
 
     Attributes:
-        matches: (K,) their rows in the evidence.
+        matches: (K,) rows of the matches in the evidence.
         densities: K densities.
-        plane: (K, 2) their pixels on the plane z = 1.
-        variances: (K,) m², of the landmarks.
-        focal_px: of the camera.
+        plane: (K, 2) pixels of the matches on the plane z = 1.
+        variances: (K,) variances of the landmarks [m²].
+        focal_px: focal length of the camera.
     """
 
     matches: IntArray
@@ -365,9 +373,9 @@ class Peaks:
         offset: (T, 2) of the pixel from the polynomial's peak over (u, v) at this pose, on the plane z = 1.
         offset_jacobian: (T, 2, 6) by the motion.
         fall: (T, 2, 2) F: the polynomial falls from its peak by offsetᵀ F offset.
-        drop: (T,) that fall, peak − value, and
-        drop_gradient: (T, 6) by the motion.
-        peaked: (T,) whether there is a peak at all.
+        drop: (T,) peak − value.
+        drop_gradient: (T, 6) gradient of ``drop`` by the motion.
+        peaked: (T,) whether the polynomial has a peak over (u, v).
     """
 
     value: FloatArray
@@ -396,7 +404,7 @@ def coefficient_columns(degree: int) -> IntArray:
 
 
 def local_frames(directions: FloatArray) -> FloatArray:
-    """R_local_map (T, 3, 3) that takes each unit direction (T, 3) to the diagonal (1, 1, 0) / √2, the frame upright."""
+    """R_local_map (T, 3, 3) that takes each unit direction (T, 3) to (1, 1, 0) / √2 and keeps the horizontal level."""
     c = math.sqrt(0.5)
     turn = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
     right, down, ahead = np.moveaxis(upright_axes(directions), -2, 0)
@@ -602,7 +610,7 @@ def _plane_derivatives(powers: IntArray, plane: FloatArray) -> FloatArray:
 
 
 def _grid(line: FloatArray, dimensions: int) -> FloatArray:
-    """All points (L^d, d) whose coordinates are of ``line`` (L,), the last counting fastest."""
+    """Grid points (L^d, d) with d = ``dimensions`` coordinates from ``line`` (L,), the last one varying fastest."""
     return np.stack(np.meshgrid(*[line] * dimensions, indexing="ij"), axis=-1).reshape(-1, dimensions)
 
 

@@ -46,7 +46,7 @@ class FeatureSet:
     Attributes:
         pixels: (N, 2) float32, u and v.
         channels: (N,) uint8, values of :class:`Channel`.
-        descriptors: (N, D) uint8; D = 32 for ORB, 128 for SIFT, 64 for XFeat.
+        descriptors: (N, D) uint8; D is the extractor's ``descriptor_bytes``: 32 (ORB), 128 or 48 (SIFT), 40 (XFeat).
         sizes: (N,) float32, the diameter of the described patch in pixels; 0 where unknown.
         angles: (N,) float32, the patch's orientation in radians, in the image, clockwise from +u; NaN where unknown.
         colours: (N, 3) uint8, red, green and blue of the image there; None where unknown. No match depends on them.

@@ -30,8 +30,8 @@ class MatchLimits:
     """Maximum distances between two descriptors of the same point.
 
     Attributes:
-        strict: a distance that rarely occurs by chance, for matching without knowing where to look.
-        loose: a distance that suffices if geometry already tells where to look.
+        strict: limit for matching among all features, which chance rarely meets.
+        loose: limit for matching among features that geometry has selected.
         spread: the scale at which a difference of distances matters (bits, or the Euclidean unit).
     """
 
@@ -53,11 +53,11 @@ class DescriptorIndex:
 
     Args:
         descriptors: (D, B).
-        channels: (D,) of each.
-        metric: theirs.
+        channels: (D,) channel of each.
+        metric: metric of the descriptors.
         inverted: whether to sort them into lists by similarity and search only the most likely lists (an inverted file;
-            Sivic and Zisserman, ICCV 2003). Among a million, a query then takes as long as an exact one among some
-            thousands, a fiftieth of the memory of floats, and misses the nearest of one in ten features or so.
+            Sivic and Zisserman, ICCV 2003). Among a million descriptors, a query then takes as long as an exact one
+            among some thousands, but misses the nearest descriptor of about one in ten features.
     """
 
     def __init__(self, descriptors: ByteArray, channels: ByteArray, metric: Metric, inverted: bool = False) -> None:
@@ -71,10 +71,9 @@ class DescriptorIndex:
             self._indices[int(channel)] = make(descriptors[rows], metric)
 
     def nearest(self, features: FeatureSet, k: int) -> tuple[FloatArray, IntArray]:
-        """The ``k`` nearest descriptors of its channel of every feature (N): distances (N, k), ascending, and rows (N,
-        k).
+        """The ``k`` nearest descriptors in the same channel for each of N features.
 
-        Where fewer than ``k`` are found, the distance is inf and the row -1.
+        Returns distances (N, k), ascending, and rows (N, k); inf and -1 where fewer than ``k`` are found.
         """
         distances = np.full((len(features), k), _NEVER, dtype=np.float32)
         rows = np.full((len(features), k), -1, dtype=np.int64)
@@ -126,7 +125,7 @@ def _flat_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | faiss.I
 
 
 def _inverted_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | faiss.IndexBinary:
-    """Inverted file of descriptors (D, B), byte by byte in about 2 √D lists; an exhaustive index if too few."""
+    """Inverted file of descriptors (D, B), stored as bytes in about 2 √D lists; a flat index below 4 per list."""
     count, size = descriptors.shape
     lists = 2 ** max(0, round(math.log2(2 * math.sqrt(count))))
     if count < _MIN_PER_LIST * lists:

@@ -1,4 +1,4 @@
-"""Pictures as short vectors, by which one place is found among tens of thousands.
+"""Pictures as short vectors, for retrieval of a place among tens of thousands.
 
 VLAD, a picture's local descriptors as one vector: Jégou et al., *Aggregating local descriptors into a compact image
 representation*, CVPR 2010; residuals of unit length: Delhumeau et al., 2013; normalised within each word: Arandjelović
@@ -30,10 +30,10 @@ _MIN_SPREAD = 1e-3  # of the greatest: components below are noise
 
 
 class Vlad:
-    """A vocabulary of words, and pictures as vectors on it.
+    """Vocabulary of W visual words, and the VLAD vectors of pictures.
 
     Args:
-        descriptors: (N, D) of each of the pictures that the words are learned from; one of them has descriptors.
+        descriptors: (N, D) descriptors of each training picture; at least one picture has some.
     """
 
     def __init__(self, descriptors: Sequence[ByteArray]) -> None:
@@ -94,9 +94,9 @@ class PictureVectors:
 
     Args:
         vlad: the vocabulary.
-        mean: (W · D,) of the VLAD vectors that were learned from.
-        components: (W · D, ``DIMENSIONS``) what takes what differs from it to a vector.
-        metric: how the descriptors are compared.
+        mean: (W · D,) mean of the training pictures' VLAD vectors.
+        components: (W · D, ``DIMENSIONS``) projection of a VLAD vector minus the mean.
+        metric: metric of the descriptors.
     """
 
     def __init__(self, vlad: Vlad, mean: FloatArray, components: FloatArray, metric: Metric) -> None:
@@ -116,7 +116,7 @@ class PictureVectors:
         """Encoder from the result of :meth:`arrays`.
 
         Raises:
-            KeyError, ValueError: it is something else.
+            KeyError, ValueError: an array is missing or broken.
         """
         words, mean, components = (
             np.ascontiguousarray(arrays[name], dtype=np.float32) for name in ("words", "mean", "components")
@@ -141,7 +141,7 @@ class PictureVectors:
 
 
 def _numbers(descriptors: ByteArray, metric: Metric) -> ByteArray:
-    """Descriptors as numbers whose differences mean something: the bits (N, 8 B) of binary ones, others unchanged."""
+    """Descriptors (N, B) in a Euclidean space: the bits (N, 8 B) of binary descriptors, others unchanged."""
     return np.unpackbits(descriptors, axis=1) if metric is Metric.HAMMING else descriptors
 
 

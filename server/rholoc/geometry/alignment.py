@@ -27,8 +27,9 @@ class Similarity:
         return pose_matrix(self.rotation @ T_source_camera[:, :3, :3], self.points(T_source_camera[:, :3, 3]))
 
     def covariances(self, covariances: FloatArray) -> FloatArray:
-        """Covariances (N, 6, 6) of such poses, of the position and then a small rotation from the left, each in the
-        axes of the source frame → those in the axes of the target frame.
+        """Covariances (N, 6, 6) of poses in the source frame → those of the poses in the target frame.
+
+        Each is of the position, then of a small rotation from the left, along the axes of its frame.
         """
         J = np.zeros((6, 6))
         J[:3, :3], J[3:, 3:] = self.scale * self.rotation, self.rotation
@@ -66,7 +67,7 @@ def umeyama(source: FloatArray, target: FloatArray, weights: FloatArray | None =
 
 
 def upright_umeyama(source: FloatArray, target: FloatArray) -> Similarity:
-    """The least-squares similarity between points (N, 3) of two frames that are both upright: it turns about z alone.
+    """Least-squares similarity from ``source`` (N, 3) to ``target`` (N, 3), whose rotation is about z only.
 
     The points must not lie on one vertical line.
     """
@@ -81,7 +82,7 @@ def upright_umeyama(source: FloatArray, target: FloatArray) -> Similarity:
 def kabsch(source: FloatArray, target: FloatArray) -> Similarity:
     """The least-squares rotation and translation, without scale, that take ``source`` (N, 3) to ``target`` (N, 3).
 
-    At least three points that do not lie on a line fix it.
+    The points must be at least three, and not collinear.
     """
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     R = aligning_rotation(source - source_mean, target - target_mean)
@@ -91,11 +92,10 @@ def kabsch(source: FloatArray, target: FloatArray) -> Similarity:
 def posed_alignment(
     source: FloatArray, target: FloatArray, weights: FloatArray, fixed_scale: bool, min_spread_m: float = 0.0
 ) -> Similarity:
-    """Similarity from poses ``source`` (N, 4, 4) to poses ``target`` (N, 4, 4) of the same cameras; rotations fix its
-    rotation.
+    """Similarity from poses ``source`` (N, 4, 4) to poses ``target`` (N, 4, 4) of the same cameras.
 
-    So a walk along a line, or on the spot, is aligned as well. The rotation is the weighted mean of the relative
-    rotations alone. The scale stays 1 if it is fixed, if the rotated positions do not correlate positively with the
+    Its rotation is the weighted mean of the relative rotations alone, so a walk along a line, or on the spot, can be
+    aligned as well. The scale stays 1 if it is fixed, if the rotated positions do not correlate positively with the
     target's, or if the target's spread is at most ``min_spread_m``. ``weights`` (N,) are relative.
     """
     w = _normalized(weights, len(source))

@@ -18,5 +18,5 @@ def ranges(first: IntArray, last: IntArray) -> IntArray:
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """At most ``most`` of the numbers 0..count-1, ascending, the first and the last among them, at even steps."""
+    """At most ``most`` evenly spaced numbers of 0..count-1, ascending, first and last included; 0 if ``most`` is 1."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

@@ -1,4 +1,4 @@
-"""Cameras: their intrinsics, and what the rest of the code asks of them: rays from pixels, pixels from points."""
+"""Cameras: intrinsics, rays of pixels, projections of points."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ class Camera:
     def breadth(self) -> float:
         """Horizontal field of view of a wide lens in units of 60°, 1 to 4; 1 for pinholes.
 
-        Limits of pixels and features are for ordinary pictures: of wide ones as many times as much is looked at.
+        Limits on pixels and features are for ordinary pictures; for wide ones they are multiplied by this.
         """
         if self.lens is Lens.PINHOLE:
             return 1.0
@@ -188,7 +188,7 @@ class Camera:
         return float(np.clip(across_rad / _ORDINARY_RAD, 1.0, _MAX_BREADTH))
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for its image scaled to ``width`` × ``height``; pixel centres are respected."""
+        """The camera for its image scaled to ``width`` × ``height``, which may have another aspect ratio."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -205,10 +205,10 @@ class Camera:
         return replace(self, fx=self.fx * scale, fy=self.fy * scale)
 
     def fitted(self, width: int, height: int) -> Camera:
-        """The camera for images of ``width`` × ``height``: resized, if their aspect ratio is the same within 1 %.
+        """The camera resized for images of ``width`` × ``height``, whose aspect ratio must be the same within 1 %.
 
         Raises:
-            InvalidCamera: it is another.
+            InvalidCamera: the aspect ratio differs.
         """
         if abs(width * self.height / (height * self.width) - 1) >= _SHAPE_TOLERANCE:
             raise InvalidCamera(
@@ -225,16 +225,16 @@ class Camera:
     def project(self, points: FloatArray) -> FloatArray:
         """Points (N, 3) in the camera frame → pixels (N, 2).
 
-        NaN where the lens shows none: of a pinhole with z ≤ 0, of a fisheye beyond the angle that it is described for.
+        NaN for points that the lens cannot show: z ≤ 0 for a pinhole, beyond :func:`widest_angle` for a fisheye.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         places = places_of(self.lens, points, self.distortion)
         return np.asarray(places * (self.fx, self.fy) + (self.cx, self.cy))
 
     def slopes(self, points: FloatArray) -> FloatArray:
-        """∂ pixel / ∂ point (N, 2, 3) at points (N, 3) in the camera frame, NaN where the lens shows none.
+        """Derivative (N, 2, 3) of the pixel by the point, at points (N, 3) in the camera frame.
 
-        Of a pinhole without its distortion.
+        NaN for points that the lens cannot show. A pinhole's distortion is ignored.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         return np.asarray(slopes_of(self.lens, points, self.distortion) * np.array([[self.fx], [self.fy]]))
@@ -247,12 +247,12 @@ class Camera:
         return np.asarray(points[:, 2] if self.lens is Lens.PINHOLE else np.linalg.norm(points, axis=1))
 
     def planes(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The planes in which errors of pixels (N, 2) are measured, in units of the focal length.
+        """Planes in which reprojection errors of pixels (N, 2) are measured, in units of the focal length.
 
-        Of a pinhole the plane z = 1 for all; of other lenses for each pixel the one across its ray.
+        For a pinhole the image plane z = 1; for other lenses the plane perpendicular to each pixel's ray.
 
         Returns:
-            R_plane_camera (N, 3, 3), and where the pixels are on the plane z = 1 of these frames (N, 2).
+            R_plane_camera (N, 3, 3), and the pixels' points (N, 2) on the plane z = 1 of these frames.
         """
         rays = self.rays(pixels)
         if self.lens is Lens.PINHOLE:
@@ -278,7 +278,7 @@ class Camera:
 
     @lazy
     def _field(self) -> FloatArray:
-        """Bounds (2, 2) of what a pinhole shows on the plane z = 1: the least x and y, the greatest x and y."""
+        """Bounds (2, 2) of a pinhole's image on the plane z = 1, at the middles of its edges: min x, y; max x, y."""
         right, bottom = self.width - 0.5, self.height - 0.5
         edges = np.array([[-0.5, self.cy], [self.cx, -0.5], [right, self.cy], [self.cx, bottom]])
         (left, _), (_, top), (right, _), (_, bottom) = on_plane(self.rays(edges))

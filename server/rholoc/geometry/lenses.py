@@ -29,15 +29,14 @@ class Lens(StrEnum):
 
     @property
     def coefficients(self) -> tuple[int, ...]:
-        """Numbers of distortion coefficients that it may have."""
+        """Possible numbers of distortion coefficients."""
         return {Lens.PINHOLE: (0, 4, 5, 8), Lens.FISHEYE: (0, 4), Lens.EQUIRECTANGULAR: (0,)}[self]
 
 
 def rays_of(lens: Lens, places: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """Places in the image (N, 2), (u - cx) / fx and (v - cy) / fy, of a panorama in radians → unit rays (N, 3) in the
-    camera frame.
+    """Normalized image coordinates (N, 2), (u - cx) / fx and (v - cy) / fy → unit rays (N, 3) in the camera frame.
 
-    Beyond the angle up to which a fisheye lens is described, its last ray.
+    For a panorama the coordinates are radians. Beyond a fisheye's :func:`widest_angle`, its outermost ray.
     """
     match lens:
         case Lens.PINHOLE:
@@ -56,7 +55,7 @@ def rays_of(lens: Lens, places: FloatArray, distortion: tuple[float, ...]) -> Fl
 
 
 def places_of(lens: Lens, points: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """Points (N, 3) in the camera frame → places in the image (N, 2); NaN where the lens shows none."""
+    """Points (N, 3) in the camera frame → normalized image coordinates (N, 2); NaN where the lens cannot show them."""
     x, y, z = points.T
     match lens:
         case Lens.PINHOLE:
@@ -75,9 +74,9 @@ def places_of(lens: Lens, points: FloatArray, distortion: tuple[float, ...]) -> 
 
 
 def slopes_of(lens: Lens, points: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """∂ place / ∂ point (N, 2, 3) at points (N, 3) in the camera frame; NaN where the lens shows none.
+    """Derivative (N, 2, 3) of :func:`places_of` by the point, at points (N, 3) in the camera frame.
 
-    Of a pinhole without its distortion.
+    NaN for points that the lens cannot show. A pinhole's distortion is ignored.
     """
     x, y, z = points.T
     none = np.zeros(len(points))
@@ -130,7 +129,7 @@ def _undistorted(places: FloatArray, distortion: tuple[float, ...]) -> FloatArra
 
 
 def _distorted(plane: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """Points (N, 2) on the plane z = 1 → places in the image (N, 2) of a pinhole."""
+    """Points (N, 2) on the plane z = 1 → normalized image coordinates (N, 2) of a pinhole with distortion."""
     if not distortion:
         return plane
     x, y = plane.T

@@ -27,7 +27,7 @@ _REFINEMENTS, _SETTLED = 10, 1e-7
 
 
 def three_point_poses(rays: FloatArray, points: FloatArray) -> FloatArray:
-    """Poses (S, 4, 4) T_map_camera of N samples, none to four of each: unit rays (N, 3, 3) of points (N, 3, 3)."""
+    """Poses T_map_camera (S, 4, 4) from N samples of three unit rays (N, 3, 3) and their points (N, 3, 3)."""
     middles = rays.sum(axis=1)
     middles /= np.maximum(np.linalg.norm(middles, axis=1, keepdims=True), 1e-12)
     frontal = np.flatnonzero(np.einsum("nki,ni->nk", rays, middles).min(axis=1) > _MIN_COSINE)
@@ -161,7 +161,10 @@ def sampled_pose(
 
 
 def _rig_poses(problem: _Problem, triples: IntArray) -> FloatArray:
-    """T_map_rig (S, 4, 4) of samples (N, 3) of matches, each of one camera; cameras differ by their centres alone."""
+    """Poses T_map_rig (S, 4, 4) from samples (N, 3) of matches, the three of a sample seen by one camera.
+
+    Rays are in the rig frame, so cameras differ by their centres only.
+    """
     found = []
     for centre in np.unique(problem.centres[triples[:, 0]], axis=0):
         rows = triples[(problem.centres[triples[:, 0]] == centre).all(axis=1)]
@@ -174,9 +177,10 @@ def _rig_poses(problem: _Problem, triples: IntArray) -> FloatArray:
 def _triples(
     rng: np.random.Generator, of_camera: IntArray, count: int, most: int, size: int, is_progressive: bool
 ) -> IntArray:
-    """At most ``size`` random samples (N, 3) of different matches of one camera, likeliest first in ``of_camera`` (M,).
-    If progressive, only among the likeliest at first, and among all after a quarter of ``most`` samples (``count``
-    drawn).
+    """At most ``size`` random samples (N, 3) of three different matches of one camera.
+
+    ``of_camera`` (M,) is the camera of each match, likeliest match first. If progressive, samples are drawn from the
+    likeliest matches at first, and from all once ``count``, the number drawn before, reaches a quarter of ``most``.
     """
     total = len(of_camera)
     share = min(1.0, (count + size) / (most / 4)) if is_progressive else 1.0
@@ -188,8 +192,9 @@ def _triples(
 
 
 def _enough(share: float, success: float) -> int:
-    """Number of samples of three after which one of inliers alone, if these are ``share``, was drawn with chance
-    ``success``.
+    """Number of samples of three matches after which one of inliers only was drawn with probability ``success``.
+
+    ``share`` is the share of inliers among the matches.
     """
     hit = share**3
     return 1 if hit >= 1 else math.ceil(math.log(1 - success) / math.log1p(-max(hit, 1e-12)))

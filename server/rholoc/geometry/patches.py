@@ -2,7 +2,7 @@
 
 A detector measures in the image the orientation and the diameter of the patch that it describes (Lowe 2004). With the
 landmark's position that makes a vector in the map frame: across the camera's ray, along the orientation, and as long as
-the patch's diameter. From any other pose it foretells the orientation and size that the patch is detected with.
+the patch's diameter. From any other pose it predicts the orientation and size of the detected patch.
 """
 
 from __future__ import annotations
@@ -56,9 +56,10 @@ def patch_appearance(
 
 
 def mean_patches(vectors: FloatArray, features: IntArray, count: int) -> FloatArray:
-    """The patch (count, 3) of each feature, of the ``vectors`` (V, 3) that its observations say, NaN where not known.
+    """Mean patch vector (count, 3) of each feature, from the ``vectors`` (V, 3) of its observations.
 
-    Its direction is the mean of theirs and its length the geometric mean. NaN where none is known.
+    ``features`` (V,) are the observations' features. The direction is the mean direction, the length the geometric mean
+    of the lengths. NaN vectors are ignored; a feature without any other gets NaN.
     """
     lengths = np.linalg.norm(vectors, axis=1)
     known = np.isfinite(lengths) & (lengths > 0)

@@ -1,4 +1,4 @@
-"""Absolute pose from rays and points of which many do not belong together: LO-RANSAC, by poselib (Larsson and others).
+"""Absolute pose from matches of rays and points, many of them false: LO-RANSAC, by poselib (Larsson and others).
 
 Where poselib is not installed, :mod:`rholoc.geometry.opencv_ransac` takes its place.
 
@@ -51,17 +51,17 @@ def resected(
     focal_px: float,
     settings: dict[str, Any],
 ) -> tuple[FloatArray, int]:
-    """The pose of a camera, or of several that are mounted together, that most matches agree with.
+    """Pose of a camera, or of a rig of C cameras, with the most inliers.
 
     Args:
-        rays: of each of C cameras the matches' unit rays (M, 3), camera frame.
-        points: of each camera what these are of (M, 3), map frame.
-        T_rig_camera: (C, 4, 4).
-        focal_px: turns the settings' tolerance, in pixels, into the unit of the plane z = 1.
-        settings: poselib's for RANSAC.
+        rays: for each camera the unit rays (M, 3) of its matches, camera frame.
+        points: for each camera the points (M, 3) of these matches, map frame.
+        T_rig_camera: (C, 4, 4) mountings.
+        focal_px: divides the settings' tolerance [px]; 1 for a tolerance on the plane z = 1.
+        settings: poselib's RANSAC options.
 
     Returns:
-        T_map_rig (4, 4), not finite or arbitrary if none is found, and how many matches agree with it.
+        T_map_rig (4, 4), not finite or arbitrary if none is found, and the number of inliers.
     """
     if poselib is None:
         return opencv_ransac.sampled_pose(rays, points, T_rig_camera, focal_px, settings)
@@ -84,7 +84,10 @@ def resected(
 
 
 def three_point_poses(rays: FloatArray, points: FloatArray) -> FloatArray:
-    """Poses (S, 4, 4) T_map_camera of N samples, none to four of each: unit rays (N, 3, 3) of points (N, 3, 3)."""
+    """Poses T_map_camera (S, 4, 4) from N samples of three unit rays (N, 3, 3) and their points (N, 3, 3).
+
+    Each sample gives zero to four poses; the result does not say from which sample a pose is.
+    """
     if poselib is None:
         return opencv_ransac.three_point_poses(rays, points)
     poses = [pose for three, seen in zip(rays, points, strict=True) for pose in poselib.p3p(three, seen)]

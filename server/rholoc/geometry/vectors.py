@@ -21,7 +21,7 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def basis_across(rays: FloatArray) -> FloatArray:
-    """(N, 3, 2) an orthonormal basis across each unit ray (N, 3)."""
+    """Two orthonormal vectors (N, 3, 2), as columns, perpendicular to each unit ray (N, 3)."""
     helper = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     first = cross(rays, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -29,7 +29,7 @@ def basis_across(rays: FloatArray) -> FloatArray:
 
 
 def rotation_angles(R_a: FloatArray, R_b: FloatArray) -> FloatArray:
-    """The angle (...) in radians that each rotation (..., 3, 3) of one array is turned from the other's."""
+    """Angles (...) [rad], 0 to π, between the rotations (..., 3, 3) of two arrays, pair by pair."""
     relative = np.swapaxes(R_a, -1, -2) @ R_b
     angles = Rotation.from_matrix(relative.reshape(-1, 3, 3)).magnitude() if relative.size else np.zeros(0)
     return np.asarray(np.reshape(angles, relative.shape[:-2]))

@@ -16,7 +16,7 @@ from rholoc.maps import Map
 _DARK = 30.0  # of 255, the mean grey level
 _DARKER, _BRIGHTER = 0.5, 1.8  # against the pictures that the map was made of
 _TINT = 30.0  # of LAB's A and B together: beyond what lamps that are called white do to a room
-_PERHAPS = 0.1  # the probability of the right place from which a picture may show the map after all
+_PERHAPS = 0.1  # minimum probability of the right place for a picture that may show the map after all
 _WORK_WIDTH_PX = 640
 _COARSE_PX = 8
 _FLAT = 1.0  # grey levels of coarse contrast: below it there is nothing to be sharp or blurred
@@ -67,7 +67,7 @@ TOO_LITTLE_TIME = Diagnosis(
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well a picture agrees with the best pose that the search found.
+    """Agreement of a picture with the best pose that the search found.
 
     Attributes:
         inliers: number of matches that agree with the pose.
@@ -174,8 +174,8 @@ def wrong_motion(frame: int, apart_m: float, turned_rad: float) -> Diagnosis:
     """Diagnosis of a frame, counted from 0, that alone is somewhere else [m, rad] than with its relative pose."""
     return Diagnosis(
         Cause.WRONG_MOTION,
-        f"Frame {frame} does not show what its relative pose lets expect: by itself it was taken {apart_m:.2f} m and "
-        f"{np.degrees(turned_rad):.0f}° from there.",
+        f"The picture of frame {frame} contradicts its relative pose: localized alone, it is {apart_m:.2f} m and "
+        f"{np.degrees(turned_rad):.0f}° away.",
         "Send each frame's own position and rotation, camera to common frame (x right, y down, z forward), in metres; "
         "larger sigmas if they are inexact.",
     )

@@ -263,7 +263,7 @@ class Localizer:
         watch.lap("seed")
 
     def _look(self, place: Place, search: Search, rays: FloatArray) -> Iterator[Found | None]:
-        """Iterate over candidates (None: a look that found none) from one place, cheapest search first."""
+        """Iterate over candidates from one place, cheapest search first; None for a search without a credible pose."""
         query, watch = search.query, search.watch
         if query.intrinsics is Intrinsics.UNKNOWN:
             matches = self.index.match_within(query.features, place.landmarks)

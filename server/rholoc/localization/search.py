@@ -20,7 +20,7 @@ from rholoc.localization.pose.rivals import are_rivals, shares
 from rholoc.localization.pose.seeds import Place
 from rholoc.localization.types import Belief, Query, Reason
 
-_MAX_MISSING = 0.25  # of the nats for a pose: what may speak against it where the search ends with it
+_MAX_MISSING = 0.25  # maximum ratio of the nats against a pose to those for it, for the search to end with it
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,8 @@ class Found:
     Attributes:
         verified: the pose and its evidence.
         camera: camera it was found with.
-        check_focal: returns what the matches say about that camera's focal length; the first call takes as long as a
-            search of a place.
+        check_focal: returns the check of that camera's focal length against the matches; the first call takes as long
+            as a search of a place.
         if_focal_right: belief in the pose, given that the focal length is right.
         near_prior: whether the pose agrees with the prior.
         share: factor 0 to 1 that rivals leave of the probability of the right place.
@@ -155,7 +155,7 @@ class Search:
         is_sampled: whether ``nearest`` covers only a sample of the features.
         near: matches of a sample of the features with the prior's place.
         found: all candidates.
-        fruitless: number of looks at voted places that found none.
+        fruitless: number of searches of voted places without a candidate.
         seeds: number of credible poses by LO-RANSAC, before verification.
     """
 
@@ -217,7 +217,11 @@ class Search:
         return best is not None and best.sigma_m <= max_sigma_m and not is_seen_from_afar(best.verified)
 
     def is_hopeless(self, options: SearchOptions) -> bool:
-        """Whether enough places were looked at without any chance of the right one, by the limits of ``options``."""
+        """Whether the search can be given up.
+
+        Without any credible pose: after ``options.fruitless_looks``. Otherwise: after ``options.hopeless_looks`` if no
+        candidate's probability of the right place reaches ``options.hopeless``.
+        """
         if not self.seeds:
             return self.fruitless >= options.fruitless_looks
         likeliest = max((found.if_focal_right.recognized for found in self.found), default=0.0)

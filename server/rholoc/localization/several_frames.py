@@ -49,12 +49,12 @@ _SAMPLES = (1000, 30)
 _TOLERANCE_PX = 12.0
 _MIN_MATCHES = 6
 _ALONE_SAMPLES = (300, 30)
-_TIMES_AS_MUCH = 2.0  # as by its joint pose a frame explains by its own where its relative pose is wrong
+_TIMES_AS_MUCH = 2.0  # minimum ratio of a frame's evidence for its own pose to that for its joint pose, to be a stray
 _FAR_SIGMAS = 3.0
 
 
 def check_frame_count(count: int) -> None:
-    """Raise InvalidInput unless so many frames can be localized together."""
+    """Raise InvalidInput unless ``count`` is 2 to 10 frames."""
     if not MIN_FRAMES <= count <= MAX_FRAMES:
         raise InvalidInput(
             f"{count} frames; {MIN_FRAMES} to {MAX_FRAMES} can be localized together.",
@@ -294,8 +294,9 @@ class _Joint:
         return [self.index.nearest_everywhere(frame.features) for frame in self.frames]
 
     def _pools(self) -> Iterator[list[Matches]]:
-        """Iterate over sets of matches, a list entry for each frame: with the whole map, then with its six likeliest
-        places, one after the other.
+        """Iterate over sets of matches, with a list entry for each frame.
+
+        The first set is with the whole map. Set k of up to six others is with each frame's own k-th likeliest place.
         """
         everywhere = [one.matches() for one in self._nearest]
         yield everywhere

@@ -44,7 +44,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Prior:
-    """Expected pose. A pose elsewhere is returned only if it is sure, and marked as such.
+    """Expected pose. A pose elsewhere is only returned if it is conclusive; ``near_prior`` is then False.
 
     Attributes:
         pose: the expected pose.

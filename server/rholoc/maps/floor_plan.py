@@ -118,7 +118,7 @@ def _png_text_bytes(content: bytes) -> int:
 
 
 def _compressed(kind: bytes, data: bytes) -> bytes:
-    """The compressed part of the data of a PNG file's chunk of some kind; empty if it has none."""
+    """Compressed part of the ``data`` of a PNG chunk of type ``kind``, a text or profile; empty if it has none."""
     rest = data.partition(b"\0")[2]  # after the keyword: the method, or for iTXt whether it is compressed
     if kind == b"tEXt" or (kind == b"iTXt" and not rest.startswith(b"\1")):
         return b""

@@ -131,8 +131,8 @@ def check_names(names: MapNames) -> MapNames:
     """Return the names, checked.
 
     Raises:
-        InvalidInput: over 500; one is empty, over 100 characters, not printable or twice a point's or an area's; its
-            kind, its fields or its outline are not valid.
+        InvalidInput: there are over 500 names; a name is empty, over 100 characters or not printable; two points or two
+            areas have the same name; a kind, a field or an outline is not valid.
     """
     if len(names.points) + len(names.areas) > MAX_NAMES:
         raise InvalidInput(f"A map keeps at most {MAX_NAMES} names.", "Leave some out.")

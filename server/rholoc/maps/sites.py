@@ -120,20 +120,20 @@ class SiteOnEarth:
     def through(
         cls, points: FloatArray, places: Sequence[EarthPlace], heading_deg: float | None = None
     ) -> tuple[SiteOnEarth, float]:
-        """Least-squares pose on Earth of a frame with z up, of which points are known.
+        """Least-squares pose on Earth of a frame with z up, from points with known places on Earth.
 
         Args:
             points: (N, 3) of the frame [m]; one with a heading, else two or more that are not above each other.
             places: the same points on Earth.
-            heading_deg: of the y axis, clockwise from true north; default: by the points.
+            heading_deg: direction of the y axis, clockwise from true north; None to estimate it from the points.
 
         Returns:
             The pose, at whose origin the points fit best, and the root mean square distance between points and places
                 [m].
 
         Raises:
-            InvalidInput: there are too few points, they are within 0.5 m, or their distances differ by 5 % from those
-                on Earth.
+            InvalidInput: there are too few points, they are within 0.5 m, or their distances differ by over 5 % from
+                those on Earth.
         """
         if len(points) != len(places) or len(points) < (2 if heading_deg is None else 1):
             raise InvalidInput("A place on Earth needs two points, or one and a heading.", "Give another point.")

@@ -1,4 +1,4 @@
-"""Which of a map's views follow one another."""
+"""Walks: sequences of a map's views that follow one another."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ _COMPARED = 300  # places, about
 
 
 def walk_numbers(positions: FloatArray, sources: IntArray) -> IntArray:
-    """Number (K,) of the walk that each view belongs to: the views of a recording are one walk if they are in the order
-    of one, else each has a number of its own.
+    """Number (K,) of the walk that each view belongs to.
+
+    The views of a recording are one walk if consecutive ones are close: their median distance is at most 0.7 × the
+    median distance of any two. Otherwise (a set of pictures in no order) each view has a number of its own.
 
     Args:
         positions: (K, 3) of the views.

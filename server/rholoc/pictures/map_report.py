@@ -1,4 +1,4 @@
-"""A map's report as a picture: where it works and where not, how consistent it is, how exact its landmarks are."""
+"""A map's report as a picture: coverage, errors of held-out frames, uncertainty of views and landmarks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _MIN_ERROR = 1e-4  # where the logarithmic error scale ends
 
 @dataclass(frozen=True, eq=False)
 class _HeldOut:
-    """Metres between N held-out frames and where their walk has them, infinite without a pose; their confidences."""
+    """Position errors (N,) [m] of held-out frames against the trajectory, infinite if refused; confidences (N,)."""
 
     errors_m: FloatArray
     confidences: FloatArray
@@ -168,7 +168,7 @@ def _caption(map_: Map, coverage: Coverage) -> str:
 
 
 def _trust(map_: Map) -> str:
-    """One line on whether the map is to be trusted and how far it expects to be off [cm]."""
+    """One line with the map's trust (yes, no, unknown) and its expected error [cm]."""
     expected_m, trust = expected_error_m(map_.info), trust_of(map_.info)
     expected = "unknown" if expected_m is None else f"{100 * expected_m:.1f} cm"
     trusted = {True: "yes", False: "no", None: "unknown"}[trust.trusted]
@@ -176,7 +176,7 @@ def _trust(map_: Map) -> str:
 
 
 def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> None:
-    """Plot the share of the held-out frames whose error is at most as large, or say why there is no such figure."""
+    """Plot the cumulative distribution of the held-out frames' errors, or say why there is none."""
     _panel(
         axes,
         "Consistency of frames of the walk",
@@ -240,7 +240,7 @@ def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: 
 
 
 def _plot_expected_error(axes: Axes, map_: Map, unit: str, factor: float) -> None:
-    """Plot how far each view is expected to be from the truth."""
+    """Plot the expected error of each view."""
     _panel(axes, "Expected error over the walk", "view", f"root mean square, {unit}")
     errors = factor * map_.views.expected_errors_m
     numbers = np.arange(len(errors))
@@ -315,7 +315,7 @@ def _panel(axes: Axes, title: str, x: str, y: str) -> None:
 
 
 def _say(axes: Axes, what: str) -> None:
-    """Show a text instead of a plot."""
+    """Show the text ``what`` instead of a plot."""
     axes.set_xticks([])
     axes.set_yticks([])
     axes.text(0.5, 0.5, what, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=MUTED)

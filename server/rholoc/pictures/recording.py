@@ -19,7 +19,7 @@ _MAX_POINTS = 6000  # a line; more cannot be seen
 
 
 def recording_png(recording: Recording) -> bytes:
-    """Acceleration, turning and frame intervals over time as a PNG; waypoints as lines, pauses shaded."""
+    """PNG of acceleration, angular velocity and frame intervals over time; waypoints as lines, pauses shaded."""
     figure = figure_of((_SIZE_PX[0] / _DPI, _SIZE_PX[1] / _DPI), _DPI)
     figure.set_layout_engine("constrained", h_pad=0.08)
     title = f"{recording.name} ({recording.format.value})"

@@ -36,7 +36,7 @@ def render(map_: Map, name: str, kind: Rendering) -> bytes:
 
 
 def serve(requests: TextIO, answers: TextIO) -> None:
-    """Answer requests, a line of JSON each, until there are no more."""
+    """Answer each line of ``requests`` (JSON) with a line in ``answers``, until the input ends."""
     for line in requests:
         answers.write(json.dumps(_answer(json.loads(line))) + "\n")
         answers.flush()

@@ -34,7 +34,7 @@ def figure_of(size_inches: tuple[float, float] | None, dpi: int) -> Figure:
 
 
 def missing_fonts() -> list[str]:
-    """Names of the fonts that pictures need and this machine does not have, of DejaVu Sans and its monospaced form."""
+    """Names of the fonts that pictures need (DejaVu Sans and DejaVu Sans Mono) and that are not installed."""
     missing = []
     for family in ("DejaVu Sans", "DejaVu Sans Mono"):
         try:
@@ -54,8 +54,10 @@ def png_of(figure: Figure) -> bytes:
 def draw_views(
     axes: Axes, places: FloatArray, walks: IntArray, linewidth: float, zorder: int, halo: float = 0.0
 ) -> None:
-    """Places (N, 2) of views: each walk of several a line with a ring at its start, others points. ``walks`` (N,) are
-    their numbers; ``halo`` is the width of a line with its white border, 0 for none.
+    """Draw the positions ``places`` (N, 2) of views with walk numbers ``walks`` (N,).
+
+    A walk of several views is a line with a ring at its start; a walk of one view is a point. ``halo`` is the total
+    width of a white border around the lines, 0 for none.
     """
     around = [withStroke(linewidth=halo, foreground="white")] if halo else []
     numbers, counts = np.unique(walks, return_counts=True)
@@ -69,7 +71,7 @@ def draw_views(
 
 
 def draw_scale_bar(axes: Axes, x: float, y: float, width: float, unit: str, fontsize: float = 9) -> None:
-    """A bar of round length, a quarter of the shown ``width`` at most, from (x, y) to the right."""
+    """Draw a bar from (x, y) to the right, of a round length up to ``width`` / 4 (but at least 0.1), data units."""
     length = max((bar for bar in _BAR_LENGTHS_M if bar <= width / 4), default=_BAR_LENGTHS_M[0])
     axes.add_line(Line2D([x, x + length], [y, y], color=INK, linewidth=2.5, solid_capstyle="butt"))
     axes.annotate(

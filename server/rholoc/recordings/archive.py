@@ -37,8 +37,8 @@ def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_
     Raises:
         InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that is a link, leads out of the folder,
             or has content of another type than its name.
-        TooLarge: it would unpack to more than ``max_bytes`` or too many files, or an entry of over 1 MiB shrank
-            200-fold.
+        TooLarge: it would unpack to more than ``max_bytes`` or ``max_files``, or an entry over 1 MiB is compressed more
+            than 200-fold.
         StorageFull: the disk is full.
 
     Files that were unpacked before an error stay in ``folder``: the caller must remove it.
@@ -54,7 +54,7 @@ def check_archive(archive: Path, max_files: int = MAX_FILES) -> None:
 
     Raises:
         InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that :func:`unpack` refuses.
-        TooLarge: over ``DEFAULT_MAX_BYTES`` or ``max_files``, or an entry of over 1 MiB shrank 200-fold.
+        TooLarge: over ``DEFAULT_MAX_BYTES`` or ``max_files``, or an entry over 1 MiB is compressed more than 200-fold.
     """
     with _opened(archive, max_files) as packed:
         for entry in _checked_entries(packed, archive, DEFAULT_MAX_BYTES):
@@ -80,8 +80,10 @@ def _opened(archive: Path, max_files: int) -> Iterator[zipfile.ZipFile]:
 
 
 def _check_directory(archive: Path, max_files: int) -> None:
-    """Refuse a directory with too many entries before parsing it: parsed, each takes a thousand times its size. Raises
-    TooLarge: there are more than ``max_files``.
+    """Check the number of entries before the directory is parsed, since a parsed entry takes far more memory.
+
+    Raises:
+        TooLarge: there are more than ``max_files``.
     """
     with archive.open("rb") as file:
         size = file.seek(0, os.SEEK_END)

@@ -51,7 +51,7 @@ def parse_frame_slice(text: str) -> slice:
     """Parse ``start:stop[:step]``, each a frame number or empty, as in Python's slices (``stop`` excluded).
 
     Raises:
-        InvalidRecording: the text is something else, a number is negative or 2⁶³ or more, or the step is 0.
+        InvalidRecording: the text has another form, a number is negative or at least 2⁶³, or the step is 0.
     """
     parts = text.split(":")
     try:
@@ -67,10 +67,11 @@ def parse_frame_slice(text: str) -> slice:
 
 
 def select_frames(recording: Recording, chosen: slice) -> Recording:
-    """The recording with only the frames whose *numbers* are in the slice; a step counts from its start.
+    """The recording with only the frames whose *numbers* are in the slice.
 
-    Poses, lengths, mountings, intrinsics and depths of other frames are dropped, and waypoints outside the chosen
-    frames' time; the IMU's table stays whole.
+    A step counts from the slice's start, or from the first frame's number if the slice has none. Drops poses, lengths,
+    mountings, intrinsics and depths of other frames, and waypoints outside the chosen frames' time span. The tables of
+    IMU and odometry stay whole.
 
     Raises:
         InvalidRecording: no frame is in the slice.
@@ -110,7 +111,10 @@ def select_frames(recording: Recording, chosen: slice) -> Recording:
 
 
 def _lenses_of(recording: Recording, numbers: list[int]) -> dict[int, int]:
-    """Lens of each frame of these numbers; empty if one took all. Lens 0 stays; without it, the commonest becomes 0."""
+    """Lens by frame number, for the frames ``numbers``; empty if one lens took all of them.
+
+    Lenses are renumbered without gaps, the commonest first, except that lens 0 stays 0.
+    """
     known = {number: recording.lenses[number] for number in numbers if number in recording.lenses}
     kinds = sorted(Counter(known.values()).items(), key=lambda one: (one[0] != 0, -one[1]))
     renumbered = {lens: place for place, (lens, _) in enumerate(kinds)}
@@ -118,8 +122,9 @@ def _lenses_of(recording: Recording, numbers: list[int]) -> dict[int, int]:
 
 
 def _waypoints_within(recording: Recording, frames: SelectedFrames) -> tuple[Waypoint, ...]:
-    """The waypoints within the chosen frames' time, or without a time. Without frame times, those at chosen pictures; a
-    waypoint's time is then its picture's row in the selection.
+    """The waypoints within the chosen frames' time span, and those without a time (NaN).
+
+    For untimed frames, the waypoints at chosen frames; a waypoint's time becomes its frame's row in the selection.
     """
     if recording.frames.timed:
         first, last = frames.times[0], frames.times[-1]

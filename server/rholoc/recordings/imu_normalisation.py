@@ -63,7 +63,7 @@ class ImuConvention:
         time_unit: one of s, ms, µs, ns.
         in_g: whether the acceleration is in multiples of standard gravity, not m/s².
         includes_gravity: whether it includes gravity's reaction.
-        apple_sign: whether it is negated as in CoreMotion: −1 g upwards at rest.
+        apple_sign: whether the acceleration is negated as in CoreMotion: −1 g upwards at rest.
     """
 
     time_unit: str = "s"
@@ -109,9 +109,10 @@ def normalise_imu(
 
 
 def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> str | None:
-    """Unit of times (M,), s, ms, µs or ns, with a median interval of at most ``longest_s`` and over a thousandth of it.
+    """Unit of times (M,): the one of s, ms, µs and ns that makes their median interval plausible.
 
-    None if no unit fits, or without two different times; of several that fit, the largest.
+    Plausible is more than ``longest_s`` / 1000 and at most ``longest_s`` [s]; intervals of 0 are ignored. None if no
+    unit fits, or without two different times.
     """
     steps = np.abs(np.diff(times))
     steps = steps[steps > 0]
@@ -125,11 +126,13 @@ def time_unit(times: FloatArray, longest_s: float = _LONGEST_IMU_INTERVAL_S) -> 
 
 
 def frame_times_s(times: FloatArray, says: str) -> tuple[FloatArray, tuple[RecordingWarning, ...]]:
-    """Convert times (N,) of frames to seconds, from the documented unit ``says`` if the median interval is then 2 ms to
-    4 s.
+    """Convert times (N,) of frames to seconds, and warn if they are not in the documented unit ``says``.
 
-    Otherwise the unit follows from the interval, as for an IMU. Raises InvalidRecording if none fits or they span
-    years.
+    That unit is used if the median interval is then 2 ms to 4 s; else the unit that makes the interval 2 ms to 2 s;
+    else ``says`` after all.
+
+    Raises:
+        InvalidRecording: the times span more than 48 hours.
     """
     steps = np.abs(np.diff(times)) / _PER_SECOND[says]
     plausible = len(steps) == 0 or _SHORTEST_FRAME_INTERVAL_S < np.median(steps) <= _LONGEST_FRAME_INTERVAL_S
@@ -157,7 +160,7 @@ def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[Record
     """Rows (K,) whose time exceeds all times (M,) before it, and a warning about the other rows, if any.
 
     Raises:
-        InvalidRecording: more than 5 % are other rows.
+        InvalidRecording: more than 5 % of the rows are dropped.
     """
     latest = np.maximum.accumulate(times)
     advances = np.concatenate([[True], times[1:] > latest[:-1]])
@@ -203,7 +206,10 @@ def gap_rows(times: FloatArray) -> IntArray:
 
 
 def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConvention:
-    """Convention with unit and gravity by accelerations (M, 3), the rest from ``says``; ``says`` below 20 rows."""
+    """Convention ``says`` with ``in_g`` and ``includes_gravity`` as measured from accelerations (M, 3).
+
+    Unchanged with fewer than 20 rows, or if the norms fit neither unit.
+    """
     if len(values) < _MIN_TO_MEASURE:
         return says
     low, median = np.percentile(np.linalg.norm(values, axis=1), [10, 50])
@@ -215,9 +221,10 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
 
 
 def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
-    """Whether the gyroscope's values are degrees: too fast for a hand as radians (12 rad/s), or consistent only as
-    degrees with the rotation of gravity in the accelerations ``felt``, if these include it (else None). False below 20
-    rows.
+    """Whether a gyroscope's samples ``turned`` are in degrees per second, not radians per second.
+
+    They are if as radians their 95th percentile exceeds 12 rad/s, or if as degrees they predict the rotation of gravity
+    three times better. ``felt`` are accelerations that include gravity; None if there are none. False below 20 rows.
     """
     if len(turned.values) < _MIN_TO_MEASURE:
         return False
@@ -257,7 +264,7 @@ def with_sign_by_poses(
     """The IMU, with its acceleration negated and a warning if upright poses at ``times`` (N,) show Apple's sign."""
     if poses is None or force_points_up(imu, times[poses.known], poses.T_map_camera[poses.known, :3, :3]) is not False:
         return imu, ()
-    text = "The acceleration points down at rest, against its format; it was turned round."
+    text = "The acceleration points down at rest, against its format; its sign was reversed."
     return replace(imu, acceleration=-imu.acceleration), (RecordingWarning(WarningKind.SIGN, text),)
 
 
@@ -316,8 +323,8 @@ def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[R
 
 
 def _gravity_turns(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray]:
-    """Gravity's direction (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors (K, 3) between them. K =
-    0 if the sensors overlap too little. Rotation vectors are in the gyroscope's unit.
+    """Unit direction of the accelerations ``felt`` (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors
+    (K, 3) between the windows, in the angular unit of ``turned``. K = 0 if the sensors overlap by less than 0.8 s.
     """
     first, last = max(felt.times[0], turned.times[0]), min(felt.times[-1], turned.times[-1])
     edges = np.arange(first, last, _TURN_WINDOW_S)

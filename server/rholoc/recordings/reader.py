@@ -54,7 +54,7 @@ def read_recording(
     Args:
         path: the file or folder.
         camera: replaces the recording's own: text for :meth:`Camera.parse` in pixels of the frames, or a camera for any
-            size of the same aspect ratio. None for pictures of several sizes or lenses.
+            size of the same aspect ratio. Must be None for pictures of several sizes or lenses.
         frames: a choice of frames by number, ``start:stop[:step]``.
         waypoints: a CSV file of measured waypoints that replace the recording's own; all within the chosen frames.
         workdir: an existing folder; a ZIP file is unpacked into a new folder in it, which the caller removes. The
@@ -128,6 +128,6 @@ def _read_zip(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics:
 
 
 def _remove(folder: Path, owner: int) -> None:
-    """Remove the folder, unless this is a forked child that inherited the recording."""
+    """Remove the folder if this process has the id ``owner``: a forked child that inherited the recording keeps it."""
     if os.getpid() == owner:
         shutil.rmtree(folder, ignore_errors=True)

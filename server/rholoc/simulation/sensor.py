@@ -51,7 +51,9 @@ def meter(picture: ByteArray) -> FloatArray:
 
 
 def expose(gains: FloatArray, white_luminance: float) -> Exposure:
-    """The exposure that gives these gains (3,): first a shutter of 0.5 to 10 ms, then amplification."""
+    """Exposure with linear gains (3,) BGR relative to ``white_luminance`` [cd/m²]: a shutter of 0.5 to 10 ms, then
+    amplification.
+    """
     saturating = white_luminance / float(gains[1])  # cd/m²
     seconds = float(np.clip(_BASE_GAIN_LUMINANCE_S / saturating, _SHORTEST_EXPOSURE_S, LONGEST_EXPOSURE_S))
     return Exposure(seconds, gains, white_luminance)

@@ -81,7 +81,7 @@ class Motion(ABC):
 
     @abstractmethod
     def way(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where the way leads (N, 3) [m], and speeds (N,) [m/s], at times (N,) [s]."""
+        """Positions on the path (N, 3) [m], without sway, and speeds (N,) [m/s], at times (N,) [s]."""
 
     @abstractmethod
     def gaze_at(self, times: FloatArray) -> FloatArray:
@@ -162,7 +162,7 @@ class Walk(Motion):
         return WAYPOINT_NAMES
 
     def way(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where the way leads (N, 3) [m], and speeds (N,) [m/s], at times (N,) [s]."""
+        """Positions on the path (N, 3) [m], without sway, and speeds (N,) [m/s], at times (N,) [s]."""
         walked, speed = self._progress(times)
         return self.path(walked), speed
 

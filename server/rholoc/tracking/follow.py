@@ -29,7 +29,7 @@ class Answered:
 
 
 class Answering(Protocol):
-    """When the localizer answers. One question is open at a time."""
+    """Source of the localizer's answers, which decides when they arrive. One question is open at a time."""
 
     def ask(self, time_s: float, answer: Callable[[], Localization]) -> None:
         """Take a question about the frame of ``time_s``; ``answer`` computes the answer, at once or later."""
@@ -68,7 +68,7 @@ class InBackground:
         self._pending = time_s, self._thread.submit(answer)
 
     def arrived(self, time_s: float) -> Answered | None:
-        """Take out the answer if it is computed, else None. Raises what computing it raised."""
+        """Take out the answer if it is computed, else None. Raises the computation's exception, if any."""
         if self._pending is None or not self._pending[1].done():
             return None
         (asked_s, future), self._pending = self._pending, None
@@ -77,13 +77,13 @@ class InBackground:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What is known at a frame.
+    """Result of tracking one frame.
 
     Attributes:
         moment: the frame.
         tracked: the tracker's output.
         asked: whether the frame was sent to the localizer.
-        answer: the answer that arrived, about this frame or one before; None where none did.
+        answer: answer that arrived at this frame, about it or an earlier one; None if none arrived.
         track_s: computing time of the tracker.
     """
 

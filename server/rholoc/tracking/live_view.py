@@ -27,7 +27,7 @@ class LiveView(PoseMessages):
 
     Raises:
         NotInstalled: foxglove-sdk is missing.
-        InvalidInput: the address is none, or cannot be listened at.
+        InvalidInput: the address is malformed, or cannot be listened at.
     """
 
     def __init__(self, address: str, T_base_camera: FloatArray) -> None:
@@ -56,7 +56,7 @@ class LiveView(PoseMessages):
 
     @property
     def port(self) -> int:
-        """The port it listens at."""
+        """Number of the port that the server listens at."""
         return self._server.port
 
     def __enter__(self) -> LiveView:
@@ -89,7 +89,7 @@ class LiveView(PoseMessages):
 
 
 def _calling(subscribed: Callable[[int], None]) -> ServerListener:
-    """Listener that calls ``subscribed`` with the id of each channel that somebody subscribes to."""
+    """Listener that calls ``subscribed`` with the channel's id at each subscription."""
     from foxglove.websocket import ServerListener
 
     class Listener(ServerListener):

@@ -113,7 +113,7 @@ def _checksum(data: bytes) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """The last pose, when its frame arrived on the monotonic clock, and the velocity: motion (6,) per second."""
+    """The last pose, the arrival time of its frame on the monotonic clock [s], and the velocity (6,) [m/s, rad/s]."""
 
     time_s: float
     arrived_s: float
@@ -133,7 +133,7 @@ class MavlinkSender:
     """Sends a track's poses from a thread, between frames at constant velocity; silent while searching or lost.
 
     Raises:
-        InvalidInput: the address is none.
+        InvalidInput: the address is malformed.
 
     Args:
         address: ``HOST:PORT`` of the flight controller or its router.
@@ -171,7 +171,10 @@ class MavlinkSender:
         self._socket.close()
 
     def take(self, step: Step) -> None:
-        """Send the step's pose from now on, with the velocity since the last; be silent unless it is tracking."""
+        """Send the step's pose from now on, with the velocity since the last step; nothing unless it is tracking.
+
+        The velocity is 0 after a reset, or if the last step is 0.3 s older or more.
+        """
         if step.answer is not None and step.answer.localization is not None:
             self._quality = step.answer.localization.recognized
         tracked, before = step.tracked, self._known

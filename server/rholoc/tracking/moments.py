@@ -62,7 +62,7 @@ def odometry_of(recording: Recording) -> FloatArray | None:
 
 
 def film_times(recording: Recording) -> FloatArray:
-    """Times (N,) of a recording's frames [s]; pictures without times are taken for a film at 30 a second."""
+    """Times (N,) of a recording's frames [s]; frames without times count as 30 per second."""
     frames = recording.frames
     return frames.times if frames.timed else frames.times / _FILM_FPS
 
@@ -72,7 +72,7 @@ def recorded_moments(recording: Recording, motion: Motion, odometry: FloatArray 
 
     Args:
         recording: the frames, and the IMU.
-        motion: what the moments say about motion.
+        motion: source of motion to include in the moments.
         odometry: (N, 4, 4) T_odom_camera at the frames, NaN where unknown; for ``Motion.ODOMETRY``.
 
     Raises:
@@ -103,7 +103,7 @@ def paced(moments: Iterator[Moment]) -> Iterator[Moment]:
 
 
 def live_moments(camera: LiveCamera) -> Iterator[Moment]:
-    """Iterate over the newest frames of a live camera. Raises InvalidInput once it gives none."""
+    """Iterate over the newest frames of a live camera. Raises InvalidInput after five seconds without a frame."""
     for number, (time_s, image) in enumerate(camera.frames()):
         yield Moment(number, time_s, image)
 

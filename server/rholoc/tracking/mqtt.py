@@ -30,7 +30,7 @@ _HINT = "Give --mqtt mqtt://USER@HOST:PORT/TOPIC, or mqtts:// for TLS."
 
 
 class MqttSender:
-    """Publishes a track's poses, at most ten a second; its last will says that it is offline.
+    """Publishes a track's poses, at most ten a second. Its MQTT last will reports that it is offline.
 
     Args:
         url: ``mqtt://user:password@host:port/topic``, or ``mqtts://``; the topic is ``rholoc/MAP`` by default.
@@ -39,7 +39,7 @@ class MqttSender:
 
     Raises:
         NotInstalled: paho-mqtt is missing.
-        InvalidInput: the URL is none, or the broker does not answer or refuses.
+        InvalidInput: the URL is malformed, or the broker does not answer or refuses.
     """
 
     def __init__(self, url: str, map_name: str, T_base_camera: FloatArray) -> None:
@@ -94,7 +94,7 @@ class MqttSender:
         self._client.loop_stop()
 
     def take(self, step: Step) -> None:
-        """Publish the step, unless the last is less than 0.1 s older by frame time; a pose only while tracking."""
+        """Publish the step unless the last published frame is less than 0.1 s older; a pose only while tracking."""
         if step.answer is not None and step.answer.localization is not None:
             self._score = step.answer.localization.recognized
         if step.moment.time_s - self._last_s >= _INTERVAL_S:

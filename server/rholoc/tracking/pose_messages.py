@@ -84,7 +84,7 @@ class PoseMessages(ABC):
         covariance: FloatArray | None,
         T_map_odom: FloatArray | None = None,
     ) -> None:
-        """Write the robot's pose, its region of 95 %, its path and its transforms; at first also the camera's mounting.
+        """Write the robot's pose, 95 % ellipsoid, path and transforms; the first call also the camera's mounting.
 
         Args:
             time_s: of the frame.
@@ -114,7 +114,7 @@ class PoseMessages(ABC):
             self._is_begun = True
 
     def camera(self, time_s: float, name: str, T_map_camera: FloatArray) -> None:
-        """Write the transform of one of several cameras: its frame, which has its name, in the map."""
+        """Write the transform from the map to the frame ``name`` of one of several cameras; ``T_map_camera`` (4, 4)."""
         self._transforms("/tf", time_s, (MAP, name, T_map_camera))
 
     def belief(self, time_s: float, recognized: float, confidence: float) -> None:
@@ -177,7 +177,7 @@ class PoseMessages(ABC):
         )  # fmt: skip
 
     def _uncertainty(self, time_s: float, position: FloatArray, covariance: FloatArray) -> None:
-        """Write the region of 95 % of a position (3,) with a covariance (3, 3) [m]."""
+        """Write the 95 % confidence ellipsoid of a position (3,) [m] with a covariance (3, 3) [m²] as a Marker."""
         variances, axes = np.linalg.eigh(covariance)
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = axes * np.sign(np.linalg.det(axes)), position
@@ -197,7 +197,10 @@ class PoseMessages(ABC):
         self._write("/visual_localization/uncertainty", time_s, marker)
 
     def _path_to(self, time_s: float, T_map_base: FloatArray) -> None:
-        """Add a pose to the path each second (the last 600 stay), and write it; the longer, the less often."""
+        """Add a pose to the path, at most one a second (the last 600 stay), and write the path from time to time.
+
+        A path of n poses is written every n / 60 s, at most once a second.
+        """
         if time_s >= self._next_pose_s:
             self._next_pose_s = time_s + _PATH_S
             self._path.append(self._make("PoseStamped", header=self._header(time_s, MAP), pose=self._pose(T_map_base)))

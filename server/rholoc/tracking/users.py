@@ -76,7 +76,7 @@ class TableOfTrack:
             self.rows.append((step.moment.time_s, step.moment.number, T_map_camera, step.sigma_m))
 
     def table(self) -> TrajectoryTable:
-        """The rows so far; confidences and inliers are unknown between answers."""
+        """The rows so far as a table; confidences are NaN and inliers 0."""
         count = len(self.rows)
         return TrajectoryTable(
             times=np.array([time_s for time_s, _, _, _ in self.rows], dtype=np.float64),
@@ -92,9 +92,9 @@ class MessagesOfTrack:
     """Writes steps as messages: poses while tracking, nothing while searching or lost but the status and the pictures.
 
     Args:
-        messages: where to.
-        map_: whose landmarks come first.
-        camera: of the pictures; None: they are left out.
+        messages: writer of the messages.
+        map_: map, the landmarks of which are written first.
+        camera: camera of the pictures; None leaves out the pictures.
     """
 
     def __init__(self, messages: PoseMessages, map_: Map, camera: Camera | None = None) -> None:

@@ -17,7 +17,7 @@ _SINGULAR = "Indeterminant linear system"  # of gtsam's message
 
 
 class ReconstructionBroken(MappingFailed):
-    """The process died or a library failed in a way that nothing in the code expects."""
+    """The process died, or a library failed unexpectedly."""
 
 
 class ReconstructionKilled(ReconstructionBroken):
@@ -36,7 +36,7 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
     Raises:
         ReconstructionKilled: the process was killed.
         ReconstructionBroken: the process died otherwise, or the function failed unexpectedly.
-        MappingFailed: the measurements leave the shape of the walk open.
+        MappingFailed: the measurements do not determine the shape of the walk (a singular system).
         RholocError: the function raised it.
     """
     latest: tuple[Stage, float, str] = (stage, 0.0, "")
@@ -58,8 +58,9 @@ def run_in_child(function: Callable[..., Result], *args: Any, progress: Progress
 
 
 def _unexpected(error: str) -> MappingFailed:
-    """MappingFailed for users in place of an unforeseen error, such as a library's, with its text; of a singular system
-    it says that the walk's shape is left open.
+    """MappingFailed in place of an unforeseen error, such as a library's, with its text.
+
+    For a singular system the message says that the measurements do not determine the walk's shape.
     """
     if _SINGULAR in error:
         return MappingFailed("What was measured leaves the shape of the walk open.", "Walk further, and in loops.")

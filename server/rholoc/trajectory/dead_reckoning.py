@@ -93,7 +93,7 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
 
 
 def _rests(imu: Imu, stops: FloatArray) -> FloatArray:
-    """Times at rest, ascending: the waypoints' ``stops`` (W,), and the middles of pauses over 1 s from all these."""
+    """Times at rest [s], ascending: the waypoints' ``stops`` (W,), and middles of pauses over 1 s away from them."""
     middles = pauses(imu).mean(axis=1)
     others = [middle for middle in middles if np.abs(stops - middle).min() > _NOT_A_WAYPOINT_S]
     return np.sort(np.concatenate([stops, others]))

@@ -47,12 +47,12 @@ _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
 _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD = 0.002, 0.002  # of cameras on a rig
 _MIN_PLACED = 0.5  # the share of a walk's keyframes that a map must have …
 _MIN_OF_SET = 0.25  # … and of a set of pictures, of which some may show another place
-_WELL_PLACED = 0.9  # and that one which is trusted has
+_WELL_PLACED = 0.9  # … and minimum share for a trajectory to be trusted
 _MAX_EXPECTED_ERROR_M = 0.10  # of a trajectory that is trusted
 _MAX_EXPECTED_ERROR_DEG = 2.0
 _MAX_WAYPOINT_MISS_M = 0.10
-_MAX_IMU_MISFIT = 2.0  # times the noise expected, from which the IMU's readings are not what moved the camera
-_MAX_IMU_RESIDUAL = 8.0  # times the noise expected, from which IMU and pictures contradict each other
+_MAX_IMU_MISFIT = 2.0  # multiple of the expected noise, above which IMU and pictures disagree …
+_MAX_IMU_RESIDUAL = 8.0  # … and multiple above which the accelerometer contradicts the pictures
 
 _MOVE = "Walk through the room while recording; keep texture in view."
 _SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
@@ -64,15 +64,15 @@ def estimate_trajectory(
     progress: ProgressListener = silent,
     show: ImageListener | None = None,
 ) -> Trajectory:
-    """The poses of a recording's frames: of the keyframes that could be placed, or of the frames with a given pose.
+    """Estimate poses of a recording's frames: of the keyframes that can be placed, or of the frames with a given pose.
 
-    ``scale`` and ``upright`` of the result tell whether something measured made them metric and upright.
+    ``scale`` and ``upright`` of the result state whether a measurement made the poses metric and upright.
 
     Args:
-        recording: with frames, and what else the method needs.
-        method: where poses come from.
-        progress: is called with each step that is done.
-        show: is shown the frames that may get a pose, where they are decoded for their features; from threads.
+        recording: the recording, with the measurements that the method needs.
+        method: source of the poses.
+        progress: called after each step.
+        show: called from threads with row and image of frames that may become keyframes, while they are decoded.
 
     Raises:
         InvalidRecording: the method needs poses or an IMU that the recording does not have, or a frame is damaged.
@@ -100,7 +100,10 @@ def estimate_trajectory(
 
 
 def _with_poses_in_metres(recording: Recording) -> Recording:
-    """The recording, its poses scaled by the median of known lengths if no unit is stated; unchanged without any."""
+    """The recording with its poses scaled to metres by the median ratio of its known lengths.
+
+    Unchanged if the poses are metric already, or if there are no poses or lengths.
+    """
     poses = recording.poses
     if poses is None or poses.metric:
         return recording
@@ -119,9 +122,13 @@ def _with_poses_in_metres(recording: Recording) -> Recording:
 
 
 def _automatic(recording: Recording, progress: ProgressListener, show: ImageListener | None) -> Trajectory:
-    """Poses by what the recording has: its own (at least three) if its pictures agree, else pictures, IMU and
-    waypoints. Waypoints are measured in the frame that the map is to have, which the recording's own poses need not be
-    in. Raises MappingFailed, InvalidRecording, InvalidCamera, InvalidWaypoints.
+    """Poses by the best method for the recording's measurements.
+
+    The recording's own poses, if it has at least three, no waypoints and intrinsics, and its pictures do not contradict
+    them. They are adjusted to the pictures unless they are exact. Otherwise pictures, IMU and waypoints. With waypoints
+    the own poses are not used, because the waypoints define the map frame.
+
+    Raises MappingFailed, InvalidRecording, InvalidCamera, InvalidWaypoints.
     """
     if recording.poses is None or recording.poses.known.sum() < _FEWEST_GIVEN or recording.waypoints:
         return _visual(recording, PoseMethod.VISUAL_INERTIAL, progress, show)
@@ -178,7 +185,7 @@ def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show
 def odometry_from_flow(recording: Recording, flow: Flow, progress: ProgressListener = silent) -> Trajectory:
     """Poses of the keyframes by optical flow, and by the IMU if there is one.
 
-    Nothing corrects drift: no feature is matched, no place recognised, no waypoint met. Metric only by an IMU.
+    Nothing corrects drift: features, loop closures and waypoints are not used. Metric only with an IMU.
 
     Args:
         recording: its waypoints are ignored.
@@ -305,7 +312,10 @@ def _placed(
 
 
 def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, progress: ProgressListener) -> Trajectory:
-    """Trajectory of the placed keyframes with its report. Raises MappingFailed below half (of a set: a quarter)."""
+    """Trajectory of the placed keyframes with its report.
+
+    Raises MappingFailed if less than half of the keyframes are placed (a quarter of a set of pictures).
+    """
     flow, rows = sights.flow, sights.rows
     missing = missing_spans(flow, rows, found.placed)
     share = float(found.placed.mean())
@@ -334,7 +344,11 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
 
 
 def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[FeatureSet]) -> Sights:
-    """Sights of the keyframes ``rows`` (K,) with ``features``, less the rolling shutter if its read-out is known."""
+    """Measurements of the keyframes ``rows`` (K,): ``features``, flow, depth, known lengths, odometry and mountings.
+
+    The features are corrected for the rolling shutter if its read-out time is known. Lengths and mountings are kept if
+    both of their frames are keyframes.
+    """
     shutter: RollingShutter | None = None
     if recording.readout_s is not None and flow.timed:
         shutter = measure_rolling_shutter(flow, rows, recording.readout_s)
@@ -395,9 +409,11 @@ def _require_keyframes(rows: IntArray, frames: int) -> None:
 
 
 def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None) -> IntArray:
-    """Keyframes of a film at steps of image motion; of a set all pictures up to ``MAX_PICTURES``, else the least alike.
-    Of a rig's pictures, all of a moment or none. Without ``features``, or of more than 1200 pictures, they
-    are chosen at even steps.
+    """Rows of the keyframes.
+
+    A film: the sharpest frames at steps of image motion. A set of pictures: all up to ``MAX_PICTURES``, else the least
+    alike of them (of 1200 evenly spaced ones if there are more), or evenly spaced ones without ``features``. A rig's
+    pictures: all pictures of a moment or none.
     """
     if recording.mounted:
         return _chosen_moments(len(flow.times), _rows_of(recording, recording.mounted))
@@ -411,11 +427,11 @@ def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None)
 
 
 def _chosen_moments(count: int, pairs: Sequence[tuple[int, int]]) -> IntArray:
-    """All of ``count`` pictures up to ``MAX_PICTURES``, else those of moments at even steps.
+    """Rows of the pictures to use: all of ``count`` up to ``MAX_PICTURES``, else all pictures of evenly spread moments.
 
     Args:
         count: number of pictures.
-        pairs: rows of two pictures of the same moment.
+        pairs: rows of two pictures of the same moment; pictures linked by pairs form a moment.
     """
     if count <= MAX_PICTURES:
         return np.arange(count)

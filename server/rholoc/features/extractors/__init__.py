@@ -21,7 +21,7 @@ class Extractor(Protocol):
 
     @property
     def name(self) -> str:
-        """The name by which users choose it: that of its module."""
+        """Name by which users choose the extractor."""
         ...
 
     @property
@@ -41,7 +41,7 @@ class Extractor(Protocol):
 
     @property
     def quick(self) -> Extractor:
-        """An extractor of fewer features of the same kind in less time, enough for most frames; or this one itself."""
+        """Faster extractor of fewer features of the same kind, enough for most frames; itself if there is none."""
         ...
 
     def extract(self, image: ByteArray) -> FeatureSet:
@@ -50,12 +50,13 @@ class Extractor(Protocol):
 
 
 def widened(extractor: Extractor, camera: Camera | None) -> Extractor:
-    """Extractor with limits multiplied by the camera's breadth, to find as much in every part of a wide picture; itself
-    for a pinhole, or if it is no dataclass.
+    """Extractor with its limits on features and pixels multiplied by the camera's breadth, for wide pictures.
+
+    The given extractor itself for a pinhole, or if it is not a dataclass.
 
     Args:
-        extractor: for ordinary pictures.
-        camera: of the pictures, None where the lens is unknown: taken for a pinhole.
+        extractor: extractor for ordinary pictures.
+        camera: camera of the pictures; None if unknown, which counts as a pinhole.
     """
     breadth = 1.0 if camera is None else camera.breadth
     if breadth == 1 or not is_dataclass(extractor) or isinstance(extractor, type):
@@ -69,7 +70,7 @@ class NeedsPackage(Protocol):
     """An extractor that needs a package which not every installation has."""
 
     def check_installed(self) -> None:
-        """Do nothing where the package is there.
+        """Check that the package is installed.
 
         Raises:
             NotInstalled: it is not; the hint says how to install it.
@@ -88,7 +89,7 @@ def _registry() -> dict[str, Extractor]:
 
 
 def extractor_names(only_installed: bool = True) -> list[str]:
-    """The names of the extractors that can be used here, or of all, sorted."""
+    """Sorted names of the extractors: of those whose packages are installed, or of all."""
     return sorted(name for name, one in _registry().items() if not only_installed or _is_installed(one))
 
 
@@ -96,8 +97,8 @@ def get_extractor(name: str) -> Extractor:
     """The extractor called ``name``.
 
     Raises:
-        InvalidInput: there are no features of this name.
-        NotInstalled: they need a package that is not here.
+        InvalidInput: there is no extractor of this name.
+        NotInstalled: it needs a package that is not installed.
     """
     if name not in _registry():
         raise InvalidInput(f"There are no features called '{name}'.", f"Choose one of {', '.join(extractor_names())}.")

@@ -58,7 +58,7 @@ class Graph:
         """The graph, ready to run by one thread at a time.
 
         Raises:
-            cv2.error: an operator is unknown or does not fit what it is applied to.
+            cv2.error: an operator is unknown, or does not fit its inputs.
         """
         model = _int(1, _IR_VERSION) + _bytes(8, _int(2, _OPSET)) + _bytes(7, b"".join(self._fields))
         buffer: ByteArray = np.frombuffer(model, np.uint8)

@@ -60,7 +60,7 @@ class OrbExtractor:
         name: the name by which users choose it.
         channels: the channels, in the order that ``split`` gives them.
         split: BGR image → one (H, W) image per channel.
-        features_per_channel: the most features a channel gives.
+        features_per_channel: maximum number of features of a channel.
     """
 
     name: str

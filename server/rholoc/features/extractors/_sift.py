@@ -26,14 +26,13 @@ class SiftExtractor:
 
     Attributes:
         name: the name by which users choose it.
-        features: the most features of an image.
+        features: maximum number of features of an image.
         contrast_threshold: of the difference of Gaussians; lower finds more in dim and soft pictures.
         longest_px: images with a longer side are shrunk to it first. SIFT doubles the image, so that most of its
             time goes into a scale finer than a camera resolves; at half the size it costs a third.
         quick_px: the same for its ``quick`` variant, or None if it has none.
-        descriptor_bytes: 128 whole ones, 512 √(d / Σd), at most 255; or fewer: their projection on the directions in
-            which descriptors differ most (PCA), rotated so that all bytes carry equal variance, and shifted by 128.
-            Distances are nearly kept.
+        descriptor_bytes: 128 for RootSIFT, 512 √(d / Σd) clipped to 255. Fewer for its projection on principal
+            components, rotated so that all bytes carry equal variance, and shifted by 128; distances nearly stay.
         exact: whether pixel positions are exact; otherwise all are a quarter of a pixel off in the searched image,
             to the right and below (OpenCV's default). That cancels between pictures of one size, and only there.
     """
@@ -103,6 +102,6 @@ def _basis(size: int) -> tuple[FloatArray, FloatArray]:
 
 
 def evening_rotation(size: int) -> FloatArray:
-    """A fixed random rotation (size, size): no byte of a rotated projection has much more variance than the others."""
+    """A fixed random rotation (size, size) that spreads the variance of a projection evenly over its bytes."""
     q, r = np.linalg.qr(np.random.default_rng(size).normal(size=(size, size)))
     return np.asarray(q * np.sign(np.diag(r)), dtype=np.float32)

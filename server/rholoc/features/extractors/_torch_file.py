@@ -17,11 +17,11 @@ _NUMBERS = {"FloatStorage": np.dtype("<f4"), "LongStorage": np.dtype("<i8")}
 def read_torch_file(file: IO[bytes]) -> dict[str, FloatArray]:
     """The named tensors of a saved state, as arrays.
 
-    The file is a ZIP archive of a pickle with names and shapes and of one entry of numbers for each tensor. Of the
-    pickle nothing is made but dictionaries and arrays.
+    The file is a ZIP archive of a pickle with names and shapes, and of one entry of numbers for each tensor. Only
+    dictionaries and arrays are unpickled.
 
     Raises:
-        ValueError: the file is something else.
+        ValueError: the file has another format.
     """
     try:
         with zipfile.ZipFile(file) as archive:

@@ -50,7 +50,7 @@ class XFeatExtractor:
 
     Attributes:
         name: the name by which users choose it.
-        features: the most features of an image.
+        features: maximum number of features of an image.
         longest_px: images with a longer side are shrunk to it first.
     """
 
@@ -67,7 +67,7 @@ class XFeatExtractor:
 
     @property
     def quick(self) -> XFeatExtractor:
-        """This one: the network knows one scale, and smaller pictures would not match a map's closely."""
+        """This extractor itself: the network is not invariant to scale, so smaller pictures would match a map badly."""
         return self
 
     def extract(self, image: ByteArray) -> FeatureSet:
@@ -114,9 +114,10 @@ def described(image: ByteArray, longest_px: int, count: int) -> tuple[FloatArray
 
 
 def _run(seen: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What the network makes of a picture (H, W) of mean 0 and spread 1, sides multiples of 32. Descriptors of unit
-    length (H/8, W/8, 64), the chance that a keypoint is at a pixel (H, W), and how reliable a cell's descriptor is,
-    0..1 (H/8, W/8). Raises NotInstalled.
+    """Run the network on a picture (H, W) of mean 0 and standard deviation 1, with sides that are multiples of 32.
+
+    Returns unit descriptors (H/8, W/8, 64), the probability (H, W) of a keypoint at each pixel, and the reliability
+    (H/8, W/8), 0 to 1, of each cell's descriptor. Raises NotInstalled.
     """
     height, width = seen.shape
     with _network(height, width) as network:
@@ -238,11 +239,15 @@ def _weights_path() -> Path:
     return Path(package.origin).parent / "weights" / "xfeat.pt"
 
 
-# -- what is made of its answers -------------------------------------------------------------------------------------
+# -- outputs of the network -------------------------------------------------------------------------------------------
 
 
 def _strongest(keypoints: FloatArray, reliability: FloatArray, count: int) -> IntArray:
-    """The pixels (N, 2), u and v, of at most ``count`` keypoints, by chance times reliability, the best first."""
+    """Pixels (N, 2), u and v, of at most ``count`` keypoints, the best first.
+
+    A keypoint is a maximum of ``keypoints`` (H, W) in 5 × 5 pixels above 0.05; its score is that probability times the
+    reliability (H/8, W/8) of its cell.
+    """
     peaks = (cv2.dilate(keypoints, _SUPPRESSED) == keypoints) & (keypoints > _MIN_SCORE)
     pixels = np.argwhere(peaks)[:, ::-1]
     scores = keypoints[peaks] * _sampled(reliability[..., None], pixels)[:, 0]
@@ -263,7 +268,7 @@ def _sampled(cells: FloatArray, pixels: IntArray) -> FloatArray:
 
 
 def _between_pixels(keypoints: FloatArray, pixels: IntArray) -> FloatArray:
-    """Keypoints (N, 2) at the mean, by chance, of the nine pixels around each."""
+    """Sub-pixel positions (N, 2) of keypoints at ``pixels`` (N, 2): mean of 3 × 3 pixels, weighted by probability."""
     v, u = np.mgrid[-1:2, -1:2].reshape(2, 9)
     height, width = keypoints.shape
     rows = np.clip(pixels[:, 1:] + v, 0, height - 1)
@@ -274,7 +279,7 @@ def _between_pixels(keypoints: FloatArray, pixels: IntArray) -> FloatArray:
 
 
 def _as_bytes(descriptors: FloatArray) -> ByteArray:
-    """Descriptors (N, 64) of unit length as 40 bytes, in which distances mean about what they do for SIFT."""
+    """Unit descriptors (N, 64) as bytes (N, 40), projected and scaled so that match limits for SIFT apply."""
     mean, directions = _basis()
     return np.asarray(np.clip(np.rint((descriptors - mean) @ directions) + _CENTRE, 0, 255).astype(np.uint8))
 

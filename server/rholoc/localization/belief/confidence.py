@@ -2,16 +2,16 @@
 
 ``recognized`` is the probability that a pose is of the right place (within 50 cm and 20°), ``exact`` the probability
 that it is within 10 cm and 5° if so; ``confidence`` is their product. Both are logistics, with the same weights for
-every extractor. ``recognized`` goes by the evidence for the pose (:mod:`rholoc.localization.pose.pose_evidence`): how
-surely the matches are not where they are by chance, what they say for the pose, the share of the expected landmarks
-that is found, and, where both sides know them, how well matches agree in orientation and size, and in their colours. A
-light unknown to the map may change what is bright and what is dark: colours that disagree halve the odds at most.
-``exact`` goes by the position's standard deviation.
+every extractor. ``recognized`` depends on the evidence for the pose (:mod:`rholoc.localization.pose.pose_evidence`):
+the log-likelihood ratio of the matches' clustering against chance, the nats in favour of the pose, the share of the
+expected landmarks that is found, and, if known, the agreement of the matches in orientation and size, and in colour.
+Other light than in the map may change colours, so disagreeing colours halve the odds at most. ``exact`` depends on the
+position's standard deviation.
 
-Landmarks that are missing do not speak against a place beyond that share: seen from one or two metres away, four of
-five are not found again, and a model with further terms for them predicts rooms that it was not fitted to no better.
-Among several places they still decide which is likelier (:mod:`rholoc.localization.pose.rivals`). The focal length is
-counted apart (:mod:`rholoc.localization.pose.focal`).
+Missing landmarks only count through that share: from one or two metres away, four of five are not found again, and a
+model with further terms for them predicts unseen rooms no better. Among several places they still decide which is
+likelier (:mod:`rholoc.localization.pose.rivals`). The focal length is a separate factor
+(:mod:`rholoc.localization.pose.focal`).
 """
 
 from __future__ import annotations

@@ -17,10 +17,10 @@ from rholoc.localization.index.map_error import (
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.localization.types import MAX_ALTERNATIVES, MIN_WEIGHT, Alternative, Belief, Localization, Query, Reason
 
-_VIEWS_HERE = 10  # the views that saw most of what an answer rests on: from hereabouts
+_VIEWS_HERE = 10  # views that saw most of an answer's inlier landmarks, and hence are near the pose
 # How probably a pose is exact in a map that failed a check, beside one in a map that passed. Such maps differ: of sure
 # answers in those of simulated walks nearly all were right, or hardly any.
-_IN_UNTRUSTED_MAP = 0.8
+_IN_UNTRUSTED_MAP = 0.8  # factor on ``exact``
 
 
 def with_map_error(index: MapIndex, answer: Localization, spread: FloatArray | None = None) -> Localization:
@@ -58,8 +58,10 @@ def _alternative(index: MapIndex, one: Alternative) -> Alternative:
 
 
 def _widened(answer: Localization, of_map: FloatArray) -> Localization:
-    """The answer with the map's covariance (6, 6) added to the independent share of its own, its probabilities lowered
-    by the ratios in which the map's lowers those of being within 50 cm and 20°, and within 10 cm and 5°.
+    """The answer with the map's covariance ``of_map`` (6, 6) added to ``INDEPENDENT_SHARE`` × its own.
+
+    ``recognized`` and ``exact`` are lowered by the ratios in which the map's covariance lowers the probabilities of an
+    error within 50 cm and 20°, and within 10 cm and 5°.
     """
     assert answer.covariance is not None
     own = INDEPENDENT_SHARE * answer.covariance

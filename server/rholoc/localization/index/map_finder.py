@@ -34,7 +34,7 @@ _RELEARNED_AT = 2  # times as many maps as were learned from, while they are few
 _TRAINING_PICTURES = 1000
 _MIN_PICTURES = 16  # of each
 _AT_ONCE = 200  # maps that enter an index together when it is read
-_LOOK_AT_ALL_S = 30.0  # a file that is written in place does not show in its folder
+_LOOK_AT_ALL_S = 30.0  # a file written in place does not change its folder's stamp
 _TICK_NS = 2 * 10**9
 _SEED = 1
 
@@ -126,8 +126,8 @@ class MapFinder:
     def refresh(self, is_stopped: Callable[[], bool] = lambda: False) -> None:
         """Index what has changed in the library, unless its stamp is unchanged since a look less than 30 s ago.
 
-        Returns early once ``is_stopped`` is true. Failures of the file or the storage do not propagate: :attr:`trouble`
-        tells them.
+        Returns early once ``is_stopped`` is true. Errors of the file or the storage are not raised, but stored in
+        :attr:`trouble`.
         """
         stamp, now_s = self._library.stamp(), time.monotonic()
         if stamp == self._scanned_stamp and now_s < self._scanned_s + _LOOK_AT_ALL_S:

@@ -107,10 +107,10 @@ class ViewIndex:
 
     def likeliest(self, descriptors: ByteArray, most: int, among: Collection[str] | None = None) -> list[LikelyMap]:
         """Rank maps by similarity to a picture with descriptors (N, B): the mean similarity of each map's five best
-        views.
+        views among the 200 best of all maps. Missing views count as 0.
 
-        Returns at most ``most`` maps, best first, of all or of those named in ``among``; none for a picture without
-        features.
+        Returns at most ``most`` maps, best first, of all or of those named in ``among``; an empty list for a picture
+        without features.
         """
         query = self.pictures.vectors([descriptors])
         if not query.any():

@@ -4,10 +4,10 @@
 match is false. d_f is a square in the form's own terms, so that Gauss–Newton applies: each match weighs 1 / (ε + ρ)
 while ρ > 0.
 
-That draws hardest at the density's edge, which is right on the way: a match there may yet come in. At the end it costs
-accuracy: real errors have long tails, and the tail would decide. Where peaks are exact, the last steps therefore climb
-1 / (1 + d_f) instead of 1 − d_f, with the tolerance of a detection: a density without an edge (:func:`refined`). How
-exactly a landmark is known then counts as much as how exactly it is seen.
+Matches at the density's edge thus have the largest weight. That helps on the way, because they may become inliers. At
+the optimum it costs accuracy, because real errors have long tails. For densities with exact peaks, the last steps
+therefore maximize 1 / (1 + d_f) instead of 1 − d_f, with the tolerance of a detection: a density without an edge
+(:func:`refined`). The landmark's covariance then counts as well as the detection's.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ _SHRINK = 6.0  # matches: of so few that agree, half is taken for chance
 
 
 def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
-    """How well the lightness of features is predicted by the colours of their landmarks.
+    """Share of the variance of the features' lightness that the colours of their landmarks predict.
 
     Coefficient of determination of a ridge regression between ranks, with each match left out in turn (PRESS). It does
     not depend on the colour of the light, nor on whether the camera is grey.

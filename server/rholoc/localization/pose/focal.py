@@ -61,17 +61,18 @@ _SQUARE = 0.02  # of the logarithm of fx / fy: pixels of nearly all cameras are 
 
 @dataclass(frozen=True, eq=False)
 class FocalEstimate:
-    """What the matches say about the focal length.
+    """Estimate of the focal length from the matches of a pose.
 
     Attributes:
         focal_px: best-fitting focal length.
         sigma_px: its standard deviation.
-        belief: probability 0 to 1 that the focal length in use does not spoil the pose; if it was estimated,
-            probability that the pose is within 50 cm.
-        exact: probability 0 to 1 that the pose is within 10 cm and 5°, given that it is of the right place, as far as
-            the focal length decides; 1 if it was estimated: the pose's covariance says it then.
-        of_others: (6, 6) second moment of the poses by other focal lengths about the one that was checked; None if
-            there was no check.
+        belief: factor 0 to 1 on the probability of the right place: probability that an error of the focal length in
+            use does not displace the pose. If the focal length was estimated, probability that the pose is within
+            50 cm.
+        exact: factor 0 to 1 on the probability that the pose is within 10 cm and 5°, given the right place. 1 if the
+            focal length was estimated, because the pose's covariance includes its uncertainty.
+        of_others: (6, 6) second moment of the poses with other focal lengths about the checked pose; None without a
+            check.
     """
 
     focal_px: float
@@ -96,15 +97,15 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
     """Check the camera's focal length, and whether its pixels are square, against the matches of a verified pose.
 
     Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if pixels are square and by :func:`_fits`
-    freeing the focal length would hardly change the pose. Otherwise the focal length is followed from the pose
-    (:func:`_followed`). Where that loses the picture or leaves the focal length open by 5 %, others are tried
-    (:func:`_zoomed`); where it agrees with pixels that are not square, square ones are (:func:`_sought`).
+    freeing the focal length would hardly change the pose. Otherwise an ascent from the pose frees it
+    (:func:`_followed`). If the ascent fails or leaves an uncertainty above 5 %, other focal lengths are tried
+    (:func:`_zoomed`). If it confirms pixels that are not square, square ones are tried (:func:`_sought`).
 
     Args:
         index: index of the map.
         query: the frame.
         verified: its verified pose.
-        matches: matches made without a pose: those around a pose leave out what contradicts its focal length.
+        matches: matches made without a pose; matches around a pose would exclude evidence against its focal length.
     """
     is_square = abs(math.log(query.camera.fx / query.camera.fy)) < _SQUARE
     if query.camera.lens is not Lens.PINHOLE or (is_square and _fits(index, query, verified, matches)):
@@ -122,9 +123,10 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
 
 
 def _beside(estimate: FocalEstimate, verified: Verified, others: list[Refocused], is_square: bool) -> FocalEstimate:
-    """An estimate with ``exact`` and ``of_others`` by the poses by other focal lengths. Each is weighed by its
-    likelihood, with the same excess of the errors as in a covariance, and by :func:`_prior`. Few inliers do not confirm
-    pixels that are not square: ``exact`` is at most a half then.
+    """The estimate with ``exact`` and ``of_others`` from ``verified`` and the poses by ``others``, other focal lengths.
+
+    A pose's weight is its likelihood, tempered by ``SYSTEMATIC``², times :func:`_prior`. If pixels are not square and
+    there are fewer than ``ENOUGH_MATCHES`` inliers, ``exact`` is at most 0.5.
     """
     scales, modes = zip((1.0, verified), *others, strict=True)
     nats = np.array([mode.optimum.value for mode in modes]) / SYSTEMATIC**2
@@ -149,8 +151,10 @@ def _prior(logs: FloatArray) -> FloatArray:
 def _followed(
     index: MapIndex, query: Query, verified: Verified, matches: Matches, others: list[Refocused]
 ) -> FocalEstimate | None:
-    """Estimate by ascending from a verified pose over pose and focal length; None if the end explains fewer of the
-    ``matches`` than the start. The pose by a focal length that would do harm is appended to ``others``.
+    """Estimate by a joint ascent over pose and focal length from a verified pose.
+
+    None if the likelihood at an ascent's end is lower than at the start. If the focal length in use looks wrong, the
+    pose with the estimated one is appended to ``others``.
     """
     camera, T = query.camera, verified.optimum.T_map_camera
     total, sigma, explained = 1.0, np.inf, 0.0
@@ -179,9 +183,11 @@ def _followed(
 
 
 def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused]:
-    """Poses by ever shorter and ever longer focal lengths, from half to twice the query's, each as many times as far
-    from what the verified pose shows. Either way ends where too little is explained. If one of them explains more than
-    the verified pose, the best is refined.
+    """Poses by focal lengths from half to twice the query's, at most eight.
+
+    Each starts from the verified pose moved along the optical axis, its distance from the landmarks scaled like the
+    focal length. The search in either direction ends when the likelihood falls by :func:`_margin`. If a pose has a
+    higher likelihood than the verified one, the best is refined, and appended.
     """
     T = verified.optimum.T_map_camera
     depths_m = (index.landmarks[verified.inlier_landmarks] - T[:3, 3]) @ T[:3, 2]
@@ -231,7 +237,7 @@ def _refocused(index: MapIndex, query: Query, scale: float, T_map_camera: FloatA
 
 
 def _refined(index: MapIndex, query: Query, scale: float, verified: Verified) -> list[Refocused]:
-    """Of a pose by another focal length and those towards the best fit, at most two, the one that explains most."""
+    """The likeliest of ``verified`` (at ``scale``) and at most two poses by ascents of its focal length, as a list."""
     found = [(scale, verified)]
     for _ in range(_ROUNDS - 1):
         scale, last = found[-1]
@@ -249,7 +255,8 @@ def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
     """Probability 0 to 1 that a verified pose's focal length is harmless, given poses by others.
 
     A few matches at the edge of their density can produce a sharp but wrong peak, and in front of a wall any focal
-    length fits from some distance. Therefore only a pose that explains clearly more counts (:func:`_margin`).
+    length fits from some distance. Therefore another pose only counts if its likelihood exceeds that of the verified
+    one by :func:`_margin`.
     """
     _, best = _explaining_most(verified, others)
     gain = best.optimum.value - verified.optimum.value - _margin(verified)
@@ -257,12 +264,12 @@ def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
 
 
 def _margin(verified: Verified) -> float:
-    """Nats by which another pose explains clearly more, or less, than a verified one."""
+    """Log-likelihood ratio [nats] that makes another pose clearly better, or worse, than a verified one."""
     return max(_CLEAR * verified.optimum.value, _CLEAR_NATS)
 
 
 def _explaining_most(verified: Verified, others: Iterable[Refocused]) -> Refocused:
-    """Of the others the one that explains most; the verified pose by its own focal length if there are none."""
+    """The one of ``others`` with the highest likelihood; the verified pose at scale 1 if there are none."""
     return max(others, key=lambda other: other[1].optimum.value, default=(1.0, verified))
 
 

@@ -78,7 +78,7 @@ def refined_together(
     evidences: Sequence[Evidence], T_map_cameras: FloatArray, links: Sequence[Link], dof: Dof
 ) -> FloatArray:
     """Last steps from the poses (N, 4, 4) of N frames, as :func:`~rholoc.localization.pose.ascent.refined` takes them
-    for one. A frame without evidence goes by its links. Returns their poses.
+    for one. A frame without evidence is placed by its links alone. Returns the poses (N, 4, 4).
     """
     equations = [partial(refinement_equations, one, dof=dof) if len(one) else None for one in evidences]
     return _climbed(equations, T_map_cameras, links, _LAST_ITERATIONS) if any(equations) else T_map_cameras
@@ -87,7 +87,7 @@ def refined_together(
 def _climbed(
     equations: Sequence[_Equations | None], T_map_cameras: FloatArray, links: Sequence[Link], iterations: int
 ) -> FloatArray:
-    """Poses (N, 4, 4) after Gauss–Newton steps by each frame's equations, None where it has none, and the links."""
+    """Poses (N, 4, 4) after Gauss–Newton steps by the frames' equations (None: no matches) and the links."""
     T = T_map_cameras
     for _ in range(iterations):
         slope, curvature = _link_equations(T, links)

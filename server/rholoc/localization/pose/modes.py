@@ -1,7 +1,7 @@
 """Modes of one place: poses along an arc around what a picture shows, from which it looks nearly the same.
 
 A scene that is far away and has little depth looks nearly the same from all along such an arc, and matching again
-around any pose there finds matches that confirm it: the curvature at one mode says nothing of the others.
+around any pose there finds matches that confirm it. The curvature at one mode does not reveal the others.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def is_seen_from_afar(verified: Verified) -> bool:
 
 
 def poses_on_arcs(index: MapIndex, verified: Verified) -> Iterator[FloatArray]:
-    """Iterate over four poses (4, 4): the verified one carried by 8° up, down, left and right around the median of the
-    landmarks that it sees. None if it sees none.
+    """Iterate over four poses (4, 4): the verified one rotated by 8° up, down, left and right about the median of its
+    inlier landmarks. Yields nothing without inliers.
     """
     T = verified.optimum.T_map_camera
     seen = verified.inlier_landmarks
@@ -53,15 +53,14 @@ def are_distinct(a: Verified, b: Verified) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Spread of poses that exclude one another about the pose that is answered.
+    """Spread of mutually exclusive poses about the answered pose.
 
-    A covariance alone would misjudge them: of two poses half a metre apart, the first of which has 0.9 of the
-    probability, the answer is exact with 0.9, though their standard deviation is 15 cm.
+    A covariance alone would misjudge them: if the answered pose has probability 0.9 and another one is half a metre
+    away, the answer is exact with probability 0.9, although the standard deviation is 15 cm.
 
     Attributes:
-        right: probability 0 to 1 of the poses within 10 cm and 5° of the one that is answered.
-        moment: (6, 6) second moment about the one that is answered: position [m] and rotation [rad, map frame, from the
-            left].
+        right: probability 0 to 1 of the poses within 10 cm and 5° of the answered one.
+        moment: (6, 6) second moment about the answered pose: position [m] and rotation [rad, map frame, from the left].
     """
 
     right: float

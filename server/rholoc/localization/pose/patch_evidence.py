@@ -13,11 +13,11 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray, patch_appearance
 from rholoc.maps import Map
 
-_TURN_RAD = np.deg2rad(8.0)  # half of the true matches are turned by no more from what is foretold
-_SIZE_OCTAVES, _CHANCE_OCTAVES = 0.2, 0.8  # likewise of sizes; the mean deviation of false ones
-_MAX_OCTAVES = 2.5  # beyond that sizes say no more
+_TURN_RAD = np.deg2rad(8.0)  # median deviation of true matches from the predicted orientation
+_SIZE_OCTAVES, _CHANCE_OCTAVES = 0.2, 0.8  # likewise of sizes; the mean deviation of false matches
+_MAX_OCTAVES = 2.5  # larger deviations are clipped
 _TRUE_SHARE = 0.9  # of true matches: the others are as if by chance
-_FEWEST = 3.0  # matches: of so few half is taken for chance
+_FEWEST = 3.0  # pseudo-matches with a ratio of 0
 
 
 def patch_log_odds(
@@ -70,8 +70,8 @@ def size_log_odds(grown_octaves: FloatArray) -> FloatArray:
 
 
 def patch_agreement(log_odds: FloatArray) -> float:
-    """Mean of the known log-likelihood ratios (M,) [nats per match] of matches that agree with a pose, as if three more
-    had 0.
+    """Mean of the finite log-likelihood ratios (M,) [nats per match] of a pose's inliers, shrunk towards 0 by three
+    further matches of ratio 0.
 
     About 2 for a right pose, -1 for a wrong one. NaN if no ratio is known.
     """

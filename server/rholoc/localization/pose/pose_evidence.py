@@ -23,14 +23,14 @@ from rholoc.localization.pose.patch_evidence import patch_agreement, patch_log_o
 from rholoc.localization.types import Query
 
 _CELLS_ACROSS = 8
-_CELL_NATS = 10.0  # the most that a cell can say
-_CHANCE_NATS = 1.5  # what a match by chance says, about
+_CELL_NATS = 10.0  # maximum evidence of a cell
+_CHANCE_NATS = 1.5  # approximate evidence of a match by chance
 _VIEWS_ALIKE = 10
 _MIN_EXPECTED, _MIN_DETECTED = 2, 3  # landmarks, features of a cell that can contradict
 _HIGHEST_RATE = 0.9
 _CLOSE_PX, _AROUND_PX = 4.0, 14.0  # of where landmarks should be
-_LIKENESSES = np.array([0.95, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2, 0.0])  # the least chance of being true, by descriptors
-_MIN_BY_CHANCE = 0.15  # matches: where none is around, that much is allowed for
+_LIKENESSES = np.array([0.95, 0.9, 0.8, 0.65, 0.5, 0.35, 0.2, 0.0])  # lower bounds of classes of match probability
+_MIN_BY_CHANCE = 0.15  # lower bound on the expected number of false matches
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class Support:
         missing: nats against the pose from cells that show something other than the expected landmarks.
         found: number of landmarks found where nearby views saw them.
         expected: number of landmarks that should be found, limited by what those views saw and by the query's features.
-        beyond_chance: nats by which matches of a wider search cluster at their landmarks more than chance would have
-            it.
+        beyond_chance: log-likelihood ratio [nats] of the clustering of a wider search's matches at their landmarks,
+            against chance.
         colours: agreement of colours, 0 by chance, 1 at best; NaN if unknown. See
             :func:`rholoc.localization.pose.colour_evidence.colour_agreement`.
         patches: agreement of orientation and size [nats per match], about -1 by chance, 2 at best; NaN if unknown. See

@@ -19,7 +19,7 @@ SEARCH_RADII_PX = (14.0, 5.0)
 FINAL_TOLERANCE_PX = 4.0
 _POLISHING_RADIUS_PX = 10.0
 _MIN_MATCHES = 6
-ENOUGH_MATCHES = 60  # of some features, within the first radius, for the rest not to be looked at there
+ENOUGH_MATCHES = 60  # of a sample of features, within the first radius, for the others to be skipped there
 _VIEWS_ALIKE = 10
 _WIDE_ITERATIONS = 2  # at each tolerance of the ascent within the wider radius
 
@@ -91,8 +91,8 @@ def settle(index: MapIndex, matches: Matches, evidence: Evidence, optimum: Optim
 
 
 def settling(index: MapIndex, matches: Matches, optimum: Optimum) -> IntArray:
-    """Rows of the matches that the last steps go by; none if fewer than six of them agree, or the densities have no
-    exact peaks.
+    """Rows of the matches for the last steps of an ascent; none if fewer than six of them are inliers, or the densities
+    have no exact peaks.
 
     Landmarks that were only seen from elsewhere look different from here and are detected less exactly. They help to
     find and to believe a pose, but the last steps only use landmarks that nearby views saw too.
@@ -105,9 +105,10 @@ def settling(index: MapIndex, matches: Matches, optimum: Optimum) -> IntArray:
 
 
 def polished(index: MapIndex, query: Query, verified: Verified) -> Verified:
-    """A pose refined once more by matches within 10 px. The matches and the evidence for it stay what they were.
+    """The pose refined once more by matches within 10 px; its matches and evidence stay.
 
-    From afar features are detected less exactly than the narrow radius allows: which of them it lets in would decide.
+    Seen from afar, features are detected less exactly than the narrow radius of :func:`verify` assumes, and the choice
+    of matches by that radius would bias the pose.
     """
     densities, T = index.map.densities, verified.optimum.T_map_camera
     matches, _ = index.match_near(query.features, query.camera, T, _POLISHING_RADIUS_PX)

@@ -29,7 +29,7 @@ _EXPLAINED_PX = 24.0
 _TOLERANCE_PX = 12.0
 _SAMPLES = (300, 30)
 _MIN_AGREEING, _MIN_OF_FOUND = 8, 0.2  # matches; of the matches of the pose that was found
-_TELLING_NATS = 12.0  # by which much more support one of two poses is twice as sure again; about a cell of the picture
+_TELLING_NATS = 12.0  # lead in net evidence that multiplies the odds of two poses by e; about a cell of the picture
 
 
 def rival_seeds(index: MapIndex, nearest: NearestLandmarks, query: Query, found: Verified) -> Iterator[FloatArray]:

@@ -18,7 +18,7 @@ from rholoc.localization.types import Prior
 
 _SEED = 20250  # samples are drawn from a generator with this seed: the same query gives the same answer
 _SCORE_TOLERANCE_PX = 12.0
-VIEWS_OF_LITTLE = 50  # features: views that saw fewer are held against as many
+VIEWS_OF_LITTLE = 50  # features: lower bound on the number that a view's votes are divided by
 _BESIDE_M, _ASIDE_RAD = 1.0, np.deg2rad(30.0)  # how far from a pose a view still shows much the same
 
 

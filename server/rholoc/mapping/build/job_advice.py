@@ -19,7 +19,7 @@ def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_
 
 
 def advice_line(coaching: Sequence[CoachingReport]) -> str:
-    """All advice of the sections in one line, beginning with "next time:"; empty for good walks."""
+    """All advice of the reports in one line that begins with "next time:"; empty if there is none."""
     texts = [advice.text for section in coaching for advice in section.advice]
     return f"next time: {' '.join(texts)}" if texts else ""
 

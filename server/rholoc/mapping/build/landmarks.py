@@ -21,8 +21,8 @@ _ROBUST_SCALES_PX = (16.0, 8.0, 4.0, 3.0, 3.0)
 _OUTLIER_PX = 5.0
 _SEARCH_RADIUS_PX = 5.0
 _RANGE_SIGMA, _RANGE_SIGMA_M = 0.02, 0.02  # of a measured range: relative, and in addition
-_RANGE_SIGMAS = 2.0  # off what the rays say, from which a range hardly counts
-_MIN_DEPTH = 1e-3  # in the map's unit; nearer than this a ray's distance says nothing
+_RANGE_SIGMAS = 2.0  # deviation of a range from the triangulated distance, above which it gets little weight
+_MIN_DEPTH = 1e-3  # in the map's unit: lower bound on a viewing distance that is divided by
 _MIN_VIEWS = 3
 _ENOUGH = 100  # landmarks of a view; where fewer are seen by three views, as in sets of photos, two views suffice
 _MAX_RELATIVE_SIGMA = 0.1  # of the largest standard deviation against the distance it is seen from
@@ -76,8 +76,8 @@ class Landmarks:
 def triangulate(views: Views, labels: IntArray) -> Landmarks:
     """Triangulate tracks with labels (N,), -1 for none, by robust information sums.
 
-    Observations more than 5 px off lose their label. Landmarks with an undetermined position are dropped, and the
-    others renumbered: those with fewer than two observations, unless their range was measured.
+    Observations with a residual above 5 px lose their label. Drops landmarks with a singular position, and those with
+    fewer than two observations unless a range was measured. The others are renumbered.
     """
     rows = np.flatnonzero(labels >= 0)
     tracks, count = labels[rows], int(labels.max(initial=-1)) + 1
@@ -174,12 +174,12 @@ def extend_and_merge(views: Views, landmarks: Landmarks, metric: Metric) -> Land
 
 
 def are_stable(views: Views, landmarks: Landmarks, per_view: int, walks: IntArray | None = None) -> BoolArray:
-    """Mask (F,) of landmarks with a largest sigma below a tenth of their distance that are among the best of some view.
+    """Mask (F,) of the landmarks worth keeping: precise, and among the ``per_view`` best of at least one view.
 
-    A landmark stays if it is among the ``per_view`` best of any view, so the map grows with the space it covers, not
-    with the duration of the walk. With several walks, the best are those with the highest probability of being seen by
-    a further walk; after that, those seen most often. Landmarks that only two views saw stay where some view has fewer
-    than 100 better ones.
+    Precise is a largest standard deviation below a tenth of the mean viewing distance. Landmarks rank by the number of
+    views that see them; with several walks, by the probability that a further walk sees them first. A landmark seen by
+    only two views must be among the 100 best of a view. The map thus grows with the space it covers, not with the
+    duration of the walk.
 
     Args:
         views: K views.
@@ -342,8 +342,9 @@ def _guided_matches(
 
 
 def _coincide(views: Views, landmarks: Landmarks, a: IntArray, b: IntArray, k: int) -> BoolArray:
-    """Mask (M,) of landmark pairs a (M,), b (M,) at the same place: χ² < 4 under their covariances and 3 px in view
-    ``k``.
+    """Mask (M,) of pairs of landmarks ``a`` (M,) and ``b`` (M,) at the same place.
+
+    Their difference has χ² < 4 under the sum of both covariances and of an isotropic sigma of 3 px in view ``k``.
     """
     apart = landmarks.positions[a] - landmarks.positions[b]
     depth = np.linalg.norm(landmarks.positions[a] - views.positions[k], axis=1)
@@ -354,7 +355,10 @@ def _coincide(views: Views, landmarks: Landmarks, a: IntArray, b: IntArray, k: i
 
 
 def _merged(labels: IntArray, same: IntArray, count: int, view_of: IntArray) -> IntArray:
-    """Labels (N,), renumbered, after merging pairs (M, 2) of ``count`` landmarks that are never in one view."""
+    """Labels (N,), renumbered, after merging the pairs ``same`` (M, 2) of landmarks.
+
+    A pair that one view sees both of is not merged.
+    """
     rows = np.flatnonzero(labels >= 0)
     shown = coo_array(
         (np.ones(len(rows), dtype=np.int32), (labels[rows], view_of[rows])), shape=(count, int(view_of.max()) + 1)

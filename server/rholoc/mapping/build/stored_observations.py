@@ -101,8 +101,9 @@ def solve_landmarks(
 
 
 def with_landmarks(map_: Map, wanted: BoolArray | None = None) -> Map:
-    """The map with landmarks, or those ``wanted`` (F,), triangulated again. Undetermined ones are dropped with their
-    features.
+    """The map with its landmarks triangulated again: those ``wanted`` (F,), by default all.
+
+    Landmarks whose position is not determined are dropped, together with their features.
 
     Raises:
         InvalidInput: the map does not remember its observations.

@@ -81,7 +81,7 @@ class Views(PosedCameras):
 
 
 def neighbour_pairs(views: Views) -> IntArray:
-    """Sorted pairs (P, 2) of views worth matching: the next seven in time, and each view's ten closest others in
+    """Sorted pairs (P, 2) of views worth matching: the next eight in time, and each view's ten closest others in
     position and heading.
     """
     k = len(views)

@@ -143,7 +143,7 @@ def remove_views(map_: Map, first: int, last: int) -> Map:
 
 
 def set_names(map_: Map, names: MapNames) -> Map:
-    """Next version of the map with other names of points and areas; it has none of the present ones.
+    """Next version of the map with ``names`` in place of all its names of points and areas.
 
     Raises:
         InvalidInput: a name or an area is invalid.
@@ -166,8 +166,9 @@ def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
 
 
 def set_earth(map_: Map, points: FloatArray, places: Sequence[EarthPlace], heading_deg: float | None) -> Map:
-    """Next version of the map, on Earth by points (N, 3) [m] and their places, or by one and the heading of y [° from
-    north].
+    """Next version of the map with a pose on Earth, from points (N, 3) [m] in the map frame and their N ``places``.
+
+    One point suffices with ``heading_deg``, the direction of y [° from north]; it is None for several points.
 
     Raises:
         InvalidInput: as :meth:`SiteOnEarth.through`, or a number is out of range.

@@ -12,7 +12,7 @@ from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.stored_observations import keep_features, keep_view_rows, with_landmarks
 from rholoc.maps import Map, MapInfo, Source, check_outline, memory_of, within_outline
 
-_MIN_LEFT = 12  # landmarks; fewer than that no camera is localized by
+_MIN_LEFT = 12  # landmarks; with fewer no camera can be localized
 
 
 def in_region(
@@ -69,8 +69,8 @@ def keep_views(map_: Map, stays: BoolArray) -> Map:
     """The map in ``ray`` form with only the views where ``stays`` (K,) is true, without landmarks that only the others
     saw.
 
-    If the map remembers its observations, its sources' view counts follow, and the landmarks are those of a map that
-    never had the other views.
+    If the map remembers its observations, the removed views' landmarks are triangulated again without them, and the
+    sources' view counts are updated.
     """
     seen = stays[map_.observations.views]
     touched = np.zeros(len(map_), dtype=bool)

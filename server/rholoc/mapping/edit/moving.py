@@ -13,7 +13,7 @@ from rholoc.mapping.build.view_covariance import storable_covariances
 from rholoc.maps import Map, MapInfo, MapNames, moved_patches, validate_map
 from rholoc.reports import HeldOutReport, LearningReport, MapReport, TrajectoryReport
 
-_FARTHEST_M = 10_000.0  # from the origin: single precision still tells a millimetre there
+_FARTHEST_M = 10_000.0  # from the origin: single precision still resolves a millimetre there
 
 
 def move_map(map_: Map, similarity: Similarity) -> Map:

@@ -55,7 +55,7 @@ def as_corrected(before: Map, after: Map, correction: Correction) -> Map:
 
 
 def noted(info: MapInfo, correction: Correction) -> MapInfo:
-    """Description of a map with one more correction (the last 1000 are kept), which gives its version and time."""
+    """Description of a map with one more correction (keeps the last 1000), and the correction's version and time."""
     kept = (*info.corrections, correction)[-_MAX_CORRECTIONS:]
     return replace(info, version=correction.version, created=correction.created, corrections=kept)
 

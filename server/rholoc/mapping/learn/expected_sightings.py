@@ -22,16 +22,16 @@ _RADIUS_PX = 6.0  # of a landmark's projection, within which it counts as seen
 _EDGE_PX = 12.0  # of the picture, where nothing is missed
 _VIEWS_ALIKE = 10
 _MIN_ALIKE = 3  # of these that saw a landmark, for a camera to be expected to see it
-_BY_CHANCE = 0.05  # how often a landmark that is gone is found all the same
+_BY_CHANCE = 0.05  # probability that a landmark that is gone counts as seen
 _MIN_RATE, _HIGHEST_RATE = 0.1, 0.95
-_HIDING_PX, _HIDING_SHARE = 40.0, 0.8  # what is seen so close in the picture, and so much nearer, hides
-_MIN_SEEN = 12  # landmarks, by a camera that is to say what is missing
+_HIDING_PX, _HIDING_SHARE = 40.0, 0.8  # a landmark seen within this distance, at less than this depth ratio, hides
+_MIN_SEEN = 12  # landmarks; a camera that sees fewer is no evidence
 GONE_NATS = 4.0  # of evidence that a landmark is gone
-_ROUNDS = 2  # how well a camera sees shows in what is there; what is there, in what cameras see
-_TELLING_NATS = 1.0  # by which a landmark is likelier there than gone, or gone than there
-_MAX_CONTRADICTED = 0.2  # of the landmarks that a camera rests on; what noise brings about is less than that
-_MISPLACED = 0.3  # of the cameras that look at a place, so many may be misled by what moved
-_MIN_TELLING = 10  # landmarks that others know of: among fewer, each counts as one of so many
+_ROUNDS = 2  # of estimating the cameras' sighting rates and the landmarks' presence in turn
+_TELLING_NATS = 1.0  # minimum absolute log-likelihood ratio for a landmark to count as known
+_MAX_CONTRADICTED = 0.2  # share of the landmarks that a camera sees; noise alone stays below
+_MISPLACED = 0.3  # maximum share of the cameras looking at a place that moved objects mislead
+_MIN_TELLING = 10  # known landmarks: lower bound on the denominator of the contradicted share
 _MIN_MISSES = 6
 _MIN_OCCASIONS = 2
 
@@ -130,7 +130,7 @@ _NOTHING: _Sight = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=
 
 
 def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
-    """Expected and unobstructed sightings of one camera; empty if it saw fewer than twelve landmarks."""
+    """Expected sightings of one camera without hidden landmarks; empty if it saw fewer than twelve landmarks."""
     landmarks, chances, seen = _expected(index, one, recorded, by_recording)
     if seen.sum() < _MIN_SEEN:
         return _NOTHING
@@ -139,9 +139,11 @@ def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: Bool
 
 
 def _expected(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
-    """Landmarks (E,) that a camera should see, their probabilities (E,), and whether it saw them (E,), within 6 px.
-    Probabilities are the shares among the ten most similar recorded views (for landmarks ``by_recording`` (F,)) or
-    others.
+    """Landmarks (E,) that a camera should see, the probabilities (E,), and whether it saw them (E,), within 6 px.
+
+    The probability is the share of the ten most similar views that saw the landmark; 0 if fewer than three did. For
+    landmarks ``by_recording`` (F,) these are views ``recorded`` (K,), for other landmarks the other views. Landmarks
+    within 12 px of the picture's edge are left out.
     """
     found, _ = index.match_near(one.features, one.camera, one.T_map_camera, _RADIUS_PX)
     saw = np.zeros(len(index.map), dtype=bool)
@@ -176,9 +178,10 @@ def _hidden(index: MapIndex, one: Looked, landmarks: IntArray, seen: BoolArray) 
 
 
 def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
-    """Mask (C,) of cameras that are not contradicted by the ``speaking`` (C,) cameras that agree with each other.
+    """Mask (C,) of all cameras that the witnesses do not contradict.
 
-    A camera is contradicted if others miss more than a fifth of the landmarks that it sees.
+    A camera is contradicted if the witnesses miss more than a fifth of the landmarks that it sees. The witnesses are
+    the cameras ``speaking`` (C,), without the most contradicted ones, removed one by one until all agree.
     """
     believed = speaking.copy()
     while True:
@@ -190,7 +193,10 @@ def agreeing(sights: Sights, speaking: BoolArray) -> BoolArray:
 
 
 def _contradicted(sights: Sights, believed: BoolArray) -> FloatArray:
-    """Share (C,) of the landmarks seen by each camera that the ``believed`` (C,) other cameras miss by over 1 nat."""
+    """Share (C,) of the landmarks seen by each camera that are gone by over 1 nat according to ``believed`` (C,).
+
+    A camera's own sightings do not count. The share is of the landmarks known by over 1 nat, at least ten.
+    """
     nats = sights.evidence(believed, _MISPLACED)
     of_others = sights.sums(nats, believed)[sights.landmarks] - nats * believed[sights.cameras]
     missed = np.bincount(sights.cameras, sights.seen & (of_others < -_TELLING_NATS), sights.camera_count)

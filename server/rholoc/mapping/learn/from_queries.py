@@ -36,8 +36,8 @@ QUERY_POSES = "queries"  # where the poses of a source came from: from localizin
 
 _HELD_BACK_EVERY = 5
 _ROUNDS = 2  # of placing queries by what was learned from them, and learning again
-_MAX_SIGMA_RATIO = 5.0  # of a pose that says what is there, against the median of all
-_MAX_VIEW_SIGMA_RATIO = 3.0  # of one that becomes a view: what it is off, new landmarks are off
+_MAX_SIGMA_RATIO = 5.0  # of a pose that counts as evidence, against the median of all
+_MAX_VIEW_SIGMA_RATIO = 3.0  # of a pose that becomes a view: its error is passed on to new landmarks
 _OCCASION_S = 600.0  # an asker's queries closer in time are of one occasion
 _MIN_OCCASIONS = 2
 _MAX_CAMERAS = 4
@@ -49,7 +49,7 @@ _RIGHT_M, _RIGHT_RAD = 0.05, np.deg2rad(5.0)
 _WRONG_M, _WRONG_RAD = 0.25, np.deg2rad(10.0)
 _MAX_REMEMBERED = 40
 _RIGHT_PER_WRONG = 3  # more answers that are right outweigh one more that is wrong
-_WORSE_M = 0.01  # in the median, that is no worse: what is asked for is as the map before has it
+_WORSE_M = 0.01  # tolerated growth of the median error: the reference poses come from the map before
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +65,13 @@ class _Placed:
 def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: ProgressListener = silent) -> Map:
     """The next version of a map: with views and landmarks of what was seen often, without what is no longer seen.
 
-    Every query is first localized anew, without a prior. Only confident queries teach, and only if other cameras see
-    the same landmarks (:func:`rholoc.mapping.learn.expected_sightings.agreeing`). A landmark is added once it was seen
-    from several places on several occasions. It is forgotten once many queries should have seen it and did not
+    Every query is first localized anew, without a prior. Only confident queries are used, and only if other cameras
+    see the same landmarks (:func:`rholoc.mapping.learn.expected_sightings.agreeing`). A landmark is added once it was
+    seen from several places on several occasions. It is forgotten once many queries should have seen it and did not
     (:func:`rholoc.mapping.learn.expected_sightings.vanished`). Then all queries are localized in the new map, the
-    doubtful ones too, and teach again. A fifth of the queries is held back: these queries, whole and by halves, and
-    the views that the map remembers must be localized as well as before. What a map can learn this way is bounded by
-    what it was built from.
+    doubtful ones too, and learned again. A fifth of the queries is held back for a test: these queries, whole and by
+    halves, and the views that the map remembers must be localized as well as before. The numbers of views and of
+    landmarks from queries are bounded by those from recordings.
 
     Raises:
         InvalidInput: the map does not remember its observations.
@@ -148,7 +148,7 @@ def too_few_queries(kept: int) -> Conflict:
 
 
 def _placed(localizer: Localizer, queries: Sequence[AnsweredQuery], progress: ProgressListener) -> list[_Placed]:
-    """The queries that get a pose in the present map, without a prior, of a sigma of at most 5 × the median."""
+    """Localize the queries without a prior. Returns those found with a position sigma of at most 5 × the median."""
     occasions = _occasions(queries)
     found = []
     for done, (query, occasion) in enumerate(zip(queries, occasions.tolist(), strict=True)):
@@ -167,7 +167,7 @@ def _exact(placed: Sequence[_Placed], ratio: float) -> list[_Placed]:
 
 
 def _believed(localizer: Localizer, placed: Sequence[_Placed]) -> list[_Placed]:
-    """Queries, held-back ones too, that the others except for the held-back ones do not contradict."""
+    """Queries that the others do not contradict. Held-back queries are judged too, but do not judge."""
     teaching = np.array([not _is_held_back(one.query) for one in placed], dtype=bool)
     agree = agreeing(_sights(localizer, placed), teaching)
     return [one for one, agrees in zip(placed, agree.tolist(), strict=True) if agrees]
@@ -451,9 +451,11 @@ def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, Fe
 
 
 def _check_no_worse(before: _Answers, after: _Answers, of: str) -> None:
-    """Compare answers before and after learning. ``of`` names the test queries in messages. Raises MappingFailed: fewer
-    answers are right, a further wrong one is not outweighed by three right ones, nothing is found any more, or the
-    median error grew by more than a centimetre.
+    """Check that answers after learning are no worse than before. ``of`` names the test queries in messages.
+
+    Raises:
+        MappingFailed: fewer answers are right, fewer than three more are right for each further wrong one, none is
+            found any more, or the median error grew by more than a centimetre.
     """
     gained = after.right - before.right
     if gained < 0 or _RIGHT_PER_WRONG * (after.wrong - before.wrong) > gained:

@@ -142,9 +142,15 @@ def update_map(
 
 
 def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, progress: ProgressListener) -> _Walk:
-    """Views of a recording from frames localized one by one, five per second, at most 240, without those that jump, if
-    there are times, and those less than 0.1 (metres plus radians) from the view before. Raises InvalidCamera without
-    intrinsics, InvalidRecording for a damaged frame, MappingFailed below five frames or a tenth.
+    """Views of a recording, chosen from frames that are localized one by one.
+
+    Tries five frames per second, or all of an untimed recording, evenly spread, at least five and at most 240. Drops
+    frames that jump (if timed) and frames less than 0.1 (metres plus radians) from the view before.
+
+    Raises:
+        InvalidCamera: the intrinsics are unknown.
+        InvalidRecording: a frame is damaged.
+        MappingFailed: fewer than five frames, or fewer than a tenth of those tried, are found.
     """
     camera = _camera_of(recording, localizer.map.info)
     times = recording.frames.times

@@ -68,7 +68,10 @@ def merge_maps(a: Map, b: Map, progress: ProgressListener = silent) -> Map:
 
 
 def _placed_in(a: Map, b: Map) -> Map:
-    """``b``, which is in the frame of ``a`` already, with the uncertainty of both maps; unchanged if it has none."""
+    """``b``, already in the frame of ``a``, with the covariances of ``a`` added to its own.
+
+    Unchanged if ``b`` has none; NaN if only ``a`` has none.
+    """
     if b.views.covariances is None:
         return b
     covariances = b.views.covariances + uncertainty_in(a, b.views.T_map_camera)

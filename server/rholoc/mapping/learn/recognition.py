@@ -1,4 +1,4 @@
-"""Tell a map's landmarks from new ones among what registered views detect."""
+"""Assign the detections of registered views to landmarks of a map, or to new landmarks."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ _EXTENSION_ROUNDS = 1
 
 
 def recognize(localizer: Localizer, views: Views, progress: ProgressListener) -> tuple[IntArray, Landmarks, Cloud]:
-    """Feature (N,) of the map for each detection, or -1; landmarks made of the other detections; further points made of
-    these.
+    """Assign N detections of posed views to the map's landmarks, and triangulate the others.
 
-    A detection within 5 px of a landmark's projection is recognized if its descriptor is within the strict limit. The
-    new landmarks' labels are (N,) too.
+    A detection is recognized within 5 px of a landmark's projection if its descriptor is within the strict limit.
+
+    Returns:
+        Feature (N,) of the map for each detection, or -1; new landmarks, with labels (N,) of the same detections; and
+        the other triangulated points, which are not stable enough for landmarks, as a cloud.
     """
     index, metric = localizer.index, localizer.extractor.metric
     labels = np.full(len(views.features), -1, dtype=np.int64)
@@ -53,9 +55,11 @@ def recognize(localizer: Localizer, views: Views, progress: ProgressListener) ->
 
 
 def seen_landmarks(known: Map, labels: IntArray, new: Landmarks) -> tuple[IntArray, Landmarks]:
-    """Feature (L,) of the map that each landmark in the recording is, or -1; and all these landmarks, the map's first.
+    """All L landmarks that a recording saw: those of the map in ``labels`` (N,) (-1: none), then the ``new`` ones.
 
-    ``labels`` (N,) are features of the map. Information sums of the map's landmarks are 0.
+    Returns:
+        Feature (L,) of the map for each landmark, -1 for a new one; and the landmarks. Information sums of the map's
+        landmarks are 0.
     """
     again, number = np.unique(labels[labels >= 0], return_inverse=True)
     together = np.where(new.labels >= 0, new.labels + len(again), -1)

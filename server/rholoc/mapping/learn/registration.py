@@ -25,12 +25,12 @@ from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.reports import LearningReport
 
 LEARNING_RECOGNIZED = 0.8
-"""Required of a frame that a map learns from: the least probability of the right place."""
+"""Minimum probability of the right place for a frame that a map learns from."""
 
 _PROBES = 12  # frames, spread over all, by which a recording of another place is recognized at once
 MIN_FOUND = 5
 _MIN_SHARE = 0.1
-_MAX_GAP_S = 2.0  # between frames found, beyond which one says nothing of the other
+_MAX_GAP_S = 2.0  # between localized frames; farther apart they do not confirm each other
 _JUMP_M, _JUMP_RAD = 0.1, np.deg2rad(5.0)  # of two poses without any motion
 _MAX_SPEED_M_PER_S, _MAX_TURN_RAD_PER_S = 2.0, np.deg2rad(180.0)
 _ROUNDS = 10
@@ -68,7 +68,7 @@ def find_frames(
     """Localize the frames in rows ``rows`` (ascending) of a recording; ``what`` names it in messages.
 
     Raises:
-        MappingFailed: none of twelve probes, or fewer than five or a tenth of all, are found: it shows another place.
+        MappingFailed: none of twelve probes, fewer than five frames, or fewer than a tenth of them, are found.
         Cancelled: ``progress`` asked to stop.
     """
     T = np.full((len(frames), 4, 4), np.nan)
@@ -98,7 +98,7 @@ def without_jumps(found: Found, times: FloatArray, what: str) -> Found:
         what: name of the recording in messages.
 
     Raises:
-        MappingFailed: fewer than five frames, or a tenth of those tried, are left.
+        MappingFailed: fewer than five frames, or fewer than a tenth of those tried, are left.
     """
     rows = found.rows
     T, elapsed_s = found.T_map_camera[rows], np.diff(times[rows])
@@ -136,10 +136,11 @@ def align_to_found(T_own_camera: FloatArray, found: Found, scale_is_known: bool,
     messages.
 
     Robust least squares, rotations first: every frame determines the rotation between the two frames, so walks along a
-    line or on the spot can be aligned too. The scale is kept if ``scale_is_known``, but checked.
+    line or on the spot can be aligned too. The scale is 1 if ``scale_is_known``; the error then says whether the scales
+    differ.
 
     Raises:
-        MappingFailed: they are off by more than 10 cm or 3° in the median, or fewer than five frames agree.
+        MappingFailed: the median residual exceeds 10 cm or 3°, or fewer than five frames are within 30 cm and 9°.
     """
     own, target = T_own_camera[found.rows], found.T_map_camera[found.rows]
     similarity, distance, angle = _fit(own, target, fixed_scale=scale_is_known)

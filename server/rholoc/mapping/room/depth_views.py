@@ -95,7 +95,7 @@ def depth_views(map_: Map, recording: Recording, source: int, most: int) -> list
         map_: a map.
         recording: one of its recordings.
         source: row of the recording in the map's sources.
-        most: number of depth views at most (of pairs, about).
+        most: maximum number of depth views; of pairs of frames, approximately.
 
     Raises:
         InvalidRecording: a frame cannot be decoded. No frames with a view give an empty list.
@@ -232,7 +232,7 @@ def _rays(focal: float, centre: FloatArray, step: int = 1) -> FloatArray:
 
 
 def _interpolation() -> FloatArray:
-    """Matrix (S, N) that takes values at every eighth pixel to all pixels of a row."""
+    """Matrix (S, N) of linear interpolation from every eighth pixel of a row (N) to all its S pixels."""
     at = np.arange(SIDE) / _COARSE
     return np.asarray(np.maximum(0.0, 1 - np.abs(at[:, None] - np.arange(SIDE // _COARSE + 1))))
 
@@ -265,7 +265,7 @@ def _disparity(left: ByteArray, right: ByteArray, disparities: int) -> FloatArra
 
 
 def _agreeing(views: Sequence[DepthView]) -> list[DepthView]:
-    """The depth views without points on whose depth none of the five nearest views of other pairs agrees within 3 %."""
+    """Depth views without unconfirmed pixels: one of the five nearest views of other pairs must agree within 3 %."""
     centres = np.array([view.T_map_camera[:3, 3] for view in views]).reshape(-1, 3)
     axes = np.array([view.T_map_camera[:3, 2] for view in views]).reshape(-1, 3)
     kept = []

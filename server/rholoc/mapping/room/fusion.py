@@ -19,13 +19,13 @@ _SAMPLED_STEP = 4  # pixels
 
 @dataclass(eq=False)
 class DistanceGrid:
-    """Signed distances of voxels to the nearest surface, in voxels, positive in front of it.
+    """Truncated signed distances of voxels to the nearest surface, positive in front of it.
 
     Attributes:
         origin: (3,) centre of voxel (0, 0, 0), in the grid's axes.
         size: edge of a voxel, in the map's unit.
         R_grid_map: (3, 3) rotation from the map frame to the grid's axes, whose z is up.
-        distances: (X, Y, Z) float32, from -1 to 1 truncations.
+        distances: (X, Y, Z) float32, -1 to 1, in units of ``TRUNCATION`` voxels.
         weights: (X, Y, Z) float32, 0 where nothing is known.
     """
 
@@ -47,8 +47,10 @@ def sampled_points(views: Sequence[DepthView]) -> FloatArray:
 
 
 def voxel_size(points: FloatArray, finest: float, surface_voxels: int) -> float:
-    """Edge of a voxel, at least ``finest``, at which points (P, 3) occupy at most ``surface_voxels`` voxels, and their
-    box ``MAX_VOXELS``.
+    """Smallest of the sizes ``finest`` × 1.15ⁿ of a voxel that is large enough for points (P, 3) in the grid's axes.
+
+    The points then occupy at most ``surface_voxels`` voxels, and the box of their 1 % to 99 % quantiles (with margin)
+    has at most ``MAX_VOXELS``.
     """
     size = finest
     low, high = np.quantile(points, _OUTER, axis=0)

@@ -33,9 +33,9 @@ class Wall:
 
     Attributes:
         normal: (2,) unit, towards the room.
-        offset: of the plane from the origin.
-        ends: from where to where, along the normal turned by 90° anti-clockwise.
-        top: height up to which.
+        offset: signed distance of the plane from the origin along the normal.
+        ends: start and end of the closed part along :attr:`along`, the normal rotated by 90° anti-clockwise.
+        top: height of the closed part's upper edge.
     """
 
     normal: FloatArray
@@ -50,9 +50,9 @@ class Wall:
 
 
 def floor_height(mesh: Quads, size: float) -> float:
-    """Height of a mesh's lowest horizontal surface with 4 % of what faces up, within voxels of ``size``.
+    """Height of the floor: of the mesh's lowest horizontal surface with over 4 % of the vertices that face up.
 
-    Without one, the 2 % quantile of the mesh's heights.
+    ``size`` is the edge of a voxel. Without such a surface, the 2 % quantile of the mesh's heights.
     """
     heights = mesh.vertices[:, 2]
     flat = heights[normals_of(*mesh)[:, 2] > _FLAT]
@@ -90,7 +90,7 @@ def walls_of(mesh: Quads, size: float) -> list[Wall]:
 
 
 def _main_direction(normals: FloatArray) -> float:
-    """Angle [rad] between 0 and 90° that most normals (N, 3) have, seen from above and regardless of right angles."""
+    """Most frequent angle [rad] of normals (N, 3) about z, modulo 90°."""
     angles = np.arctan2(normals[:, 1], normals[:, 0]) % (np.pi / 2)
     counts, edges = np.histogram(angles, bins=_ANGLES, range=(0, np.pi / 2))
     around = sum(np.roll(counts, by) for by in (-2, -1, 0, 1, 2))
@@ -98,9 +98,11 @@ def _main_direction(normals: FloatArray) -> float:
 
 
 def _outermost(mesh: Quads, vertices: FloatArray, normals: FloatArray, angle: float, size: float) -> Wall | None:
-    """The outermost vertical plane with a normal at ``angle`` [rad], with at most a quarter of the mesh's vertices
-    behind it. None if none has 60 vertices, 0.15 × those of the largest and 0.4 × the room's height. ``vertices`` and
-    ``normals`` (N, 3) are the steep ones.
+    """Outermost vertical wall whose normal, towards the room, is at ``angle`` [rad] from x (within 20°).
+
+    A wall needs 60 vertices, 0.15 × those of the largest parallel plane, 0.4 × the room's height, and at most a quarter
+    of the mesh's vertices behind it. None if there is none. ``vertices`` and ``normals`` (N, 3) are those of the mesh's
+    steep parts; ``size`` is the edge of a voxel.
     """
     normal = np.array([np.cos(angle), np.sin(angle)])
     points = vertices[normals[:, :2] @ normal > _SAME_DIRECTION]

@@ -84,7 +84,11 @@ def _faces(d: FloatArray, number: IntArray) -> IntArray:
 
 
 def _without_small_pieces(mesh: Quads, smallest: float) -> Quads:
-    """The mesh, smoothed, without connected pieces below ``smallest`` × the largest, or 0.15 × it outside its box."""
+    """The mesh, smoothed twice, without small connected components and unconnected vertices.
+
+    A component needs at least ``smallest`` × the largest one's vertices if its centre is inside the largest one's
+    bounding box in x and y (plus 5 %), else at least 0.15 × them. A mesh without faces is returned unchanged.
+    """
     count = len(mesh.vertices)
     neighbours = neighbours_of(mesh.faces, count)
     degree = np.asarray(neighbours.sum(axis=1)).reshape(-1, 1)

@@ -1,4 +1,4 @@
-"""Links between the maps of a site, looked for pair by pair until all of them are placed."""
+"""Links between the maps of a site: search pair by pair until all maps have a pose."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class SearchedPair:
     """Two maps of a site between which a link was looked for.
 
     Attributes:
-        first, second: their names.
-        states: the :func:`map_state` of each when it was looked at; empty where it could not be read.
-        link: what was found; None where there is none.
-        reason: why there is none, in a line.
+        first, second: the maps' names.
+        states: the :func:`map_state` of each map at the search; both empty if a map could not be read.
+        link: the link found, or None.
+        reason: one line that says why there is no link; empty if there is one.
     """
 
     first: str
@@ -50,14 +50,15 @@ def search_links(
     """Look for links until all maps are placed, or there is no pair of maps left that could help.
 
     Args:
-        site: whose maps are to be placed.
-        load: gives a map by its name. Raises UnknownMap, InvalidMap: no link to it is looked for.
-        present: the names of maps that there are.
-        searched: what an earlier search came to, which is not done again.
-        progress: called with :attr:`Stage.LINKS`, of all pairs.
+        site: site with maps to place.
+        load: returns a map by its name; if it raises UnknownMap or InvalidMap, the pair gets no link.
+        present: names of the existing maps; others are skipped.
+        searched: results of an earlier search; their pairs are not searched again.
+        progress: called with :attr:`Stage.LINKS` and the share of all pairs done.
 
     Yields:
-        Each pair that was looked at, whether or not a link was found.
+        Result of each pair whose relative pose was unknown, including earlier results, with or without a link. A link
+        that contradicts others is replaced by the reason.
 
     Raises:
         InvalidInput: the site's own links contradict each other.
@@ -81,24 +82,25 @@ def search_links(
 def add_links(
     site: Site, searched: Sequence[SearchedPair], state_of: Callable[[str], str | None]
 ) -> tuple[Site, list[str]]:
-    """A site with the links that were found, and why some maps still have no pose.
+    """Add the links that a search found to a site, and report why some maps still have no pose.
 
-    Links that the site has, or of maps that left it, change nothing; those of maps that changed since become problems.
+    Ignores links that the site already has, and links of maps that left the site. A link of a map that has changed
+    since the search is not added, but reported.
 
     Args:
-        site: as it is now.
-        searched: what a search came to.
-        state_of: the :func:`map_state` of a map as it is now; None where there is none.
+        site: the present site.
+        searched: results of the search.
+        state_of: returns the present :func:`map_state` of a map by its name; None if there is no such map.
 
     Returns:
-        The site, and a line for each thing that prevents a map from being placed.
+        The site, and one line per problem; no lines if all maps have poses and all links were added.
     """
     problems = []
     for pair in searched:
         if pair.link is None or pair.link in site.links or any(site.member(name) is None for name in pair.names):
             continue
         if tuple(map(state_of, pair.names)) != pair.states:
-            problems.append(f"{pair.first} or {pair.second} changed while it was held against the other.")
+            problems.append(f"{pair.first} or {pair.second} has changed since the search for a link.")
             continue
         site, added = _with_pair(site, pair)
         if added.link is None:
@@ -136,7 +138,9 @@ def _search(first: str, second: str, load: Callable[[str], Map], progress: Progr
 
 
 def _with_pair(site: Site, pair: SearchedPair) -> tuple[Site, SearchedPair]:
-    """The site with the pair's link, and the pair; if it contradicts other links, the same site, and the reason."""
+    """The site with the pair's link, and the pair. If the link contradicts others, the same site, and the pair with the
+    reason in place of the link.
+    """
     if pair.link is None:
         return site, pair
     try:

@@ -18,7 +18,7 @@ from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_foun
 from rholoc.maps import FramePose, LinkOrigin, Map, Site, SiteLink, SiteMap
 from rholoc.progress import ProgressListener, silent
 
-_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 1e-3, np.deg2rad(0.01)  # of a pose that somebody gave without a covariance
+_GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 1e-3, np.deg2rad(0.01)  # of a pose that was given without a covariance
 _HELD_SIGMA = 1e-5  # m and rad, of a given pose while others are placed by it
 _CONTRADICTION_SIGMAS = 5.0
 _MIN_SIGMA_M, _MIN_SIGMA_DEG = 0.02, 0.3  # of a link that was found: the maps themselves are no better
@@ -32,10 +32,10 @@ _MAX_LOCALIZED = 60
 
 
 def solve_site(site: Site) -> Site:
-    """The site with the poses of all maps that can be placed.
+    """The site with the poses of all maps that given poses and links determine.
 
-    A pose that somebody gave stays; others follow from links by least squares. Where nobody gave any, the first map's
-    frame is the site's. Maps that nothing joins to a map with a pose have none.
+    Given poses stay; others follow from links by least squares. Without any given pose, the first map's frame becomes
+    the site's. A map that no links connect to a map with a pose gets None.
 
     Raises:
         InvalidInput: links and given poses contradict each other; says around which maps, and by how much.
@@ -73,12 +73,12 @@ def _as_rows(covariance: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """A map that links lead to from one whose pose is known.
+    """A map connected by links to a map with a known pose.
 
     Attributes:
         T: T_site_map (4, 4).
-        way: the maps on the way there, the first one's pose known, the last one this map.
-        variance_m2, variance_deg2: by the given pose and the links on the way, along and about the worst axis.
+        way: names of the maps along the chain of links, from the one with the known pose to this map.
+        variance_m2, variance_deg2: sum over the known pose and the links, along and about the worst axis.
     """
 
     T: FloatArray
@@ -92,8 +92,8 @@ class _Graph:
     """Links by the maps that they join.
 
     Attributes:
-        links: all of them.
-        of_map: those of each map, the surest first.
+        links: all links.
+        of_map: links of each map, the smallest ``sigma_m`` first.
     """
 
     links: Sequence[SiteLink]
@@ -109,8 +109,9 @@ class _Graph:
         return cls(links, of_map)
 
     def spread(self, known: Mapping[str, tuple[FloatArray, FloatArray]]) -> dict[str, _Placed]:
-        """The maps reached from those with known T_site_map (4, 4) and its covariance (6, 6), by the fewest links, with
-        summed variances.
+        """Poses of all maps that links connect to the ``known`` ones, along the fewest links, with summed variances.
+
+        ``known`` has T_site_map (4, 4) and its covariance (6, 6), position first, by map; these maps are included.
         """
         placed = {
             name: _Placed(T, (name,), worst_sigma(of_T[:3, :3]) ** 2, np.degrees(worst_sigma(of_T[3:, 3:])) ** 2)
@@ -127,10 +128,10 @@ class _Graph:
         return placed
 
     def check(self, placed: Mapping[str, _Placed]) -> None:
-        """Compare every link with the poses that other links led to.
+        """Compare every link with the relative pose of its maps in ``placed``.
 
         Raises:
-            InvalidInput: one is further off than five standard deviations of both; it names the worst.
+            InvalidInput: a link is off by more than five standard deviations of link and poses; names the worst.
         """
         worst, worst_share = "", 1.0
         for link in self.links:
@@ -168,7 +169,10 @@ def _beyond(here: _Placed, link: SiteLink, there: str) -> _Placed:
 
 
 def _origin_variance_m2(link: SiteLink) -> float:
-    """Variance [m²] of the second map's origin along the worst axis, which the rotation moves about ``link.at``."""
+    """Variance [m²] of the second map's origin along the worst axis.
+
+    The sum of ``sigma_m``² and the effect of the rotation about ``link.at``.
+    """
     return link.sigma_m**2 + float(np.deg2rad(link.sigma_deg) * np.linalg.norm(link.at)) ** 2
 
 
@@ -228,7 +232,7 @@ def find_link(first: str, a: Map, second: str, b: Map, progress: ProgressListene
     """The pose between two maps: by measured points of the same names, else by views of ``b`` localized in ``a``.
 
     Raises:
-        InvalidInput: a map has no metric scale; or they neither share three points nor can be held against each other.
+        InvalidInput: a map has no metric scale; or they share no three points, and their features or densities differ.
         MappingFailed: they do not overlap, or disagree; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
@@ -242,8 +246,10 @@ def find_link(first: str, a: Map, second: str, b: Map, progress: ProgressListene
 
 
 def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
-    """By waypoints and named points of the same names; None for fewer than three, or if they are on a line (within 0.3
-    m). Raises MappingFailed: one is off by more than 0.3 m.
+    """Link by waypoints and named points with the same names in both maps.
+
+    None for fewer than three points, or if they are collinear: the second singular value of their centred positions is
+    below 0.3 m. Raises MappingFailed if a point's residual exceeds 0.3 m.
     """
     of_a, of_b = _points(a), _points(b)
     shared = sorted(of_a.keys() & of_b.keys())
@@ -296,11 +302,12 @@ def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: Progress
 
 
 def with_link(site: Site, link: SiteLink) -> Site:
-    """The site with a link in place of found ones between the same two maps (given ones stay), and all poses solved
-    again.
+    """The site with ``link``, and all poses solved again.
+
+    Replaces links found earlier between the same two maps; links given by people stay.
 
     Raises:
-        InvalidInput: it contradicts others.
+        InvalidInput: the links contradict each other.
     """
     pair = {link.first, link.second}
     kept = [other for other in site.links if {other.first, other.second} != pair or other.origin is LinkOrigin.GIVEN]

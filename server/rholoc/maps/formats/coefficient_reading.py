@@ -133,7 +133,10 @@ def _header(name: str, columns: list[str]) -> _Header:
 
 
 def _with_columns(forms: list[type[Densities]], columns: list[str]) -> type[Densities]:
-    """Of forms with the same number of variables, the one with most domain columns, all present; else the first."""
+    """Density form that a table's ``columns`` fit, among ``forms`` with the same number of variables.
+
+    The form with the most domain columns, all of which are present; the first of ``forms`` if none has all of them.
+    """
     there = set(columns)
     whole = [form for form in forms if set(form.domain_columns) <= there]
     return max(whole, key=lambda form: len(form.domain_columns), default=forms[0])

@@ -25,8 +25,8 @@ _MAX_NUMBER = 1e9  # of a coordinate: JSON's integers have no bound
 def names_to_geojson(names: MapNames, earth: SiteOnEarth | None) -> dict[str, Any]:
     """Names of a map as a FeatureCollection.
 
-    Coordinates are longitude, latitude and height (of areas without height) of WGS 84. Without a pose on Earth they are
-    metres of the map frame, and the collection's member ``frame`` is ``map``.
+    Coordinates are longitude, latitude and, for points only, height of WGS 84. Without a pose on Earth they are metres
+    in the map frame, and the collection's member ``frame`` is ``map``.
     """
     features = [
         _feature(one, {"type": "Point", "coordinates": _coordinates(one.position, earth)}) for one in names.points
@@ -60,7 +60,7 @@ def names_from_geojson(content: bytes, earth: SiteOnEarth | None) -> MapNames:
     in_map = document.get("frame") == _MAP_FRAME
     if not in_map and earth is None:
         raise InvalidInput(
-            "The map has no place on Earth, so longitude and latitude say nothing in it.",
+            "The map's pose on Earth is unknown, so longitude and latitude cannot be converted.",
             'Place it on Earth first, or send metres of the map with "frame": "map" beside "type".',
         )
     place = None if in_map else earth
@@ -145,9 +145,11 @@ def _coordinates(position: tuple[float, float, float], earth: SiteOnEarth | None
 
 
 def _metres(position: object, earth: SiteOnEarth | None, what: str) -> tuple[float, float, float]:
-    """A position of GeoJSON in the map frame [m]; without a height at that of the map's origin. ``earth`` None: it is
-    metres. Raises InvalidInput, which calls the feature ``what``, for no position, or one off the Earth or over 1000 km
-    away.
+    """Convert a position of GeoJSON to the map frame [m].
+
+    It is longitude, latitude and height, or metres in the map frame if ``earth`` is None. Without a height it is at the
+    height of the map's origin. Raises InvalidInput, naming the feature ``what``, if it is not a position, not on Earth,
+    or over 1000 km away.
     """
     if not _is_position(position):
         raise InvalidInput(f"{what} has no valid coordinates.", "Positions are two or three numbers.")

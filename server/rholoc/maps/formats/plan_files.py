@@ -44,7 +44,7 @@ _YAML = (".yaml", ".yml")
 
 @dataclass(frozen=True)
 class PlanPlacement:
-    """Where a floor plan is to lie, as far as it is given; fields as of :class:`FloorPlan`."""
+    """Requested pose of a floor plan; fields as in :class:`FloorPlan`, None if not given."""
 
     x: float | None = None
     y: float | None = None
@@ -70,7 +70,7 @@ def plan_of_archive(content: bytes, level: str | None) -> tuple[bytes, FloorPlan
         level: of IMDF, by name, short name, ordinal or id; None: the only one.
 
     Returns:
-        The plan's file, and where it lies: a picture as the yaml says, GeoJSON at the map's origin.
+        Content of the plan's file, and its pose: a picture's from the yaml, GeoJSON's at the map's origin.
 
     Raises:
         InvalidInput: it is neither, something is missing or damaged, or the level is not clear.
@@ -104,14 +104,14 @@ def level_of_archive(content: bytes, level: str | None) -> bytes:
 def read_plan(
     content: bytes, media_type: str | None, level: str | None, placement: PlanPlacement, earth: SiteOnEarth | None
 ) -> tuple[bytes, FloorPlan]:
-    """A floor plan as a map keeps it.
+    """Content and pose of a floor plan, in the form that a map stores.
 
     Args:
         content: a picture, GeoJSON, or an archive of :func:`plan_of_archive`.
-        media_type: of the content; None: by its first bytes.
+        media_type: of the content; None to detect it from the first bytes.
         level: of an IMDF archive.
-        placement: where it lies. What is None is as the yaml says; GeoJSON without a corner and a turn lies where its
-            longitude and latitude say, if the map's pose on Earth is known.
+        placement: requested pose. Its None fields are taken from the yaml, else they are 0 (``m_per_unit``: 1). GeoJSON
+            without ``x``, ``y`` and ``turn_deg`` is placed by its longitude and latitude if ``earth`` is known.
         earth: the map's pose on Earth, if known.
 
     Raises:
@@ -207,7 +207,7 @@ def _settings(text: bytes) -> dict[str, Any]:
 
 
 def _placed_picture(picture: bytes, settings: dict[str, Any]) -> tuple[bytes, FloorPlan]:
-    """A picture of ``map_server`` as PNG with dark walls, and where it lies. Raises InvalidInput if bad or huge."""
+    """A picture of ``map_server`` as PNG with dark walls, and its pose. Raises InvalidInput if broken or too large."""
     try:
         with Image.open(io.BytesIO(picture)) as image:
             if image.width * image.height > MAX_PIXELS:

@@ -42,11 +42,11 @@ _ENCODINGS: dict[str, tuple[int, int, int | None]] = {
 
 @contextmanager
 def opened_bag(path: Path) -> Iterator[AnyReader]:
-    """A ROS 1 bag, or a ROS 2 bag: a file, or the folder that ``ros2 bag record`` makes.
+    """Open a ROS 1 bag or a ROS 2 bag for the block: a file, or the folder that ``ros2 bag record`` makes.
 
     Raises:
-        InvalidRecording: the bag cannot be read, or is found damaged within the block; in place of any exception in it
-            that is no RholocError.
+        InvalidRecording: the bag cannot be opened, or the block raised an exception other than a RholocError, which
+            counts as damage.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore

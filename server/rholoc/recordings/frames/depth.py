@@ -87,7 +87,7 @@ class DepthImages:
 
 
 def _on_surfaces(metres: FloatArray) -> BoolArray:
-    """Mask (H, W) of known depths below 10 m that differ by less than 5 % from their 8 neighbours', as at edges."""
+    """Mask (H, W) of depths on a surface: known, below 10 m and differing by under 5 % in the 3 × 3 pixels around."""
     known = np.nan_to_num(metres, nan=0.0).astype(np.float32)
     around = np.ones((3, 3), np.uint8)
     least, most = cv2.erode(known, around), cv2.dilate(known, around)

@@ -93,7 +93,7 @@ def read_frame(path: Path, size: tuple[int, int]) -> ByteArray:
     """An image file of a recording → the image (H, W, 3) BGR.
 
     Raises:
-        InvalidRecording: the file is damaged, or its ``size`` (width, height) is no longer that.
+        InvalidRecording: the file is damaged, or its size is not ``size`` (width, height).
     """
     try:
         image = read_image(path)
@@ -105,7 +105,7 @@ def read_frame(path: Path, size: tuple[int, int]) -> ByteArray:
 
 
 def read_grey(path: Path) -> IntArray:
-    """An image file of one channel → its values (H, W), all of their up to 16 bits. EXIF orientation is ignored.
+    """An image file of one channel, up to 16 bits → its unscaled values (H, W). EXIF orientation is ignored.
 
     Raises:
         InvalidImage: the file cannot be read or decoded, has several channels, or more than 50 megapixels.
@@ -157,14 +157,14 @@ def begins_like_an_image(start: bytes) -> bool:
 
 
 def not_an_image() -> InvalidImage:
-    """The error for data of no image format that is read."""
+    """Error for data in none of the supported image formats."""
     return InvalidImage("This is not an image that can be read.", _HINT)
 
 
 def visited_pixels(data: bytes) -> int:
-    """Approximate number of pixels that decoding an image visits: all pixels once for every four scans.
+    """Decoding effort of an image: width × height, times a quarter of its scans if it has more than four.
 
-    Reads only the header. 0 for a file that is not an image.
+    Decodes no pixels. 0 for data that is not a JPEG, PNG or WebP image.
     """
     try:
         with Image.open(io.BytesIO(data), formats=SENT_FORMATS) as image:
@@ -208,7 +208,9 @@ def _check_scans(data: bytes, image: Image.Image, max_pixels: int) -> None:
 
 @contextmanager
 def _opened(source: Path | io.BytesIO, max_pixels: int, formats: tuple[str, ...] = _FORMATS) -> Iterator[Image.Image]:
-    """The image with its header read; every error inside the block becomes an InvalidImage."""
+    """Open an image for the block, with its header read. Decoding errors inside the block become InvalidImage, and so
+    do more than ``max_pixels`` pixels.
+    """
     try:
         with Image.open(source, formats=formats) as image:
             if any(tile[0] == "ppm_plain" for tile in getattr(image, "tile", ())):

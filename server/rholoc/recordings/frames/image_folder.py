@@ -76,7 +76,8 @@ def read_image_folder(
 def numbered(paths: Sequence[Path]) -> tuple[IntArray, list[int]]:
     """Frame numbers (N,), increasing, and the index (N) in ``paths`` of each.
 
-    A number is the last digits of a name. If a name has none, or two are equal, files are counted by name from 0.
+    A file's number is the last digits of its name before the first dot. If a name has none, or two numbers are equal,
+    files are sorted by name and numbered from 0.
     """
     named = [number_in_name(Path(path.name.split(".")[0])) for path in paths]  # not of frame-000001.color.png
     if None not in named and len(set(named)) == len(named):
@@ -134,9 +135,10 @@ def image_frames(
 
 
 def _lenses(longer_px: Sequence[int | None]) -> tuple[int, ...]:
-    """Number of each picture's lens, by its longer side, None where EXIF tells the focal length; empty if one took all.
+    """Lens number of each picture; pictures with an equal value share a lens. Empty if all are equal.
 
-    Number 0 are those of known focal lengths, or else the commonest.
+    ``longer_px`` is the picture's longer side, None if EXIF states the focal length. None becomes lens 0; the others
+    follow by frequency, the commonest first.
     """
     kinds = sorted(Counter(longer_px).items(), key=lambda one: (one[0] is not None, -one[1]))
     numbers = {longer: number for number, (longer, _) in enumerate(kinds)}

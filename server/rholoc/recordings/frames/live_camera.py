@@ -51,7 +51,7 @@ class LiveCamera:
         Call it once.
 
         Raises:
-            InvalidInput: no frame has arrived for five seconds, or the camera was unplugged.
+            InvalidInput: no frame has arrived for five seconds, or the camera or stream has ended.
         """
         self._reader.start()
         while True:
@@ -85,10 +85,10 @@ class LiveCamera:
 
 @contextmanager
 def opened_camera(source: str) -> Iterator[LiveCamera]:
-    """A live camera for which :func:`is_live` is true, released after the block.
+    """Open the live camera ``source``, see :func:`is_live`, for the block.
 
     Raises:
-        InvalidInput: there is none, or it gives no pictures.
+        InvalidInput: there is no such camera, or it gives no pictures.
         InvalidRecording: its pictures have a side below 16 px, or more than 8K pixels.
     """
     capture = cv2.VideoCapture(int(source)) if source.isdecimal() else cv2.VideoCapture(source)

@@ -42,7 +42,7 @@ class UnifiedPictures:
         times: (N,) seconds, or rows.
         timed: whether the times were measured.
         focal_px: the common camera's focal length by EXIF; None if it is given, or nominal.
-        lenses: which lens took each, where focal lengths are unknown: pictures of one size share one; empty if all do.
+        lenses: lens number of each frame if focal lengths are unknown, one per picture size; empty if all share one.
     """
 
     paths: tuple[Path, ...]
@@ -61,7 +61,7 @@ class UnifiedPictures:
 
     @property
     def lens_by_number(self) -> dict[int, int]:
-        """The ``lenses`` by the frames' numbers."""
+        """Lens number by frame number; empty if one lens took all frames."""
         return dict(zip(self.numbers.tolist(), self.lenses, strict=True)) if self.lenses else {}
 
     def images(self, rows: Sequence[int]) -> Iterator[ByteArray]:
@@ -76,8 +76,10 @@ class UnifiedPictures:
 
 
 def require_one_camera(frames: object) -> None:
-    """Raise InvalidCamera if the frames were resampled from pictures of several sizes or lenses, which intrinsics given
-    for all of them do not describe.
+    """Check that one set of intrinsics can describe all frames.
+
+    Raises:
+        InvalidCamera: the frames were resampled from pictures of several sizes or lenses.
     """
     if isinstance(frames, UnifiedPictures):
         sizes = Counter(f"{camera.width}×{camera.height}" for camera in frames.cameras)
@@ -91,7 +93,8 @@ def require_one_camera(frames: object) -> None:
 def common_camera(cameras: Sequence[Camera]) -> Camera:
     """Camera without distortion with the union of all ``cameras``' fields of view, at their median focal length.
 
-    A pinhole, up to 61° off the axis, if all are, else a panorama if one is, else a fisheye, centred in its image.
+    A full panorama if any camera is one; else a fisheye if any is one; else a pinhole, cut off at 61° from the axis.
+    The principal point is the image's centre.
     """
     focal = float(np.median([camera.focal for camera in cameras]))
     lenses = {camera.lens for camera in cameras}
@@ -105,8 +108,8 @@ def common_camera(cameras: Sequence[Camera]) -> Camera:
 
 
 def resampled(image: ByteArray, camera: Camera, common: Camera) -> ByteArray:
-    """Resample an image (H, W, 3) or (H, W) from ``camera`` to ``common`` at the same position: pixels
-    outside it repeat its edge. For equal cameras, the image itself.
+    """Resample an image (H, W, 3) or (H, W) from ``camera`` to ``common``, which share the pose. Pixels
+    outside ``camera``'s image repeat its edge. For equal cameras, the image itself.
     """
     if camera == common:
         return image
@@ -203,11 +206,14 @@ class SteadyFrames:
 
 
 def with_logged_intrinsics(recording: Recording) -> Recording:
-    """The recording with the median of its logged intrinsics as its camera, its frames resampled to it if they change.
+    """The recording with a camera from its logged intrinsics, and all frames resampled to it.
 
-    Changes are more than 0.2 % of a focal length or 1 px of the principal point. Without changes, a camera that the
-    recording has stays; with them, its distortion does. Unchanged where intrinsics were not logged for every frame, or
-    are implausible: a focal length not 0.3 to 4 × the longer side, or a principal point 0.1 × it off the centre.
+    If every frame's intrinsics are within 0.2 % (focal lengths) and 1 px (principal point) of their medians, nothing is
+    resampled: the recording keeps its own camera, or gets one with the medians. Otherwise the camera gets the medians,
+    with the distortion and lens of the recording's own camera, if it has one.
+
+    The recording is returned unchanged if a frame has no intrinsics, or if the medians are implausible: a focal length
+    not 0.3 to 4 × the longer side, or a principal point more than 0.1 × the longer side off the centre.
     """
     logged, (width, height) = recording.frame_intrinsics, recording.frames.size
     if logged is None or not np.isfinite(logged).all() or 0 in (width, height):

@@ -24,12 +24,13 @@ _R_ARKIT_OPENCV: FloatArray = np.diag([1.0, -1, -1, 1])
 
 
 def read_arkit_poses(path: Path, frames: FrameSource, start_s: float = 0.0) -> GivenPoses | None:
-    """ARKit's poses, z up, of frames from a table without header, ``time, x, y, z, qw, qx, qy, qz``; times count from
-    ``start_s``. None where there is no such file.
+    """Read ARKit's poses of frames, converted to z up and OpenCV's camera axes; None if the file does not exist.
+
+    The table has no header: ``time, x, y, z, qw, qx, qy, qz``. ``start_s`` [s] is subtracted from its times.
 
     Raises:
         InvalidRecording: the table is broken.
-        InvalidTrajectory: a pose is, or none belongs to a frame.
+        InvalidTrajectory: a pose is broken, or no pose belongs to a frame.
     """
     if not path.is_file():
         return None

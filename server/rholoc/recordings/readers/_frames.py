@@ -101,8 +101,12 @@ def untimed_images(paths: Sequence[Path], cameras: Sequence[Camera] | None = Non
 
 
 def camera_of(frames: ImageFolderFrames | UnifiedPictures, cameras: Sequence[Camera] | None) -> Camera | None:
-    """Camera of the frames of images with known ``cameras``: the common one if resampled; None if ``cameras`` is.
-    Raises InvalidCamera.
+    """Camera of the frames of images with given ``cameras``; None if ``cameras`` is None.
+
+    The common camera if the frames are resampled, else the first of ``cameras`` at the frames' size.
+
+    Raises:
+        InvalidCamera: the camera does not fit the frames' aspect ratio.
     """
     if cameras is None:
         return None
@@ -167,12 +171,13 @@ def listed_file(folder: Path, name: str) -> Path:
 def mounted_frames(
     timed: TimedFrames, moments: Sequence[Hashable], T_rig_cameras: Sequence[FloatArray | None]
 ) -> tuple[Mounted, ...]:
-    """Pairs of each frame of a moment with the moment's first one.
+    """Relative poses of frames that a rig took at the same moment: each further frame paired with the first.
 
     Args:
-        timed: frames, whose ``rows`` are places in the lists below.
-        moments: of each picture listed; equal for pictures of one rig and moment.
-        T_rig_cameras: (4, 4) mounting of each picture's camera; None for cameras that are not on a rig.
+        timed: frames; ``timed.rows`` index the two lists below.
+        moments: key of each picture; pictures with equal keys were taken by one rig at one moment.
+        T_rig_cameras: (4, 4) mounting of each picture's camera; None for cameras that are not on a rig, whose
+            frames get no pair.
     """
     first: dict[Hashable, tuple[int, FloatArray]] = {}
     found = []

@@ -54,7 +54,7 @@ _MAX_NAMED = 3
 
 
 def recognises(folder: Path) -> bool:
-    """Whether the folder has a ROS bag, or is one."""
+    """Whether the folder contains a ROS bag, or is a bag of ROS 2."""
     return bool(_bags(folder))
 
 
@@ -63,7 +63,8 @@ def read(folder: Path, topics: Sequence[str] = ()) -> Recording:
 
     Raises:
         InvalidRecording: there are several bags, or the bag is damaged, has no pictures, or lacks a topic.
-        InvalidCamera, InvalidTrajectory: its intrinsics are impossible, or its poses.
+        InvalidCamera: its intrinsics are impossible.
+        InvalidTrajectory: its poses are impossible.
     """
     bags = _bags(folder)
     if len(bags) > 1:
@@ -82,9 +83,9 @@ def read_bag(path: Path, topics: Sequence[str] = ()) -> Recording:
         topics: names of the topics to use, if there are several of a kind.
 
     Raises:
-        InvalidRecording: it is damaged, has no pictures, or has no topic of a name.
+        InvalidRecording: the bag is damaged, has no pictures, or lacks one of ``topics``.
         InvalidCamera: its intrinsics are impossible.
-        InvalidTrajectory: its poses are.
+        InvalidTrajectory: its poses are impossible.
     """
     with opened_bag(path) as reader:
         found = _Topics.of(reader, topics)
@@ -263,7 +264,10 @@ def _imu(
 
 
 def _measures(reader: AnyReader, connection: Connection) -> tuple[bool, bool]:
-    """Whether a topic has accelerations, and whether it has rates, by 21 messages; missing ones are zero or marked."""
+    """Whether an IMU's topic has accelerations, and whether it has angular velocities.
+
+    Judged by its first 21 messages. Values are missing if they are all zero, or if the covariance begins with −1.
+    """
     a, w = False, False
     for number, (_, message) in enumerate(_messages(reader, connection)):
         a |= bool(message.linear_acceleration_covariance[0] >= 0 and np.any(vector(message.linear_acceleration)))

@@ -157,7 +157,7 @@ def _checked_rows(
 
 @contextmanager
 def _raising(error: type[InvalidInput], path: Path) -> Iterator[None]:
-    """Raise every error of reading a text file as ``error``."""
+    """Within the block, turn errors of reading a text or CSV file into ``error``, with a message naming ``path``."""
     try:
         yield
     except FileNotFoundError as cause:

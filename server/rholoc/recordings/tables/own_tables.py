@@ -96,8 +96,8 @@ def read_odometry_csv(path: Path) -> Odometry:
     """Read odometry: poses of the camera in a frame that drifts, or its velocities in its own axes.
 
     ``timestamp,x,y,z,qx,qy,qz,qw`` (s, m) or ``timestamp,vx,vy,vz,wx,wy,wz`` (s, m/s, rad/s); optionally ``sigma_m``,
-    ``sigma_deg`` or both: the standard deviations of the motion since the row before, by default 2 % of the way and
-    1° a metre.
+    ``sigma_deg`` or both: the standard deviations of the motion since the row before, by default 2 % of the distance
+    and 1° per metre, at least 1 mm and 0.05°. The first row's sigmas are not checked.
 
     Raises:
         InvalidRecording: columns are missing, a value is not finite or a sigma not positive, or times do not increase.

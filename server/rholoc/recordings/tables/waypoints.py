@@ -33,16 +33,16 @@ _COLUMNS_HINT = (
 
 
 def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
-    """Read waypoints under the header ``name,time,x,y,z`` or ``name,frame,x,y,z``, or ``name,x,y,z`` in their order.
+    """Read waypoints under the header ``name,time,x,y,z``, ``name,frame,x,y,z``, or ``name,x,y,z`` (in walking order).
 
     With ``lat,lon,h`` (WGS 84, degrees and metres) instead of ``x,y,z`` they are placed on Earth. A further column
     ``crs`` names the reference system of coordinates on Earth, as :func:`places_in` takes it.
 
-    A further column ``sigma`` is the standard deviation of each in metres; 0.02 if it is absent or empty.
+    A further column ``sigma`` is the standard deviation of each coordinate in metres; 0.02 if absent or empty.
 
-    Times up to a microsecond outside the recording become its first or last, as tables are written to microseconds.
+    Times up to a microsecond outside the recording are moved to its first or last frame, because tables are rounded.
 
-    They may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
+    The waypoints may be collinear; :func:`check_waypoints_fix_frame` checks whether they fix a frame.
 
     Raises:
         NotInstalled: the reference system needs a package that is missing.

@@ -16,7 +16,11 @@ _FORCE = 0.25  # m/s², standard deviation; a step feels like 1 and more
 
 
 def is_still(imu: Imu) -> BoolArray:
-    """Mask (M,) of the IMU's times in a window of 0.8 s without motion, except tremor. False with a single row."""
+    """Mask (M,) of the IMU's rows that lie in some window of 0.8 s without motion.
+
+    A window is without motion if the rate's rms is below 0.12 rad/s, its mean below 0.045 rad/s, and the acceleration's
+    standard deviation below 0.25 m/s². All False with a single row.
+    """
     if len(imu.times) < 2:
         return np.zeros(len(imu.times), dtype=np.bool_)
     size = max(1, round(_WINDOW_S / float(np.median(np.diff(imu.times)))))

@@ -57,8 +57,9 @@ def look_through(frames: FrameSource) -> list[Look]:
 def measure_walk(
     recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray
 ) -> WalkFigures:
-    """Figures of a walk from its IMU, from ``looks`` at frames, and from poses (N, 4, 4) at times (N,) [s], N ≥ 0; None
-    if unknown.
+    """Figures of a walk from its IMU, the appearance ``looks`` of frames, and N ≥ 0 poses (N, 4, 4) at times (N,) [s].
+
+    A figure is None if its data is missing.
     """
     imu = recording.imu
     return WalkFigures(
@@ -123,7 +124,10 @@ def _turn_of_poses(times: FloatArray, T_map_camera: FloatArray) -> float | None:
 
 
 def _rested_at(waypoints: Sequence[Waypoint], imu: Imu) -> int:
-    """Number of waypoints in a pause; with unknown times, the maximum possible number."""
+    """Number of waypoints within 0.5 s of a pause of the IMU.
+
+    If any waypoint's time is unknown, the number of pauses, at most that of waypoints.
+    """
     begin, end = pauses(imu).T
     if any(np.isnan(waypoint.time) for waypoint in waypoints):
         return min(len(begin), len(waypoints))

@@ -39,13 +39,16 @@ class Agreement:
 
     @property
     def same(self) -> bool:
-        """Whether the reconstructions are equal: within 2 % of the median depth (nine in ten: 4 %), and 2°."""
+        """Whether the reconstructions agree; False for NaN.
+
+        The median distance is up to 2 % of the median depth, its 90th percentile 4 %, and the median angle 2°.
+        """
         close = self.distance <= _MAX_DISTANCE and self.distance_of_most <= _MAX_DISTANCE_OF_MOST
         return close and self.angle_deg <= _MAX_ANGLE_DEG
 
     @property
     def contradicts(self) -> bool:
-        """Whether at least one of the reconstructions must be wrong: more than a tenth of the median depth apart."""
+        """Whether one reconstruction must be wrong: median distance over 10 % of the median depth. False for NaN."""
         return self.distance > _CONTRADICTION
 
     @property
@@ -63,14 +66,15 @@ class Agreement:
 def compare(
     T: FloatArray, placed: BoolArray, some: IntArray, other: FloatArray, other_placed: BoolArray, median_depth: float
 ) -> Agreement:
-    """Compare a reconstruction with one from ``some`` of its keyframes, in any frame and scale. Distances are NaN if
-    they have fewer than 70 % of ``some``, or three, in common.
+    """Compare a reconstruction with a second one of ``some`` of its keyframes, in any frame and scale.
+
+    Distances and angle are NaN if fewer than 70 % of ``some``, or fewer than three, are placed by both.
 
     Args:
         T: (K, 4, 4) poses of the first, valid where ``placed`` (K,).
         some: (N,) keyframe numbers of the other.
         other: (N, 4, 4) poses of the other, valid where ``other_placed`` (N,).
-        median_depth: of the first's points before its cameras, in its unit.
+        median_depth: median depth of the first's points, in its unit.
     """
     both = placed[some] & other_placed
     common = int(both.sum())

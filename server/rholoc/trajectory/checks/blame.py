@@ -22,7 +22,7 @@ class LeftOut:
 
     Attributes:
         off_m: (3,) measured minus estimated position [m].
-        sigmas: its length in standard deviations of the difference.
+        sigmas: length of ``off_m`` in standard deviations of the difference; NaN if unknown.
     """
 
     off_m: FloatArray
@@ -54,7 +54,7 @@ def leave_out(measured: FloatArray, estimated: FloatArray, covariance: FloatArra
 
 
 def held_against(measured: FloatArray, estimated: FloatArray, covariance: FloatArray, sigma_m: float) -> LeftOut:
-    """Compare a waypoint with an estimate that it took no part in; arguments as in :func:`leave_out`."""
+    """Compare a waypoint with a solution that did not use it; arguments as in :func:`leave_out`."""
     off = measured - estimated
     expected = covariance + sigma_m**2 * np.eye(3)
     return LeftOut(off, float(np.sqrt(off @ np.linalg.solve(expected, off))))

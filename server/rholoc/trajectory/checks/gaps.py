@@ -19,10 +19,10 @@ _MAX_NAMED = 4  # spans in a message
 
 
 def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[MissingSpan, ...]:
-    """Spans between keyframes ``rows`` (K,) that are ``placed`` (K,), each with its probable cause; none if nothing is
-    placed.
+    """Spans of frames without poses: before, between and after the keyframes ``rows`` (K,) that are ``placed`` (K,).
 
-    With measured times, spans shorter than 0.4 s are omitted.
+    A span has at least one keyframe, and comes with its probable cause. Empty if no keyframe is placed. With measured
+    times, spans shorter than 0.4 s are omitted.
     """
     if not placed.any():
         return ()

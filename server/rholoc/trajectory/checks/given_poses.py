@@ -106,8 +106,10 @@ def check_given_poses(recording: Recording, camera: Camera) -> PoseCheck:
 
 
 def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
-    """Sorted pairs of ten of ``rows`` (N,) with those 1 and 4 later and the two nearest of like heading, by poses T of
-    all frames.
+    """Sorted pairs of frames to compare, out of ``rows`` (N,) with poses T (of all frames).
+
+    Ten anchors, spread evenly, are each paired with the rows 1 and 4 places later, and with the two nearest other
+    positions whose rotation differs by at most 25°.
     """
     anchors = np.unique(np.linspace(0, len(rows) - 1, _ANCHORS).astype(np.int64)).tolist()
     pairs: set[tuple[int, int]] = set()
@@ -149,7 +151,7 @@ def _error(matched: list[_Matched], read: Callable[[FloatArray], FloatArray], T:
 
 
 def epipolar_errors(T_second_first: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Sampson distances (M,) of matched rays ``a`` and ``b`` (M, 3) under a relative pose (4, 4).
+    """Sampson distances (M,) of matched unit rays ``a`` and ``b`` (M, 3) under a relative pose (4, 4).
 
     Hartley and Zisserman, Multiple View Geometry, equation 11.9: on the plane z = 1 if all rays meet it, else in
     radians on the unit sphere. Without a baseline, the angle between the rays.

@@ -63,12 +63,13 @@ def align_to_waypoints(
     Args:
         times: (N,) seconds, increasing.
         positions: (N, 3) in any frame and scale.
-        waypoints: with times; those further than ``MAX_GAP_S`` from all ``times`` are left out.
+        waypoints: W waypoints with times; those further than ``MAX_GAP_S`` from all ``times`` are left out.
         up: the upward direction in the frame of ``positions``.
 
     Raises:
         InvalidWaypoints: fewer than three, or collinear.
-        MappingFailed: the residual is above 25 cm and 0.5 % of the way, or too few waypoints have a frame near in time.
+        MappingFailed: the typical residual (the median of five or more waypoints, else the RMS) exceeds both 25 cm
+            and 0.5 % of the path length, or too few waypoints have a frame near in time.
     """
     check_waypoints_fix_frame(waypoints)
     near = np.array([np.abs(times - waypoint.time).min() <= MAX_GAP_S for waypoint in waypoints])

@@ -50,7 +50,9 @@ def times_are_known(waypoints: Sequence[Waypoint]) -> bool:
 
 
 def choices_of_pauses(waypoints: Sequence[Waypoint], pauses: FloatArray) -> Iterator[tuple[Waypoint, ...]]:
-    """All ordered assignments of waypoints to pauses (P, 2) [s], longest pauses first; a waypoint's time is the middle.
+    """All order-preserving assignments of waypoints to pauses (P, 2) [s], those to the longest pauses first.
+
+    A waypoint's time is the middle of its pause.
 
     Only the longest pauses are used if there were more than 2000 assignments.
 

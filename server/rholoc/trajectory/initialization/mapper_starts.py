@@ -75,11 +75,14 @@ class PycolmapStarts:
         self._folder.cleanup()
 
     def begin(self, mapper: Mapper) -> None:
-        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread, which writes the database before the first."""
+        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread. The first one also writes the database."""
         self._begun[mapper] = self._pool.submit(self._largest_piece, mapper)
 
     def largest_piece(self, mapper: Mapper) -> Piece | None:
-        """Largest model of a mapper, begun or not; None if it has fewer than three pictures."""
+        """Pictures (N,), poses (N, 4, 4) and camera of the largest model of a mapper; None below three pictures.
+
+        Waits for a mapper that was begun, runs another one.
+        """
         if mapper not in self._begun:
             self.begin(mapper)
         return self._begun[mapper].result()
@@ -215,7 +218,7 @@ def _incremental_options(is_known: bool, pictures: int) -> pycolmap.IncrementalP
 
 
 def _piece(model: pycolmap.Reconstruction, camera: Camera, is_known: bool) -> Piece | None:
-    """A model as a piece, its pictures in increasing order; None if its intrinsics are impossible."""
+    """Pictures (N,) of a model, increasing, their poses, and the camera; None if the intrinsics are impossible."""
     poses = {
         int(image.name): image.cam_from_world().inverse().matrix() for image in model.images.values() if image.has_pose
     }

@@ -354,8 +354,10 @@ def _image_planes(observations: Observations, state: State) -> tuple[FloatArray,
 
 
 def _usable_points(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, BoolArray]:
-    """Points (M, 3), refined, and a mask (N,) of the usable sightings. Those are near (20 px, or 4 medians) and of
-    points with three near sightings and more than 1.5° of parallax.
+    """Points (M, 3), triangulated and refined, and a mask (N,) of the usable sightings.
+
+    A usable sighting has a residual below 20 px (or 4 × the median, if larger), and belongs to a point with
+    ``observations.fewest`` such sightings and more than 1.5° of parallax.
     """
     points, parallax_deg = triangulate(observations, state)
     off = residuals_px(observations, state, points)
@@ -477,7 +479,9 @@ def _add_imu(
 
 
 def _gravity_prior(problem: Problem) -> gtsam.noiseModel.Base:
-    """Prior on gravity (3,): vertical by definition of the map's z axis, or as accurately as the waypoints' z axis."""
+    """Prior on gravity (3,). Without fixes it is vertical, which defines the map's z axis. With fixes it is vertical up
+    to ``level_sigma_rad``; if that is None, gravity is free.
+    """
     if not problem.fixes:
         level = _GAUGE_SIGMA
     elif problem.level_sigma_rad is None:
@@ -557,8 +561,9 @@ def _tie(k: int, rate: FloatArray, noise: gtsam.noiseModel.Base) -> gtsam.Custom
 
 
 def _hold_unseen(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, seeing: IntArray, state: State) -> None:
-    """Add to ``graph`` a weak prior on each keyframe with fewer than four of the sightings (N,) ``seeing`` and without
-    IMU.
+    """Add to ``graph`` a weak prior on each keyframe that has no IMU state and fewer than four sightings.
+
+    ``seeing`` (N,) are the keyframes of the used sightings.
     """
     extent = float(np.linalg.norm(np.ptp(state.positions, axis=0)))
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([_UNSEEN_SIGMA_RAD, max(extent, 1e-9)], 3))

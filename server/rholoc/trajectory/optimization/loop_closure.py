@@ -48,8 +48,9 @@ class PlacedFeatures:
 
 
 def place_features(neighbours: Sequence[VerifiedPair], pixels: Sequence[FloatArray], state: State) -> PlacedFeatures:
-    """Triangulate features from the matches of neighbours. Known are points with 1.5° of parallax and errors below 4
-    px.
+    """Triangulate features from the matches of neighbours.
+
+    A point is known if it has more than 1.5° of parallax and all its residuals are below 4 px.
 
     Args:
         neighbours: verified pairs of neighbouring keyframes.

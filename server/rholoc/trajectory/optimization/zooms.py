@@ -26,10 +26,10 @@ def zoomed(observations: Observations, zooms: FloatArray, camera: Camera) -> Obs
 
 
 def measure_zooms(observations: Observations, state: State, sigma_px: float) -> tuple[FloatArray, bool]:
-    """Zoom (K,) of each picture by its sightings, relative to the median, its pose free and the points held; whether
-    they clearly differ.
+    """Zoom (K,) of each picture relative to the median zoom, and whether the zooms clearly differ.
 
-    Pictures with fewer than 20 sightings, or whose sightings hardly tell zooming from approaching, get a zoom near 1.
+    A picture's zoom and pose are estimated from its sightings with the points held. Pictures with fewer than 20
+    sightings get zoom 1.
 
     Args:
         observations: of K pictures, inliers.

@@ -1,4 +1,4 @@
-"""Choose the reconstruction method by the measurements at hand. Runs in a child process."""
+"""Choose the reconstruction method by the available measurements. Runs in a child process."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def reconstruct(
     Args:
         sights: sightings of the keyframes.
         imu: None if there is none or it is not to be used.
-        waypoints: with times; if these are unknown, all possible assignments to pauses. Empty without waypoints.
+        waypoints: assignments of times to the waypoints; a single one if times are known. Empty without waypoints.
         progress: listener for :data:`Stage.POSES`.
 
     Raises:
@@ -86,8 +86,9 @@ def _judged(sights: Sights, found: Reconstruction) -> Reconstruction:
 
 
 def _with_camera_by_matches(walk: Pictured) -> Pictured:
-    """A set of pictures with the camera that its pairs agree on, of the first lens if several took it; unchanged if the
-    camera is known, EXIF tells its focal length, or they do not agree.
+    """The set of pictures with a camera estimated from its matches; of lens 0 if several lenses took it.
+
+    Unchanged if the camera is known, EXIF states the focal length, or the pairs of pictures disagree on it.
     """
     sights = walk.sights
     if sights.camera is not None or sights.focal_px is not None:
@@ -101,8 +102,9 @@ def _with_camera_by_matches(walk: Pictured) -> Pictured:
 
 
 def _with_lenses_by_matches(walk: Pictured, progress: ProgressListener) -> Pictured:
-    """A set whose pictures by further lenses look as if the first one had taken them, zoomed by what pairs of one and
-    the other agree on, and matched once more. Lenses for which the pairs leave that open stay as they are.
+    """The set of pictures with those of other lenses converted to lens 0, and matched again.
+
+    A lens's zoom relative to lens 0 is estimated from pairs of pictures by both. Lenses without a clear estimate stay.
     """
     sights = walk.sights
     if sights.lenses is None:
@@ -120,9 +122,9 @@ def _with_lenses_by_matches(walk: Pictured, progress: ProgressListener) -> Pictu
 
 
 def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
-    """Reconstruct a film by following it. If that leaves out more than 10 %, contradicts itself or fails, also as a
-    set. Returns the one that places more, or the set if the film contradicts itself. Raises MappingFailed if neither
-    works.
+    """Reconstruct a film from tracked corners. If that leaves out more than 10 %, contradicts itself or fails, also
+    as a set of pictures. Returns the reconstruction that places more keyframes; that of the set if the first one
+    contradicts itself. Raises MappingFailed if neither works.
     """
     found: Reconstruction | None = None
     failure = MappingFailed("No two pictures overlap enough.", ADVICE)

@@ -47,10 +47,10 @@ _ACCELEROMETER_SCALE = 0.01  # from which it is corrected
 def calibrated(
     sights: Sights, camera: Camera, imu: Imu, evidence: Evidence | None = None
 ) -> tuple[GyroCalibration | None, str]:
-    """Gyroscope calibrated to the pictures, and ""; or None and a line on why the IMU is of no use.
+    """Calibration of the gyroscope to the pictures, and ""; or None, and one line on why the IMU cannot be used.
 
     Args:
-        evidence: of pictures too far apart for corners to be followed; or None.
+        evidence: matches of the keyframes, if pictures are too far apart for tracking corners; else None.
     """
     if evidence is None:
         gyro = calibrate_by_flow(sights.flow, camera, imu)
@@ -81,7 +81,8 @@ def start_with_imu(
     """A metric, upright start from rotations, directions between neighbours, and the IMU; None if the IMU covers too
     little.
 
-    ``felt`` are the cameras' rotations by the gyroscope. Returns the state, without points, and what it was made from.
+    ``felt`` are the cameras' rotations by the gyroscope. Returns the state, without points, and the solution for
+    positions, velocities and bias that it comes from.
     """
     count, times = len(sights.rows), sights.times
     R, _ = average_rotations(count, replace(evidence, loops=[]).rotations, times, felt)
@@ -132,7 +133,7 @@ def solve_with_imu(
 ) -> Reconstruction:
     """Adjust all measurements together: first without loop closures, at last with the waypoints.
 
-    Raises MappingFailed if the measurements leave the shape open or the waypoints contradict them.
+    Raises MappingFailed if the measurements do not determine the shape, or the waypoints contradict them.
     """
     state, began = start
     observations = replace(evidence, loops=[]).observations(sights)

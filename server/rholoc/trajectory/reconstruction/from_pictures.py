@@ -61,8 +61,8 @@ _ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures th
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
-_ANOTHER_PLACE = 4  # pictures that fit each other alone, from which they may show another place
-_LOOSE = 0.1  # of the extent, by which poses are uncertain, for them to be worth nothing
+_ANOTHER_PLACE = 4  # minimum pictures of a separate component that may show another place
+_LOOSE = 0.1  # pose uncertainty as a share of the extent, above which a reconstruction is useless
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Pictured:
         sights: sightings of K keyframes.
         camera: of the sights, or a first guess of it.
         evidence: of the sights.
-        waypoints: with times; if these are unknown, all possible assignments to pauses. Empty without waypoints.
+        waypoints: assignments of times to the waypoints; a single one if times are known. Empty without waypoints.
         reason: one line on why the IMU was not used, or empty.
     """
 
@@ -90,14 +90,15 @@ class Pictured:
         return self.observed(self.evidence, FEATURES_PER_KEYFRAME)
 
     def observed(self, evidence: Evidence, features: int) -> Observations:
-        """The same by some evidence, of about ``features`` matched features per keyframe."""
+        """Sightings by given evidence, with about ``features`` matched features per keyframe. Raises MappingFailed."""
         fewest = MIN_SIGHTINGS if self.sights.is_film else _FEWEST_OF_SET
         found = evidence.observations(self.sights, features, fewest)
         return with_depths(found, self.sights.depth, self.camera)
 
     def matched(self, lens: int, other: int) -> list[tuple[FloatArray, FloatArray]]:
-        """Pixels (M, 2) of matches in pictures by a lens and in pictures by another or the same one, of each clear
-        pair.
+        """Matches of each clear pair of a picture by lens ``lens`` with one by lens ``other`` (or the same).
+
+        Returns for each pair the pixels (M, 2) in the former and in the latter picture.
         """
         lenses = np.zeros(len(self.sights.rows)) if self.sights.lenses is None else self.sights.lenses
         places = [found.pixels.astype(np.float64) for found in self.sights.features]
@@ -234,8 +235,10 @@ def _placed_by(
 
 
 def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[_Part, Pictured]:
-    """The part adjusted to more sightings and the weak pairs that fit it, with further pictures that these place.
-    Returns the part as it is if that fails or bends it; and the walk, with the pairs that were used if they were.
+    """Adjust a part to more features and to the weak pairs that fit it, and add the pictures that these place.
+
+    Returns the new part, and the walk with the weak pairs used. If the adjustment fails or disagrees with ``part``,
+    both arguments unchanged.
     """
     sights, evidence = walk.sights, walk.evidence
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
@@ -251,8 +254,8 @@ def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple
 
 
 def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> _Part:
-    """The part with each picture's zoom estimated; the part as it is if the zooms are alike, it is no pinhole, or that
-    fails.
+    """The part, adjusted again with each picture's zoom estimated. Returns ``part`` itself if the zooms are alike, the
+    camera is not a pinhole, or the adjustment fails.
     """
     if part.adjusted.state.camera.lens is not Lens.PINHOLE:
         return part
@@ -273,9 +276,10 @@ def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: Adjust
 
 
 def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
-    """Weak pairs of the walk that may show the same place as the part does. Of two pictures of the part, those that its
-    poses fit, as near to each other as clear pairs are. Of a picture that it has not, those beside a clear pair with
-    the part: what else looks alike has better matches where it belongs.
+    """Weak pairs of the walk that probably show one place, judged by the part's poses.
+
+    Both pictures in the part: they are no farther apart than a clear pair of either, and their median epipolar error is
+    at most 5e-3 of the focal length. Otherwise: both pictures have a clear pair with a picture of the part.
     """
     count = len(walk.sights.rows)
     T = np.full((count, 4, 4), np.nan)
@@ -327,9 +331,11 @@ def _is_loose(found: Reconstruction) -> bool:
 
 
 def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
-    """The part with the most pictures confirmed by another part. Ties: parts in metres first, then the smallest, which
-    adds least. If less than half of all ``count`` pictures are confirmed: parts of which no other one contradicts more
-    pictures than are confirmed first, then those in metres, then the largest.
+    """The part with the most pictures confirmed by another part.
+
+    Ties, if at least half of all ``count`` pictures are confirmed: parts in metres first, then the smallest. Otherwise:
+    first parts of which no other one contradicts more pictures than are confirmed, then parts in metres, then the
+    largest.
     """
     agreements = [_agreements(part, parts) for part in parts]
     confirmed = [_confirmed(found) for found in agreements]

@@ -107,9 +107,10 @@ def scaled_by_steps(steps: Sequence[Step], adjusted: Adjusted) -> State | None:
 
 
 def scale_by_steps(steps: Sequence[Step], adjusted: Adjusted) -> ScaleMeasurement | None:
-    """Median ratio of measured steps to those of a reconstruction; None with fewer than five long ones.
+    """Median ratio of measured steps to those of a reconstruction, over steps longer than 0.2 × the mean measured step.
 
-    Sigma is infinite if the steps' lengths or directions disagree with the reconstruction.
+    None with fewer than five such steps. Sigma is infinite if the lengths deviate by more than 15 % in the median, or
+    the steps' ends by more than half their length.
     """
     T, positions = adjusted.state.T_map_camera, adjusted.state.positions
     source = ScaleSource.MOUNTING if all(step.is_mounting for step in steps) else ScaleSource.ODOMETRY

@@ -16,7 +16,7 @@ from rholoc.trajectory.reconstruction.figures import median_depth_of, spread_cov
 from rholoc.trajectory.reconstruction.rounds import MIN_PX, OUTLIER
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS
 
-_SEEN, _FIXED = 12, 8  # sightings that fix a keyframe by themselves, and those of them whose distance others fix
+_SEEN, _FIXED = 12, 8  # minimum sightings to fix a keyframe, and minimum of these with a known distance
 _CARRIED_SIGMA_M = 0.05  # maximum, for a keyframe fixed by the IMU alone
 _SHARED = 0.0012  # of the median depth: sigma of errors that sightings share, which no number of them averages out
 _COVARIANCES = 60  # keyframes with a computed covariance; interpolated between them
@@ -166,8 +166,10 @@ def right_sightings(problem: Problem, adjusted: Adjusted) -> BoolArray:
 
 
 def held_keyframes(problem: Problem, adjusted: Adjusted) -> BoolArray:
-    """Mask (K,) of the keyframes with at least twelve inlier sightings, eight of them of points that two other
-    keyframes see or with a measured depth: what only one other sees leaves its distance from that one open.
+    """Mask (K,) of the keyframes whose sightings alone fix their pose.
+
+    They have at least twelve inlier sightings, eight of them with a measured depth or of points that at least two other
+    keyframes see. Points that only one other keyframe sees do not fix the distance to it.
     """
     found, count = problem.observations, len(problem.times)
     right = right_sightings(problem, adjusted)

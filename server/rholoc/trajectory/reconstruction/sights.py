@@ -1,4 +1,4 @@
-"""What keyframes see, and the evidence that it is: corners followed, features matched, places seen again."""
+"""Sightings of keyframes, and evidence on their relative poses: tracked corners, matches, loop closures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ DENSER = "Take more pictures in between, from places half a step apart, and let 
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """What K keyframes see.
+    """Measurements of K keyframes.
 
     Attributes:
         flow: corners followed through all frames.
@@ -42,7 +42,7 @@ class Sights:
         features: of each, in pixels of the full image.
         camera: None where the intrinsics are unknown.
         is_film: whether corners are followed from frame to frame; else it is a set of pictures in no certain order.
-        shutter: how the image moves while it is read, or None. The features are corrected for it already.
+        shutter: rolling-shutter motion of the keyframes, or None. The features are corrected for it already.
         depth: depth pictures of the keyframes, or None.
         focal_px: first guess of the focal length where the intrinsics are unknown; or None.
         lengths: measured distances [m] between two keyframes each.
@@ -96,9 +96,10 @@ class Sights:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the pictures alone tell: corners that were followed, matches of neighbours, and of places seen again.
+    """Evidence from the pictures alone: tracked corners, and matches of neighbours and of loop closures.
 
-    ``weak`` are pairs of a set of pictures that may merely look alike.
+    ``turned`` are relative rotations by tracked corners. ``weak`` are pairs of a set of pictures that may show
+    different places that look alike.
     """
 
     corners: Observations

@@ -101,8 +101,9 @@ def _held_by_waypoints(
 
 
 def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adjusted) -> dict[str, LeftOut]:
-    """Compare each waypoint, by name, with the walk estimated without it. The walk is already free of ``mistaken``
-    ones. Sigmas are NaN where the walk's covariance is unknown.
+    """Comparison of each waypoint with the walk estimated without it, by name.
+
+    ``adjusted`` did not use the ``mistaken`` waypoints. Sigma is NaN if the walk's covariance is unknown there.
     """
     covariances = adjusted.covariances([fix.keyframe for fix in fixes.values()])[:, :3, :3]
     found = {}

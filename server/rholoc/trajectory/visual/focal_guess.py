@@ -188,7 +188,7 @@ def zoom_by_matches(camera: Camera, matched: Sequence[tuple[FloatArray, FloatArr
 
 
 def _best_matched(matched: Sequence[tuple[FloatArray, FloatArray]]) -> list[tuple[FloatArray, FloatArray]]:
-    """Of the pairs with most matches, at most 40 and with at least 30 each: about 150 matches of each."""
+    """At most 40 pairs, those with most matches, at least 30 each. Of 300 or more matches, every n-th: 150 to 299."""
     best = sorted(matched, key=lambda pair: len(pair[0]), reverse=True)[:_MATCHED_PAIRS]
     steps = [max(1, len(a) // _MATCHES) for a, _ in best]
     return [(a[::step], b[::step]) for (a, b), step in zip(best, steps, strict=True) if len(a) >= 2 * _MIN_SHARED]

@@ -22,7 +22,7 @@ from rholoc.trajectory.visual.loop_candidates import MAX_EXHAUSTIVE
 _LONGER_SIDE_PX = 960  # larger images are reduced: more pixels cost time and place no more frames
 _FEW = 600  # features of a picture, such as of white walls, below which twice the size is searched
 _THREADS = 2
-_FEATURES, _MAX_FEATURES = 1000, 1500  # of a keyframe, and of few pictures, where they cost little and make it exact
+_FEATURES, _MAX_FEATURES = 1000, 1500  # of a keyframe, and of one in a small set, where more cost little
 
 _MAX_WAITING = 2 * _THREADS  # images in memory at a time
 
@@ -72,8 +72,9 @@ class KeyframeFeatures:
     def foresee(self, row: int, image: ByteArray, motion: float, sharpness: float) -> None:
         """Take the next frame (H, W, 3) BGR, its motion since the frame before [share of the longer side], sharpness.
 
-        Starts to extract, in a thread, the keyframe of the step that it ends, and itself if it is certain to be one.
-        Blocks while two images per thread wait.
+        If the frame begins a new step of motion, extraction of the previous step's sharpest frame starts in a thread.
+        If the frame is certain to be a keyframe, its own extraction starts too. Blocks while two images per thread
+        wait.
         """
         ended = self._steps.add(row, float(self._frames.times[row]), motion, sharpness)
         if ended is not None and self._sharpest is not None:

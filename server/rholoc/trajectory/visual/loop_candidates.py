@@ -66,9 +66,9 @@ def most_alike(features: Sequence[FeatureSet], each: int) -> list[Pair]:
 
 
 def least_alike(features: Sequence[FeatureSet], sharpness: FloatArray, count: int) -> IntArray:
-    """Rows (count,), increasing, of N pictures of which, of the two most alike, the less sharp was left out repeatedly.
+    """Choose ``count`` of N pictures, by repeatedly dropping the less sharp of the two most similar ones.
 
-    What is left shows as much as all, and overlaps as far as it can.
+    Returns their rows (count,), increasing. They cover as much as all pictures, with as little redundancy as possible.
 
     Args:
         features: of N pictures.

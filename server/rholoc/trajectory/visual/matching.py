@@ -39,8 +39,8 @@ _STRONG_LOOP = 80  # inliers, from which a loop needs no support
 _BESIDE = 2  # keyframes, within which another loop supports one
 _LOOPS_EACH = 3
 _TRANSITIVE_EACH = 8  # mean number of transitive pairs to try per picture
-_FAIR_SHARE = 0.33  # of the matches of its pictures' best pairs, from which a pair shows the same place
-_BEST = 2  # the best but one: a picture may be there twice
+_FAIR_SHARE = 0.33  # of the matches of its pictures' best pairs, above which a pair is clear
+_BEST = 2  # the second best pair counts, because a picture may have a duplicate
 _EXPLAINED = 0.8  # minimum share of the image rotation's inliers that the gyroscope's rotation explains
 _BESIDE_WALK = (1, 2, 4)  # offsets of keyframes to match with if corners were tracked …
 _BESIDE_JUMPS = (1, 2, 3, 4, 5, 6, 8, 12)  # … and if pictures are too far apart for tracking
@@ -161,13 +161,13 @@ def with_poses_anew(pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray], f
 
 
 def clear_pairs(pairs: Sequence[VerifiedPair], count: int) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
-    """Pairs that are clear, and the rest.
+    """Split verified pairs into clear ones and others, which may show different places that look alike.
 
-    A pair is clear if it has a third of the matches of its pictures' second best pairs, or links the parts these leave.
-    What looks alike elsewhere, such as doors along a corridor, has few matches beside those of the same place.
+    A pair is clear if it has at least 0.33 × the matches of the second best pair of either of its pictures. Pairs that
+    connect different components of the view graph of clear pairs count as clear too.
 
     Args:
-        pairs: verified.
+        pairs: verified pairs.
         count: number of pictures.
     """
     ends = np.array([(pair.first, pair.second) for pair in pairs], dtype=np.int64).reshape(-1, 2)

@@ -80,8 +80,8 @@ class Observations:
         )
 
     def thinned(self, per_keyframe: int) -> Observations:
-        """The sightings of the points with most sightings, until each keyframe has about ``per_keyframe``;
-        renumbered.
+        """The sightings of some points, renumbered: those with most sightings first, each only if one of its keyframes
+        has fewer than ``per_keyframe`` sightings so far.
         """
         lengths = np.bincount(self.tracks, minlength=self.points)
         by_track = np.argsort(self.tracks, kind="stable")

@@ -17,6 +17,6 @@ def unzoomed(pixels: FloatArray, factor: FloatArray | float, camera: Camera) -> 
 
 
 def unzoomed_features(features: FeatureSet, zoom: float, camera: Camera) -> FeatureSet:
-    """Features as if their picture had the camera's focal length instead of ``zoom`` times as long a one."""
+    """Features of a picture with ``zoom`` × the camera's focal length, converted to the camera's focal length."""
     pixels = unzoomed(features.pixels.astype(np.float64), 1 / zoom, camera).astype(np.float32)
     return replace(features, pixels=pixels, sizes=np.asarray(features.sizes / zoom, np.float32))

@@ -49,7 +49,7 @@ def read(folder: Path) -> Recording:
     """Read a recording of this format from its folder.
 
     Raises:
-        InvalidRecording: a line is not what it should be, or lines and video contradict each other.
+        InvalidRecording: a line is malformed, or lines and video contradict each other.
         InvalidCamera: the calibration is broken.
     """
     log = _read_lines(folder / "data.jsonl")

@@ -141,8 +141,10 @@ def _sensor(path: Path) -> dict[str, Any]:
 def _camera(
     sensor: dict[str, Any], size: tuple[int, int], name: str
 ) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    """The camera of a sensor's description, at the pictures' size; None, with a warning if its model is not supported.
-    Raises InvalidCamera, naming the folder ``name``, if it is broken.
+    """The camera of a sensor's description, at the pictures' ``size``, and warnings.
+
+    None without intrinsics, or (with a warning) if the distortion model is not supported. Raises InvalidCamera, naming
+    the folder ``name``, if the intrinsics are broken.
     """
     if "intrinsics" not in sensor:
         return None, ()

@@ -115,8 +115,9 @@ def read(folder: Path) -> Recording:
 
 
 def _pictures_folder(folder: Path, name: str) -> Path:
-    """The folder that a picture's name is relative to: the first that has it of ``images``, the folder itself and its
-    other folders; if none has it, the first of them. Raises InvalidRecording.
+    """The folder that contains the picture ``name``: ``images``, ``folder`` itself, or another subfolder, by name.
+
+    If none contains the picture, the first of these that exists. Raises InvalidRecording for an unsafe name.
     """
     some = [path for path in (folder / "images", folder, *sorted(folder.iterdir())) if path.is_dir()]
     return next((path for path in some if listed_file(path, name).is_file()), some[0])

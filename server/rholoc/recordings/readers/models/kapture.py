@@ -180,7 +180,10 @@ def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[st
 
 
 def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> GivenPoses | None:
-    """T_world_camera of each picture, by its own trajectory or its rig's; None without. Raises InvalidTrajectory."""
+    """T_world_camera of each picture, by its sensor's trajectory, else by its rig's; None if no picture has a pose.
+
+    ``records`` are the pictures' (timestamp, sensor). Raises InvalidTrajectory.
+    """
     placed = _pose_table(tables / "trajectories.txt")
     T = np.full((len(records), 4, 4), np.nan)
     for row, (stamp, sensor) in enumerate(records):

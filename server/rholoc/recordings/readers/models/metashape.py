@@ -200,7 +200,9 @@ def _camera(sensor: Element, lens: Lens) -> Camera:
 
 
 def _three_coefficients(radial: Sequence[float], radius: float) -> tuple[float, float, float]:
-    """k1, k2, k3 nearest to ``radial``, k1 … k4, in least squares up to a ``radius`` on the plane z = 1."""
+    """k1, k2, k3 that approximate the distortion by ``radial``, k1 … k4: least squares over radii up to ``radius`` on
+    the plane z = 1. If k4 is 0, the first three unchanged.
+    """
     if not radial[3]:
         return radial[0], radial[1], radial[2]
     squares = np.linspace(0.05, 1, 40) ** 2 * radius**2

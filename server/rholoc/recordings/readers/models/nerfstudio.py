@@ -125,7 +125,9 @@ def _size(path: Path) -> tuple[int, int]:
 
 
 def _number(values: dict[str, Any], name: str) -> float:
-    """The member ``name`` as a float; NaN if missing. Raises InvalidCamera for no number, or of size 1e9."""
+    """The member ``name`` as a float; NaN if missing. Raises InvalidCamera if it is not a number, or its absolute value
+    is 1e9 or more.
+    """
     if name not in values:
         return math.nan
     value = values[name]
