@@ -163,7 +163,8 @@ def advancing_rows(times: FloatArray, what: str) -> tuple[IntArray, tuple[Record
         InvalidRecording: more than 5 % of the rows are dropped.
     """
     latest = np.maximum.accumulate(times)
-    advances = np.concatenate([[True], times[1:] > latest[:-1]])
+    advances = np.ones(len(times), dtype=np.bool_)
+    advances[1:] = times[1:] > latest[:-1]
     dropped = len(times) - int(advances.sum())
     if dropped == 0:
         return np.arange(len(times)), ()
