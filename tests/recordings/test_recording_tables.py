@@ -182,6 +182,19 @@ def test_a_broken_camera_file_is_reported(tmp_path: Path, text: str) -> None:
         read_camera_json(tmp_path / "camera.json")
 
 
+@pytest.mark.parametrize("name", ["model", "camera_model", "distortion_model"])
+def test_a_lens_that_is_named_otherwise_is_not_taken_for_a_pinhole(tmp_path: Path, name: str) -> None:
+    """A fisheye's file had "model" in place of "lens": its pictures were said to contradict each other."""
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(WHOLE | {name: "OPENCV_FISHEYE"}))
+    with pytest.raises(InvalidCamera, match=f"{name} is 'OPENCV_FISHEYE'") as refused:
+        read_camera_json(path)
+    assert "fisheye" in refused.value.hint
+    for named in ({name: "OPENCV"}, {name: "Phone 7"}, {name: "OPENCV_FISHEYE", "lens": "fisheye"}):
+        path.write_text(json.dumps(WHOLE | named))
+        assert read_camera_json(path).camera is not None
+
+
 def pose_rows(separator: str) -> tuple[str, np.ndarray]:
     rng = np.random.default_rng(3)
     quaternions, positions = Rotation.random(4, rng=rng).as_quat(), rng.normal(size=(4, 3))

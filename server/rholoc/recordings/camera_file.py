@@ -16,6 +16,8 @@ from rholoc.recordings.tables.csv_table import read_json, shortened
 _MAX_BYTES = 2**20
 _MAX_READOUT_S = 0.2
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
+_MODELS = ("model", "camera_model", "distortion_model")  # where other programs name the lens, and phones themselves …
+_WIDE_MODELS = ("fisheye", "equidistant", "kannala", "equirectangular", "spherical", "omni")  # … parts of lenses' names
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +74,7 @@ def _hint() -> str:
 
 
 def _camera(values: dict[str, Any], path: Path) -> Camera | None:
+    _refuse_other_models(values, path)
     given = [name for name in _INTRINSICS if values.get(name) is not None]
     is_panorama = values.get("lens") == Lens.EQUIRECTANGULAR
     if not is_panorama and not {"fx", "fy", "cx", "cy"} & set(given):
@@ -88,6 +91,17 @@ def _camera(values: dict[str, Any], path: Path) -> Camera | None:
         raise InvalidCamera(
             f"{path.name}: a part of the intrinsics is not a number, or there is no such lens.", _hint()
         ) from error
+
+
+def _refuse_other_models(values: dict[str, Any], path: Path) -> None:
+    """Raise InvalidCamera if a lens other than a pinhole is named as other programs do, and ``lens`` is missing."""
+    for name in _MODELS:
+        model = values.get(name)
+        if isinstance(model, str) and not values.get("lens") and any(one in model.lower() for one in _WIDE_MODELS):
+            lenses = ", ".join(lens.value for lens in Lens)
+            raise InvalidCamera(
+                f"{path.name}: {name} is {shortened(repr(model))}, which is not read.", f"Give its lens: {lenses}."
+            )
 
 
 def _fps(values: dict[str, Any], path: Path) -> float | None:

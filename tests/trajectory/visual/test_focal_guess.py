@@ -152,3 +152,21 @@ def test_a_handful_of_pictures_leaves_it_open() -> None:
     report = calibration_report(camera, 5.0, 5)
     assert not report.observable
     assert report.why == "5 pictures leave the camera's focal length open: take a dozen, or calibrate the camera."
+
+
+@pytest.mark.parametrize(
+    ("focal_px", "distortion", "observable"),
+    [
+        (450.0, (-0.265, 0.056, 0.0, 0.0), False),  # of an action camera's fisheye
+        (585.0, (-0.283, 0.074, 0.0, 0.0), True),  # of a robot's wide pinhole camera
+        (345.0, (), True),  # a phone's ultra-wide camera, whose pictures are corrected
+        (700.0, (-0.28, 0.07, 0.0, 0.0), True),  # as distorted, but not wide
+    ],
+)
+def test_pictures_alone_do_not_calibrate_a_fisheye(
+    focal_px: float, distortion: tuple[float, ...], observable: bool
+) -> None:
+    """A trusted map of forty fisheye pictures was 9 cm off where 1.4 cm was expected."""
+    report = calibration_report(replace(centred_camera((960, 720), focal_px), distortion=distortion), 1.0, 40)
+    assert report.observable is observable
+    assert ("is a fisheye" in report.why) is not observable

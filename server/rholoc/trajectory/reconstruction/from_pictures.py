@@ -12,7 +12,6 @@ from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, on_pl
 from rholoc.geometry.graphs import components
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
-from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, PycolmapStarts
@@ -31,6 +30,7 @@ from rholoc.trajectory.reconstruction.measured_scale import (
     with_depths,
 )
 from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished, held_keyframes
+from rholoc.trajectory.reconstruction.pair_fit import pair_error, without_contradicted
 from rholoc.trajectory.reconstruction.resection import with_missing_placed
 from rholoc.trajectory.reconstruction.rounds import (
     LAST_ITERATIONS,
@@ -94,6 +94,10 @@ class Pictured:
         fewest = MIN_SIGHTINGS if self.sights.is_film else _FEWEST_OF_SET
         found = evidence.observations(self.sights, features, fewest)
         return with_depths(found, self.sights.depth, self.camera)
+
+    def rays(self) -> list[FloatArray]:
+        """Rays (F, 3) of each picture's features, in its camera's frame."""
+        return [self.camera.rays(found.pixels) for found in self.sights.features]
 
     def matched(self, lens: int, other: int) -> list[tuple[FloatArray, FloatArray]]:
         """Matches of each clear pair of a picture by lens ``lens`` with one by lens ``other`` (or the same).
@@ -211,8 +215,7 @@ def _placed_by(
     sights, camera, sequential = walk.sights, walk.camera, walk.evidence.sequential
     try:
         if mapper is Mapper.DEPTH:
-            rays = [camera.rays(features.pixels) for features in sights.features]
-            linked = None if sights.depth is None else depth_start(camera, sights.depth, rays, sequential)
+            linked = None if sights.depth is None else depth_start(camera, sights.depth, walk.rays(), sequential)
             if linked is None:
                 return None
             start = State(linked[0], np.zeros((0, 3)), camera), linked[1]
@@ -226,7 +229,7 @@ def _placed_by(
             start = State(T, np.zeros((0, 3)), found), members
         middle = sum(span) / 2
         part = _adjusted(walk, whole, start, progress, (span[0], middle))
-        more = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
+        more = _extended(part, walk, whole)
         if len(more[1]) > len(part.members):
             part = _adjusted(walk, whole, more, progress, (middle, span[1]))
     except (MappingFailed, RuntimeError):  # gtsam's word for a system that cannot be solved
@@ -240,17 +243,26 @@ def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple
     Returns the new part, and the walk with the weak pairs used. If the adjustment fails or disagrees with ``part``,
     both arguments unchanged.
     """
-    sights, evidence = walk.sights, walk.evidence
+    evidence = walk.evidence
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
     whole = walk.observed(richer, MANY_FEATURES)
-    start = with_missing_placed(whole, part.members, part.adjusted.state, len(sights.rows))
     try:
-        found = _adjusted(walk, whole, start, progress, (0.75, 0.85))
+        found = _adjusted(walk, whole, _extended(part, walk, whole), progress, (0.75, 0.85))
     except (MappingFailed, RuntimeError):
         return part, walk
     if not _agreement(found, part).same:
         return part, walk
     return _unzoomed(found, walk, whole, progress), replace(walk, evidence=richer)
+
+
+def _extended(part: _Part, walk: Pictured, whole: Observations) -> tuple[State, IntArray]:
+    """State of the part's pictures and of those that it places by the ``whole`` sightings, without points, and their
+    numbers. Pictures that the clear pairs contradict there are left out.
+    """
+    found = with_missing_placed(whole, part.members, part.adjusted.state, len(walk.sights.rows))
+    if len(found[1]) == len(part.members):
+        return found
+    return without_contradicted(found, part.members, walk.evidence.sequential, walk.rays())
 
 
 def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> _Part:
@@ -292,17 +304,14 @@ def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
         apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
         for k in (pair.first, pair.second):
             reach[k] = np.fmax(reach[k], apart)
-    rays = [walk.camera.rays(found.pixels) for found in walk.sights.features]
+    rays = walk.rays()
     found = []
     for pair in walk.evidence.weak:
-        T_second_map, T_map_first = np.linalg.inv(T[pair.second]), T[pair.first]
         apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
         if np.isnan(apart):
             found += [pair] if beside[pair.first] and beside[pair.second] else []
-        elif apart <= max(reach[pair.first], reach[pair.second]):
-            a, b = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
-            if float(np.median(epipolar_errors(T_second_map @ T_map_first, a, b))) <= _FITTING:
-                found.append(pair)
+        elif apart <= max(reach[pair.first], reach[pair.second]) and pair_error(pair, rays, T) <= _FITTING:
+            found.append(pair)
     return found
 
 

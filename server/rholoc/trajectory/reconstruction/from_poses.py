@@ -10,14 +10,13 @@ from threadpoolctl import threadpool_limits
 
 from rholoc.geometry import Camera, FloatArray, Similarity, kabsch
 from rholoc.progress import ProgressListener, silent
-from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.optimization.adjustment import Problem, State, Step
 from rholoc.trajectory.reconstruction.outcome import Reconstruction, Solved, finished
+from rholoc.trajectory.reconstruction.pair_fit import pair_error
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, adjusted_in_rounds, camera_sigmas
 from rholoc.trajectory.reconstruction.sights import Sights, gather_evidence
 from rholoc.trajectory.trajectory import Scale
-from rholoc.trajectory.visual.matching import VerifiedPair
 
 _STEP_SIGMA = 0.02  # of a step's length …
 _MIN_STEP_SIGMA = 0.02  # … and at least this share of the median step
@@ -55,8 +54,8 @@ def _reconstruct(
     rays = [camera.rays(found.pixels) for found in sights.features]
     evidence = replace(
         evidence,
-        sequential=[pair for pair in evidence.sequential if _fits(pair, rays, T)],
-        loops=[pair for pair in evidence.loops if _fits(pair, rays, T)],
+        sequential=[pair for pair in evidence.sequential if pair_error(pair, rays, T) <= _MAX_PAIR_ERROR],
+        loops=[pair for pair in evidence.loops if pair_error(pair, rays, T) <= _MAX_PAIR_ERROR],
     )
     problem = Problem(
         sights.times,
@@ -69,12 +68,6 @@ def _reconstruct(
     back = kabsch(adjusted.state.positions, T[:, :3, 3]) if _spread(T) > 0 else frame.similarity
     solved = Solved(problem, adjusted, replace(frame, similarity=back))
     return finished(solved, len(evidence.loops), sights.camera is not None, None, "")
-
-
-def _fits(pair: VerifiedPair, rays: list[FloatArray], T: FloatArray) -> bool:
-    a, b = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
-    errors = epipolar_errors(np.linalg.inv(T[pair.second]) @ T[pair.first], a, b)
-    return float(np.median(errors)) <= _MAX_PAIR_ERROR
 
 
 def _steps(T: FloatArray) -> tuple[Step, ...]:
