@@ -78,6 +78,16 @@ def test_of_many_spans_some_are_named() -> None:
     )
 
 
+def test_one_span_more_is_one_part() -> None:
+    spans = tuple(MissingSpan(None, None, "is blurred", number, number) for number in range(0, 10, 2))
+    assert describe(spans).endswith("Picture 6 is blurred. 1 more part could not be placed.")
+
+
+def test_pictures_without_times_are_no_walk() -> None:
+    (span,) = missing_spans(replace(_flow(_GAP), timed=False), _ROWS, ~_GAP[_ROWS])
+    assert span.why == "shows nothing that links it to the other pictures"
+
+
 def test_a_moment_is_not_missing() -> None:
     flow = _flow(np.zeros(200, np.bool_))
     placed = np.ones(len(_ROWS), np.bool_)

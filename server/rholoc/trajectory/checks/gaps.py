@@ -57,7 +57,8 @@ def describe(spans: tuple[MissingSpan, ...]) -> str:
     """
     named = [f"{_place(span)} {span.why}." for span in spans[:_MAX_NAMED]]
     rest = len(spans) - len(named)
-    return " ".join([*named, f"{rest} more parts could not be placed."] if rest > 0 else named)
+    more = "1 more part" if rest == 1 else f"{rest} more parts"
+    return " ".join([*named, f"{more} could not be placed."] if rest > 0 else named)
 
 
 def _place(span: MissingSpan) -> str:
@@ -78,7 +79,7 @@ def _reason(flow: Flow, frames: IntArray) -> str:
         return "is blurred"
     if float(np.median(corners)) < _FEW_CORNERS:
         return "shows a blank wall"
-    return "shows nothing that links it to the rest of the walk"
+    return f"shows nothing that links it to {'the rest of the walk' if flow.timed else 'the other pictures'}"
 
 
 def _clock(seconds: float) -> str:
