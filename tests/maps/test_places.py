@@ -159,7 +159,7 @@ def test_places_that_a_map_cannot_keep_are_refused(geometry, properties):
 
 def test_longitude_and_latitude_need_a_place_on_earth():
     document = {"type": "Feature", "geometry": {"type": "Point", "coordinates": RING[0]}, "properties": {"name": "a"}}
-    with pytest.raises(InvalidInput, match="no place on Earth"):
+    with pytest.raises(InvalidInput, match="pose on Earth is unknown"):
         names_from_geojson(json.dumps(document).encode(), None)
 
 

@@ -174,7 +174,7 @@ def wrong_motion(frame: int, apart_m: float, turned_rad: float) -> Diagnosis:
     """Diagnosis of a frame, counted from 0, that alone is somewhere else [m, rad] than with its relative pose."""
     return Diagnosis(
         Cause.WRONG_MOTION,
-        f"The picture of frame {frame} contradicts its relative pose: localized alone, it is {apart_m:.2f} m and "
+        f"Frame {frame} contradicts its relative pose: localized alone, it is {apart_m:.2f} m and "
         f"{np.degrees(turned_rad):.0f}° away.",
         "Send each frame's own position and rotation, camera to common frame (x right, y down, z forward), in metres; "
         "larger sigmas if they are inexact.",
