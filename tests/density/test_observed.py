@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from equations import batch_fit
 from rholoc.density import ObservedDensities, Sightings
 from rholoc.density.density import TARGET_RADIUS
 from rholoc.density.observed import (
@@ -22,6 +21,7 @@ from rholoc.density.observed import (
 from rholoc.density.recursive_least_squares import RecursiveFit
 from rholoc.density.tensor import Layout
 from rholoc.geometry import FloatArray, Pose, Similarity, rotation_from_heading
+from rholoc_lab.paper.equations import batch_fit
 from rholoc_lab.paper.printed_loss import Loss, SeenPoints, fit_seen, observed_loss, seen_loss
 
 _FOCAL_PX = 525.0

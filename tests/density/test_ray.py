@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from equations import polynomial_values, ray_density, squared_ray_distance
 from rholoc.density import localities as places
 from rholoc.density.density import Sightings
 from rholoc.density.localities import Places, gather_places
@@ -21,6 +20,7 @@ from rholoc.density.ray import (
     range_information,
     ray_coefficients,
 )
+from rholoc_lab.paper.equations import polynomial_values, ray_density, squared_ray_distance
 
 seeds = st.integers(0, 2**31)
 

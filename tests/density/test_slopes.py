@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from equations import squared_ray_distance
 from rholoc.density import DensityKind
 from rholoc.density.density import Densities, LocalDensities, Sightings
 from rholoc.density.evidence import Evidence
@@ -17,6 +16,7 @@ from rholoc.density.observed import fit_observed
 from rholoc.density.ray import RayDensities, RayOffsets, ray_densities, squared_tolerances
 from rholoc.density.tensor import fit_tensors
 from rholoc.geometry import FloatArray, Pose
+from rholoc_lab.paper.equations import squared_ray_distance
 
 _FOCAL_PX = 500.0
 _TOLERANCE_PX = 40.0

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from equations import polynomial_values, variables_at
 from rholoc.density.polynomial import monomials, tensor_powers
 from rholoc.density.tensor import (
     HEADING_LIMIT_RAD,
@@ -22,6 +21,7 @@ from rholoc.density.tensor import (
     local_frames,
 )
 from rholoc.geometry import FloatArray, Pose, pose_matrix, rotation_from_heading
+from rholoc_lab.paper.equations import polynomial_values, variables_at
 
 _FOCAL_PX = 525
 

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from equations import gradient
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import Pose, pose_matrix
 from rholoc.localization import Dof
 from rholoc.localization.pose.ascent import ascend, covariance_at, gains, refined
+from rholoc_lab.paper.equations import gradient
 
 FOCAL_PX = 500.0
 RAY = RayDensities()

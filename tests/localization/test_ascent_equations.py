@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from equations import gradient
 from rholoc.density import Evidence, RayDensities
 from rholoc.geometry import FloatArray, Pose, pose_distances
 from rholoc.localization import Dof
@@ -31,6 +30,7 @@ from rholoc.localization.pose.ascent import (
     roll_prior,
     upright,
 )
+from rholoc_lab.paper.equations import gradient
 
 FOCAL_PX = 480.0
 ROLL_SIGMA_RAD = np.deg2rad(1.5)

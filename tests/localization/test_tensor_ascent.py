@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from equations import gradient
 from rholoc.density import DensityKind, Evidence, TensorDensities
 from rholoc.geometry import FloatArray, Pose
 from rholoc.localization import Dof, Localizer, Query
@@ -21,6 +20,7 @@ from rholoc.localization.pose.ascent import ascend, moved
 from rholoc.localization.pose.rematching import evidence_of
 from rholoc.mapping.build.density_fitting import fit_densities
 from rholoc.maps import Map
+from rholoc_lab.paper.equations import gradient
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from equations import batch_fit
 from rholoc.density import ObservedDensities
 from rholoc.density.localities import Places
 from rholoc.density.observed import RIDGE, observation_coefficients
@@ -29,6 +28,7 @@ from rholoc.mapping.build.tracks import Views
 from rholoc.mapping.edit.moving import move_map
 from rholoc.mapping.edit.sources import join, without_source
 from rholoc.maps import DensityKind, Map, MapInfo, Source, packed_pixels, unpacked_pixels, validate_map
+from rholoc_lab.paper.equations import batch_fit
 from same_maps import assert_same_tables
 
 EXACT_M = 1e-6

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from equations import polynomial_values, squared_ray_distance
 from rholoc.density import TensorDensities
 from rholoc.density.tensor import fit_tensors
 from rholoc.errors import InvalidMap, UnknownMap
 from rholoc.features import get_extractor
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.maps import DensityKind, Map, read_coefficient_table, write_coefficient_table
+from rholoc_lab.paper.equations import polynomial_values, squared_ray_distance
 
 _COLUMNS = (
     ("landmarks", "channels"),

@@ -32,7 +32,8 @@ def ray_density(
 ) -> FloatArray:
     """ρ = max(0, 1 − d²/r²) (...) for tolerances r (...) in metres; 0 for landmarks behind the camera."""
     ahead = (bearings * (landmarks - positions)).sum(axis=-1) > 0
-    return np.maximum(1 - squared_ray_distance(landmarks, bearings, positions) / tolerances**2, 0) * ahead
+    inside = np.maximum(1 - squared_ray_distance(landmarks, bearings, positions) / tolerances**2, 0)
+    return np.asarray(inside * ahead)
 
 
 def batch_fit(phi: FloatArray, values: FloatArray, ridge: float, forgetting: float = 1.0) -> RecursiveFit:
