@@ -467,15 +467,15 @@ class Localizer:
             belief=found.belief,
             matches=max(search.matches, len(verified.wide), len(verified.matches)),
             inliers=verified.inliers,
-            inlier_pixels=verified.pixels[verified.optimum.density > 0],
+            inlier_pixels=verified.inlier_pixels,
             inlier_features=verified.inlier_landmarks,
             timings_ms=search.watch.timings_ms,
             near_prior=None if query.prior is None else found.near_prior,
             camera=found.camera if estimated else None,
             focal_sigma_px=found.focal.sigma_px if estimated else None,
             alternatives=tuple(
-                Alternative(weight, _pose(one, query.dof), one.covariance, one.inlier_landmarks)
-                for weight, one in ((weight, rival.verified) for weight, rival in found.rivals[:MAX_ALTERNATIVES])
+                _alternative(weight, rival.verified, query.dof)
+                for weight, rival in found.rivals[:MAX_ALTERNATIVES]
                 if weight >= MIN_WEIGHT
             ),
         )
@@ -550,6 +550,11 @@ def _contradicted(found: Found, query: Query) -> Diagnosis:
         f"The picture fits the map, with the camera rolled by {rolled_deg:.0f}°; an upright camera was asked for.",
         "Ask with dof auto.",
     )
+
+
+def _alternative(weight: float, verified: Verified, dof: Dof) -> Alternative:
+    """A rival as an alternative of probability ``weight``."""
+    return Alternative(weight, _pose(verified, dof), verified.covariance, verified.inlier_landmarks)
 
 
 def _pose(verified: Verified, dof: Dof) -> Pose:

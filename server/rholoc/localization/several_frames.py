@@ -388,7 +388,7 @@ class _Joint:
             belief=best.belief,
             matches=max(matched, sum(len(one.matches) for one in best.verified)),
             inliers=sum(inliers),
-            inlier_pixels=best.verified[0].pixels[best.verified[0].optimum.density > 0],
+            inlier_pixels=best.verified[0].inlier_pixels,
             inlier_features=np.concatenate([one.inlier_landmarks for one in best.verified]),
             timings_ms=timings_ms,
         )

@@ -43,12 +43,16 @@ def with_map_error(index: MapIndex, answer: Localization, spread: FloatArray | N
     answer = replace(answer, map_trusted=trusted, belief=belief)
     if answer.pose is None or answer.covariance is None or not index.map.info.metric:
         return answer
+    covariance = answer.covariance
     of_map = index.map_covariance(answer.inlier_features, answer.pose.position, _VIEWS_HERE)
     if of_map is not None:
-        answer = _widened(replace(answer, expected_error_m=rms_position_error(of_map)), of_map)
-    if spread is not None and answer.covariance is not None:
-        answer = replace(answer, covariance=answer.covariance + spread)
-    return replace(answer, alternatives=tuple(_alternative(index, one) for one in answer.alternatives))
+        own = INDEPENDENT_SHARE * covariance
+        covariance = own + of_map
+        answer = replace(answer, belief=_lowered(belief, own, of_map), expected_error_m=rms_position_error(of_map))
+    if spread is not None:
+        covariance = covariance + spread
+    alternatives = tuple(_alternative(index, one) for one in answer.alternatives)
+    return replace(answer, covariance=covariance, alternatives=alternatives)
 
 
 def _alternative(index: MapIndex, one: Alternative) -> Alternative:
@@ -57,18 +61,13 @@ def _alternative(index: MapIndex, one: Alternative) -> Alternative:
     return one if of_map is None else replace(one, covariance=INDEPENDENT_SHARE * one.covariance + of_map)
 
 
-def _widened(answer: Localization, of_map: FloatArray) -> Localization:
-    """The answer with the map's covariance ``of_map`` (6, 6) added to ``INDEPENDENT_SHARE`` × its own.
-
-    ``recognized`` and ``exact`` are lowered by the ratios in which the map's covariance lowers the probabilities of an
-    error within 50 cm and 20°, and within 10 cm and 5°.
+def _lowered(belief: Belief, own: FloatArray, of_map: FloatArray) -> Belief:
+    """The belief lowered by the ratios in which the map's covariance (6, 6), added to the pose's ``own``, lowers the
+    probabilities of being within 50 cm and 20°, and within 10 cm and 5°.
     """
-    assert answer.covariance is not None
-    own = INDEPENDENT_SHARE * answer.covariance
     here, exact = widening_factor(own, of_map, PLACE_M, PLACE_RAD), widening_factor(own, of_map)
     exact_if_here = min(exact / here, 1.0) if here > 0 else 0.0
-    belief = Belief(answer.belief.recognized * here, answer.belief.exact * exact_if_here)
-    return replace(answer, covariance=own + of_map, belief=belief)
+    return Belief(belief.recognized * here, belief.exact * exact_if_here)
 
 
 def gated(answer: Localization, min_recognized: float, query: Query) -> Localization:

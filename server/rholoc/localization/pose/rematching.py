@@ -57,6 +57,11 @@ class Verified:
         return int((self.optimum.density > 0).sum())
 
     @property
+    def inlier_pixels(self) -> FloatArray:
+        """Pixels (N, 2) of the matches that agree with the pose."""
+        return self.pixels[self.optimum.density > 0]
+
+    @property
     def inlier_landmarks(self) -> IntArray:
         """(I,) landmarks of the matches that agree with the pose."""
         return self.matches.landmarks[self.optimum.density > 0]

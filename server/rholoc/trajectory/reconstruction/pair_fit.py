@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry.graphs import components
 from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.visual.matching import VerifiedPair
@@ -55,9 +54,7 @@ def without_contradicted(
     matches = np.array([len(pair.matches) for pair in near], dtype=np.float64)
     inside = is_added[ends].all(axis=1)
     together = ends[inside & ~contradicts]
-    group = connected_components(
-        coo_matrix((np.ones(len(together)), together.T), shape=(count, count)), directed=False
-    )[1]
+    group = components(count, together)
     outside = np.where(is_added[ends[:, 0]], ends[:, 0], ends[:, 1])
     linked, against = (
         np.bincount(group[outside[some]], matches[some], minlength=count) for some in (~inside, ~inside & contradicts)
