@@ -40,9 +40,8 @@ def failing() -> Iterator[FailingStorage]:
 
 @pytest.fixture
 def storage(failing: FailingStorage, monkeypatch: pytest.MonkeyPatch) -> Iterator[ObjectStorage]:
-    """A storage that is patient for two seconds."""
-    monkeypatch.setattr(objects, "_RETRY_FOR_S", 2.0)
-    monkeypatch.setattr(objects, "_RETRIES", 3)
+    """A storage that is patient for one second."""
+    monkeypatch.setattr(objects, "_RETRY_FOR_S", 1.0)
     yield ObjectStorage(f"s3://{BUCKET}/service")
     failing.fault = None
 

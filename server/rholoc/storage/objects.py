@@ -26,8 +26,9 @@ _SCHEMES = ("file", "s3", "gs", "az", "memory")
 _PIECE_BYTES = 8 * 2**20
 _TIMEOUT_S = 60.0  # of one request for an object, or a piece of one
 _CONNECT_TIMEOUT_S = 5.0
-_RETRY_FOR_S = 20.0
-_RETRIES = 5
+_RETRY_FOR_S = 10.0
+_LONGEST_PAUSE_S = 1.0  # between two tries
+_MAX_RETRIES = 1000  # the time is the limit
 _ATTEMPTS = 100  # to write to a folder whose last object is being deleted
 
 
@@ -84,7 +85,11 @@ class ObjectStorage:
                         "connect_timeout": timedelta(seconds=_CONNECT_TIMEOUT_S),
                         "allow_http": _allows_http(),
                     },
-                    retry_config={"max_retries": _RETRIES, "retry_timeout": timedelta(seconds=_RETRY_FOR_S)},
+                    retry_config={
+                        "max_retries": _MAX_RETRIES,
+                        "retry_timeout": timedelta(seconds=_RETRY_FOR_S),
+                        "backoff": {"max_backoff": timedelta(seconds=_LONGEST_PAUSE_S)},
+                    },
                 )
         except (BaseError, ValueError) as error:
             raise InvalidInput(f"RHOLOC_STORAGE_URL cannot be used: {_first_line(error)}.", "Check it.") from error
