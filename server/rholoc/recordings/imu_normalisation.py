@@ -93,18 +93,18 @@ def normalise_imu(
     _check_range(gyroscope, "gyroscope")
     warnings: list[RecordingWarning] = []
     if np.array_equal(accelerometer.times, gyroscope.times):
-        felt, turned = _on_clock("IMU", [accelerometer, gyroscope], says.time_unit, warnings)
+        accelerometer, gyroscope = _on_clock("IMU", [accelerometer, gyroscope], says.time_unit, warnings)
     else:
-        (felt,) = _on_clock("accelerometer", [accelerometer], says.time_unit, warnings)
-        (turned,) = _on_clock("gyroscope", [gyroscope], says.time_unit, warnings)
-    measured = measure_acceleration(felt.values, says)
+        (accelerometer,) = _on_clock("accelerometer", [accelerometer], says.time_unit, warnings)
+        (gyroscope,) = _on_clock("gyroscope", [gyroscope], says.time_unit, warnings)
+    measured = measure_acceleration(accelerometer.values, says)
     warnings += _convention_warnings(says, measured)
     factor = (STANDARD_GRAVITY if measured.in_g else 1.0) * (-1 if measured.apple_sign else 1)
-    felt = replace(felt, values=felt.values * factor)
-    if is_in_degrees(turned, felt if measured.includes_gravity else None):
+    accelerometer = replace(accelerometer, values=accelerometer.values * factor)
+    if is_in_degrees(gyroscope, accelerometer if measured.includes_gravity else None):
         warnings.append(RecordingWarning(WarningKind.GYROSCOPE_UNIT, "The gyroscope is in degrees a second."))
-        turned = replace(turned, values=np.radians(turned.values))
-    times, acceleration, rate = _merged(felt, turned)
+        gyroscope = replace(gyroscope, values=np.radians(gyroscope.values))
+    times, acceleration, rate = _merged(accelerometer, gyroscope)
     return Imu(times, acceleration, rate, measured.includes_gravity, R_camera_imu), tuple(warnings)
 
 
@@ -221,19 +221,19 @@ def measure_acceleration(values: FloatArray, says: ImuConvention) -> ImuConventi
     return replace(says, in_g=True, includes_gravity=True) if _is_one(median) else says
 
 
-def is_in_degrees(turned: Samples, felt: Samples | None) -> bool:
-    """Whether a gyroscope's samples ``turned`` are in degrees per second, not radians per second.
+def is_in_degrees(gyroscope: Samples, accelerometer: Samples | None) -> bool:
+    """Whether a gyroscope's samples are in degrees per second, not radians per second.
 
     They are if as radians their 95th percentile exceeds 12 rad/s, or if as degrees they predict the rotation of gravity
-    three times better. ``felt`` are accelerations that include gravity; None if there are none. False below 20 rows.
+    three times better. The accelerometer's samples must include gravity; None if there are none. False below 20 rows.
     """
-    if len(turned.values) < _MIN_TO_MEASURE:
+    if len(gyroscope.values) < _MIN_TO_MEASURE:
         return False
-    if np.percentile(np.linalg.norm(turned.values, axis=1), 95) > _FASTEST_TURN:
+    if np.percentile(np.linalg.norm(gyroscope.values, axis=1), 95) > _FASTEST_TURN:
         return True
-    if felt is None:
+    if accelerometer is None:
         return False
-    down, turns = _gravity_turns(felt, turned)
+    down, turns = _gravity_turns(accelerometer, gyroscope)
     turning = np.linalg.norm(down[1:] - down[:-1], axis=1) > _NOTICEABLE_TURN
     if turning.sum() < _MIN_TURNS:
         return False
@@ -254,8 +254,8 @@ def force_points_up(imu: Imu, times: FloatArray, R_map_camera: FloatArray) -> bo
     inside = (times >= imu.times[0]) & (times <= imu.times[-1])
     if imu.R_camera_imu is None or not imu.includes_gravity or not inside.any():
         return None
-    felt = np.column_stack([np.interp(times[inside], imu.times, imu.acceleration[:, i]) for i in range(3)])
-    in_map = np.einsum("nij,jk,nk->ni", R_map_camera[inside], imu.R_camera_imu, felt)
+    acceleration = np.column_stack([np.interp(times[inside], imu.times, imu.acceleration[:, i]) for i in range(3)])
+    in_map = np.einsum("nij,jk,nk->ni", R_map_camera[inside], imu.R_camera_imu, acceleration)
     return bool(in_map[:, 2].mean() > 0)
 
 
@@ -323,18 +323,18 @@ def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[R
     return warnings
 
 
-def _gravity_turns(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray]:
-    """Unit direction of the accelerations ``felt`` (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors
-    (K, 3) between the windows, in the angular unit of ``turned``. K = 0 if the sensors overlap by less than 0.8 s.
+def _gravity_turns(accelerometer: Samples, gyroscope: Samples) -> tuple[FloatArray, FloatArray]:
+    """Unit direction of the acceleration (K + 1, 3) in windows of 0.4 s, and the gyroscope's rotation vectors
+    (K, 3) between the windows, in its angular unit. K = 0 if the sensors overlap by less than 0.8 s.
     """
-    first, last = max(felt.times[0], turned.times[0]), min(felt.times[-1], turned.times[-1])
+    first, last = max(accelerometer.times[0], gyroscope.times[0]), min(accelerometer.times[-1], gyroscope.times[-1])
     edges = np.arange(first, last, _TURN_WINDOW_S)
     if len(edges) < 3:
         return np.zeros((1, 3)), np.zeros((0, 3))
-    down = np.diff(interpolated(_integral(felt), edges), axis=0)
+    down = np.diff(interpolated(_integral(accelerometer), edges), axis=0)
     down = down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
     middles = edges[:-1] + _TURN_WINDOW_S / 2
-    return down, np.diff(interpolated(_integral(turned), middles), axis=0)
+    return down, np.diff(interpolated(_integral(gyroscope), middles), axis=0)
 
 
 def _integral(samples: Samples) -> Samples:
@@ -342,18 +342,19 @@ def _integral(samples: Samples) -> Samples:
     return Samples(samples.times, np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]))
 
 
-def _merged(felt: Samples, turned: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _merged(accelerometer: Samples, gyroscope: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times (M,), accelerations and rates (M, 3) at the gyroscope's times within the accelerometer's. Raises
     InvalidRecording if these are fewer than two.
     """
-    if np.array_equal(felt.times, turned.times):
-        return turned.times, felt.values, turned.values
-    inside = (turned.times >= felt.times[0]) & (turned.times <= felt.times[-1])
+    if np.array_equal(accelerometer.times, gyroscope.times):
+        return gyroscope.times, accelerometer.values, gyroscope.values
+    inside = (gyroscope.times >= accelerometer.times[0]) & (gyroscope.times <= accelerometer.times[-1])
     if inside.sum() < 2:
+        (first, last), (first_rate, last_rate) = accelerometer.times[[0, -1]], gyroscope.times[[0, -1]]
         raise InvalidRecording(
             "Accelerometer and gyroscope do not overlap in time: "
-            f"{felt.times[0]:.3f}–{felt.times[-1]:.3f} s and {turned.times[0]:.3f}–{turned.times[-1]:.3f} s.",
+            f"{first:.3f}–{last:.3f} s and {first_rate:.3f}–{last_rate:.3f} s.",
             "Both must use the same clock.",
         )
-    times = turned.times[inside]
-    return times, interpolated(felt, times), turned.values[inside]
+    times = gyroscope.times[inside]
+    return times, interpolated(accelerometer, times), gyroscope.values[inside]

@@ -60,19 +60,19 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
     def walked(bias: FloatArray) -> tuple[Rotation, Rotation, list[tuple[FloatArray, FloatArray]], FloatArray]:
         """Orientations, levelling rotation, path of every leg, and specific force at every stop in the level frame."""
         orientation = orientations(imu, bias)
-        felt = orientation.apply(imu.acceleration)
-        level = Rotation.from_matrix(rotation_to_upright(np.mean(felt[near[0]], axis=0)))
-        felt = level.apply(felt)
+        force = orientation.apply(imu.acceleration)
+        level = Rotation.from_matrix(rotation_to_upright(np.mean(force[near[0]], axis=0)))
+        force = level.apply(force)
         legs = [
-            _leg(imu.times, felt - [0.0, 0.0, GRAVITY], rests[(rests >= a) & (rests <= b)]) for a, b in pairwise(stops)
+            _leg(imu.times, force - [0.0, 0.0, GRAVITY], rests[(rests >= a) & (rests <= b)]) for a, b in pairwise(stops)
         ]
-        return orientation, level, legs, np.array([felt[here].mean(axis=0) for here in near])
+        return orientation, level, legs, np.array([force[here].mean(axis=0) for here in near])
 
     def residuals(bias: FloatArray) -> FloatArray:
-        _, _, legs, felt = walked(bias)
+        _, _, legs, force = walked(bias)
         moved = np.array([path[-1] for _, path in legs])
         missed = _yaw(moved, np.diff(places, axis=0)).apply(moved) - np.diff(places, axis=0)
-        return np.concatenate([missed.ravel() / _LEG_SIGMA_M, felt[:, :2].ravel() / _LEVEL_SIGMA, bias / _BIAS_SIGMA])
+        return np.concatenate([missed.ravel() / _LEG_SIGMA_M, force[:, :2].ravel() / _LEVEL_SIGMA, bias / _BIAS_SIGMA])
 
     bias = least_squares(
         residuals, np.zeros(3), loss="soft_l1", diff_step=np.full(3, 1e-3), x_scale=_BIAS_SIGMA, max_nfev=15
@@ -113,9 +113,9 @@ def _leg(times: FloatArray, acceleration: FloatArray, rests: FloatArray) -> tupl
 def _rest_to_rest(times: FloatArray, acceleration: FloatArray, a: float, b: float) -> tuple[FloatArray, FloatArray]:
     """Times (M,) from ``a`` to ``b`` and the displacement (M, 3) since ``a``, with zero velocity at both ends."""
     t = np.concatenate([[a], times[(times > a) & (times < b)], [b]])
-    felt = np.column_stack([np.interp(t, times, acceleration[:, i]) for i in range(3)])
+    sampled = np.column_stack([np.interp(t, times, acceleration[:, i]) for i in range(3)])
     dt = np.diff(t)[:, None]
-    velocity = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (felt[1:] + felt[:-1]) * dt, axis=0)])
+    velocity = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (sampled[1:] + sampled[:-1]) * dt, axis=0)])
     velocity -= ((t - a) / (b - a))[:, None] * velocity[-1]
     return t, np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * dt, axis=0)])
 

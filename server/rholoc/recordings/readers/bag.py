@@ -239,26 +239,26 @@ def _imu(
     """Gyroscope and accelerometer, each from a requested topic that measures it, else from the one with most rows; and
     warnings. One topic with both is preferred. None if one is missing. Raises InvalidRecording.
     """
-    felt, turned = [], []
+    accelerometers, gyroscopes = [], []
     for connection in found.of_types(_IMU):
         a, w = _measures(reader, connection)
-        felt += [connection] * a
-        turned += [connection] * w
-    accelerometer, gyroscope = _chosen(felt, found.asked), _chosen(turned, found.asked)
-    both = [one for one in felt if one in turned]
-    if both and not {one.topic for one in felt + turned if one not in both} & set(found.asked):
+        accelerometers += [connection] * a
+        gyroscopes += [connection] * w
+    accelerometer, gyroscope = _chosen(accelerometers, found.asked), _chosen(gyroscopes, found.asked)
+    both = [one for one in accelerometers if one in gyroscopes]
+    if both and not {one.topic for one in accelerometers + gyroscopes if one not in both} & set(found.asked):
         accelerometer = gyroscope = _chosen(both, found.asked)
     if accelerometer is None or gyroscope is None:
         return None, ()
-    felt_rows, turned_rows = (list(_messages(reader, one)) for one in (accelerometer, gyroscope))
+    acceleration_rows, rate_rows = (list(_messages(reader, one)) for one in (accelerometer, gyroscope))
     samples = [
         Samples(
             np.array([stamp_ns(message, logged_ns) for logged_ns, message in rows], dtype=np.float64),
             np.array([vector(getattr(message, name)) for _, message in rows]),
         )
-        for rows, name in ((felt_rows, "linear_acceleration"), (turned_rows, "angular_velocity"))
+        for rows, name in ((acceleration_rows, "linear_acceleration"), (rate_rows, "angular_velocity"))
     ]
-    T_camera_imu = mounted.between(camera_frame, str(turned_rows[0][1].header.frame_id))
+    T_camera_imu = mounted.between(camera_frame, str(rate_rows[0][1].header.frame_id))
     R_camera_imu = None if T_camera_imu is None else T_camera_imu[:3, :3]
     return normalise_imu(samples[0], samples[1], ImuConvention(time_unit="ns"), R_camera_imu)
 

@@ -82,9 +82,9 @@ def _read_imu(folder: Path, description: CameraFile) -> tuple[Imu | None, tuple[
     if not path.is_file():
         return None, ()
     rows = read_imu_rows(path)
-    felt, turned = Samples(rows[:, 0], rows[:, 1:4]), Samples(rows[:, 0], rows[:, 4:7])
+    accelerometer, gyroscope = Samples(rows[:, 0], rows[:, 1:4]), Samples(rows[:, 0], rows[:, 4:7])
     says = ImuConvention(includes_gravity=description.gravity_included)
-    return normalise_imu(felt, turned, says, description.R_camera_imu)
+    return normalise_imu(accelerometer, gyroscope, says, description.R_camera_imu)
 
 
 def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tuple[RecordingWarning, ...]]:

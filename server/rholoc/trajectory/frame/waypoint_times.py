@@ -37,8 +37,8 @@ def find_pauses(times: FloatArray, motion: FloatArray, imu: Imu | None) -> Float
     if imu is None:
         still = rate <= _STILL_IMAGE
     else:
-        felt = np.interp(times, imu.times, is_still(imu).astype(np.float64), left=0.0, right=0.0) > 0.5
-        still = felt & (rate <= _TREMBLING_IMAGE)
+        is_at_rest = np.interp(times, imu.times, is_still(imu).astype(np.float64), left=0.0, right=0.0) > 0.5
+        still = is_at_rest & (rate <= _TREMBLING_IMAGE)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
     spans = np.column_stack([times[edges[::2]], times[edges[1::2] - 1]])
     return np.asarray(spans[spans[:, 1] - spans[:, 0] >= MIN_PAUSE_S - _TOLERANCE_S])

@@ -93,11 +93,11 @@ def inertial_start(
         information.setdiag(information.diagonal() + prior)
         x = _solved(information, weighted.T @ (weights * measured) + prior * expected)
         off = (A @ x - measured) / sigmas
-        felt = np.linalg.norm(off[:n].reshape(-1, 3), axis=1)
+        lengths = np.linalg.norm(off[:n].reshape(-1, 3), axis=1)
         positions = x[_UNKNOWNS_APART:].reshape(-1, 6)[:, 3:]
         between = positions[second] - positions[first]
         way = np.linalg.norm(between, axis=1)
-        robust = np.concatenate([_weights_of_motion(felt), _weights_of_directions(between, unit, sigma)])
+        robust = np.concatenate([_weights_of_motion(lengths), _weights_of_directions(between, unit, sigma)])
         expected[:3] = x[:3] * GRAVITY / max(float(np.linalg.norm(x[:3])), 1e-9)
         prior[:3] = _GRAVITY_SIGMA**-2
         toward, way_wanted = _turned_to(between, unit)
@@ -106,15 +106,15 @@ def inertial_start(
         positions,
         x[_UNKNOWNS_APART:].reshape(-1, 6)[:, :3],
         x[3:6],
-        float(np.median(felt)),
+        float(np.median(lengths)),
     )
 
 
-def _weights_of_motion(felt: FloatArray) -> FloatArray:
-    """Cauchy weights (N,) of equations of motion, from their residuals' lengths ``felt`` (N,) in sigmas, or in medians
+def _weights_of_motion(lengths: FloatArray) -> FloatArray:
+    """Cauchy weights (N,) of equations of motion, from their residuals' lengths (N,) in sigmas, or in medians
     if the median is larger.
     """
-    return np.asarray(1 / (1 + (felt / (_CAUCHY * max(float(np.median(felt)), 1.0))) ** 2))
+    return np.asarray(1 / (1 + (lengths / (_CAUCHY * max(float(np.median(lengths)), 1.0))) ** 2))
 
 
 def _weights_of_directions(between: FloatArray, unit: FloatArray, sigma_rad: FloatArray) -> FloatArray:
@@ -236,11 +236,11 @@ def _integrated(
         last = int(np.clip(np.searchsorted(imu.times, t[k + 1]), first + 1, last_row))
         spans = np.minimum(imu.times[first + 1 : last + 1], t[k + 1]) - np.maximum(imu.times[first:last], t[k])
         R_world_start = R[k] @ gyro.R_camera_imu @ R_start_imu[first].T
-        turned = R_world_start @ R_start_imu[first:last]
+        rotations = R_world_start @ R_start_imu[first:last]
         force = 0.5 * (imu.acceleration[first:last] + imu.acceleration[first + 1 : last + 1])
-        felt = np.einsum("nij,nj->ni", turned, force)
+        forces = np.einsum("nij,nj->ni", rotations, force)
         v, p, w, q = np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
-        for dt, f, Q in zip(np.maximum(spans, 0.0).tolist(), felt, turned, strict=True):
+        for dt, f, Q in zip(np.maximum(spans, 0.0).tolist(), forces, rotations, strict=True):
             p += v * dt + 0.5 * f * dt * dt
             q += w * dt - 0.5 * Q * dt * dt
             v += f * dt

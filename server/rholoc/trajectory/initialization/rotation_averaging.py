@@ -22,7 +22,7 @@ _GYRO_BIAS_RAD_S = 1e-3  # … and a part times the seconds, from the remaining 
 
 
 def average_rotations(
-    count: int, pairs: Sequence[PairRotation], times: FloatArray, felt: Rotation | None
+    count: int, pairs: Sequence[PairRotation], times: FloatArray, by_gyroscope: Rotation | None
 ) -> tuple[FloatArray, IntArray]:
     """R_world_camera (K, 3, 3) of ``count`` keyframes, the first's the identity, and the component (K,) of each.
 
@@ -31,9 +31,11 @@ def average_rotations(
     Args:
         pairs: relative rotations of keyframes; outliers are down-weighted (Cauchy's loss).
         times: (K,) seconds.
-        felt: R_start_camera of the K keyframes by the gyroscope, or None.
+        by_gyroscope: R_start_camera of the K keyframes by the gyroscope, or None.
     """
-    start, component = _spread(count, pairs) if felt is None else (felt.as_matrix(), np.zeros(count, dtype=np.int64))
+    start, component = (
+        _spread(count, pairs) if by_gyroscope is None else (by_gyroscope.as_matrix(), np.zeros(count, dtype=np.int64))
+    )
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k in range(count):
         values.insert(k, gtsam.Rot3(start[k]))
@@ -43,9 +45,9 @@ def average_rotations(
     seen = gtsam.noiseModel.Robust.Create(cauchy, gtsam.noiseModel.Isotropic.Sigma(3, _PAIR_SIGMA_RAD))
     for pair in pairs:
         graph.add(gtsam.BetweenFactorRot3(pair.first, pair.second, gtsam.Rot3(pair.R_second_first.T), seen))
-    if felt is not None:
-        turned = (felt[:-1].inv() * felt[1:]).as_matrix()
-        for k, (R, seconds) in enumerate(zip(turned, np.diff(times), strict=True)):
+    if by_gyroscope is not None:
+        rotations = (by_gyroscope[:-1].inv() * by_gyroscope[1:]).as_matrix()
+        for k, (R, seconds) in enumerate(zip(rotations, np.diff(times), strict=True)):
             noise = gtsam.noiseModel.Isotropic.Sigma(3, _gyro_sigma_rad(float(seconds)))
             graph.add(gtsam.BetweenFactorRot3(k, k + 1, gtsam.Rot3(R), noise))
     found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()

@@ -60,18 +60,18 @@ def _reconstruct(
     if imu is not None and gyro is None and not sights.is_film:
         evidence = gather_evidence(sights, camera, None, progress)
         gyro, reason = calibrated(sights, camera, imu, evidence)
-    felt = None if imu is None or gyro is None else camera_rotations(imu, gyro, sights.times)
-    if evidence is None or felt is not None:
-        evidence = gather_evidence(sights, camera, felt, progress)
+    by_gyroscope = None if imu is None or gyro is None else camera_rotations(imu, gyro, sights.times)
+    if evidence is None or by_gyroscope is not None:
+        evidence = gather_evidence(sights, camera, by_gyroscope, progress)
     steps = AdjustmentProgress(progress)
-    if imu is not None and gyro is not None and felt is not None:
-        start = start_with_imu(sights, camera, evidence, imu, gyro, felt)
+    if imu is not None and gyro is not None and by_gyroscope is not None:
+        start = start_with_imu(sights, camera, evidence, imu, gyro, by_gyroscope)
         if start is not None:
             return _judged(sights, solve_with_imu(sights, imu, gyro, evidence, start, waypoints, steps))
         reason = "The pictures do not show enough of the walk for the accelerometer to measure it."
     if sights.is_film:
         return _judged(sights, _from_film(Pictured(sights, camera, evidence, waypoints, reason), steps))
-    if felt is not None:  # pairs that a wrong gyroscope contradicts were left out
+    if by_gyroscope is not None:  # pairs that a wrong gyroscope contradicts were left out
         evidence = gather_evidence(sights, camera, None, progress)
     walk = _with_camera_by_matches(Pictured(sights, camera, evidence, waypoints, reason))
     walk = _with_lenses_by_matches(walk, progress)

@@ -76,16 +76,16 @@ def calibrated(
 
 
 def start_with_imu(
-    sights: Sights, camera: Camera, evidence: Evidence, imu: Imu, gyro: GyroCalibration, felt: Rotation
+    sights: Sights, camera: Camera, evidence: Evidence, imu: Imu, gyro: GyroCalibration, by_gyroscope: Rotation
 ) -> tuple[State, InertialStart] | None:
     """A metric, upright start from rotations, directions between neighbours, and the IMU; None if the IMU covers too
     little.
 
-    ``felt`` are the cameras' rotations by the gyroscope. Returns the state, without points, and the solution for
+    ``by_gyroscope`` are the cameras' rotations. Returns the state, without points, and the solution for
     positions, velocities and bias that it comes from.
     """
     count, times = len(sights.rows), sights.times
-    R, _ = average_rotations(count, replace(evidence, loops=[]).rotations, times, felt)
+    R, _ = average_rotations(count, replace(evidence, loops=[]).rotations, times, by_gyroscope)
     along = _directions(sights, camera, R, evidence.sequential)
     start = inertial_start(times, R, along, imu, gyro)
     if start is None:
@@ -145,12 +145,12 @@ def solve_with_imu(
         adjusted = adjust(problem, adjusted.state, ITERATIONS, progress)
     evidence, problem, adjusted = with_loops_closed(sights, evidence, problem, adjusted, progress)
     problem, adjusted, accelerometer_scale = _accelerometer_corrected(problem, adjusted, progress)
-    felt = ScaleMeasurement(ScaleSource.ACCELEROMETER, 1.0, scale_sigma_of(adjusted), is_adjusted=True)
+    of_accelerometer = ScaleMeasurement(ScaleSource.ACCELEROMETER, 1.0, scale_sigma_of(adjusted), is_adjusted=True)
     driven = scale_by_steps(sights.steps, adjusted)
-    contradicted = driven is not None and felt.contradicts(driven.ratio, driven.sigma)
+    contradicted = driven is not None and of_accelerometer.contradicts(driven.ratio, driven.sigma)
     if driven is not None and contradicted:  # a wrong unit is likelier than a wrong gravity: the first of equals counts
-        driven = replace(driven, sigma=max(driven.sigma, felt.sigma))
-    scales = [felt, *([] if driven is None else [driven])]
+        driven = replace(driven, sigma=max(driven.sigma, of_accelerometer.sigma))
+    scales = [of_accelerometer, *([] if driven is None else [driven])]
     if driven is not None and driven.usable and not contradicted:
         problem = replace(problem, steps=sights.steps)
         adjusted = adjust(problem, adjusted.state, LAST_ITERATIONS, progress)

@@ -134,23 +134,25 @@ class Evidence:
         return found
 
 
-def gather_evidence(sights: Sights, camera: Camera, felt: Rotation | None, progress: ProgressListener) -> Evidence:
+def gather_evidence(
+    sights: Sights, camera: Camera, by_gyroscope: Rotation | None, progress: ProgressListener
+) -> Evidence:
     """Match features, track corners and collect relative rotations of the keyframes.
 
-    ``felt`` (K) are the cameras' rotations by the gyroscope, or None. Pairs that contradict it are left out.
+    ``by_gyroscope`` (K) are the cameras' rotations by the gyroscope, or None. Pairs that contradict it are left out.
 
     Raises:
         MappingFailed: the camera stayed in one place.
         Cancelled: ``progress`` asked to stop.
     """
-    corners, rotations = followed_corners(sights.flow, sights.rows, camera, felt, sights.shutter)
+    corners, rotations = followed_corners(sights.flow, sights.rows, camera, by_gyroscope, sights.shutter)
     if sights.zooms is not None:  # rotations were measured without the zooms: matches have better ones
         corners, rotations = zoomed(corners, sights.zooms, camera), []
     rays = [camera.rays(features.pixels) for features in sights.features]
     weak: list[VerifiedPair] = []
-    if sights.is_film or felt is not None:
+    if sights.is_film or by_gyroscope is not None:
         sequential, loops = match_keyframes(
-            sights.features, rays, camera.focal, sights.times, felt, _is_followed(sights), progress
+            sights.features, rays, camera.focal, sights.times, by_gyroscope, _is_followed(sights), progress
         )
     else:
         loops = []

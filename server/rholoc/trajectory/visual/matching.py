@@ -72,7 +72,7 @@ def match_keyframes(
     rays: Sequence[FloatArray],
     focal_px: float,
     times: FloatArray,
-    felt: Rotation | None,
+    by_gyroscope: Rotation | None,
     followed: bool,
     progress: ProgressListener = silent,
 ) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
@@ -83,7 +83,7 @@ def match_keyframes(
         rays: of these features in the camera frame, (N, 3) each.
         focal_px: of the camera.
         times: (K,) seconds.
-        felt: R_start_camera of the keyframes by the gyroscope, or None. Pairs that contradict it are left out.
+        by_gyroscope: R_start_camera of the keyframes by the gyroscope, or None. Pairs that contradict it are left out.
         followed: whether corners are tracked between keyframes, so that fewer pairs need matching.
         progress: listener for :data:`Stage.POSES`, up to the fraction 0.4.
     """
@@ -96,7 +96,7 @@ def match_keyframes(
 
     def verified(pair: Pair) -> VerifiedPair | None:
         fewest = _MIN_SEQUENTIAL if pair in beside else _MIN_LOOP
-        return _verify(pair, descriptors, rays, _TOLERANCE_PX / focal_px, times, felt, fewest)
+        return _verify(pair, descriptors, rays, _TOLERANCE_PX / focal_px, times, by_gyroscope, fewest)
 
     found: list[VerifiedPair] = []
     with ThreadPoolExecutor(_THREADS) as pool:
@@ -200,7 +200,7 @@ def _verify(
     rays: Sequence[FloatArray],
     tolerance: float,
     times: FloatArray,
-    felt: Rotation | None,
+    by_gyroscope: Rotation | None,
     fewest: int,
 ) -> VerifiedPair | None:
     """Inlier matches of one relative pose; None with fewer than ``fewest``, or if the gyroscope contradicts its
@@ -213,13 +213,13 @@ def _verify(
     first, second = rays[i][matches[:, 0]], rays[j][matches[:, 1]]
     view = relative_pose(first, second, tolerance)
     inliers, R = view.inliers, view.R_second_first
-    if felt is not None and inliers.any():
-        R_felt = (felt[j].inv() * felt[i]).as_matrix()
-        if rotation_angles(R, R_felt) > allowed_apart(times[j] - times[i]):
-            agreeing = inliers_of_rotation(first, second, R_felt, 2 * tolerance)
+    if by_gyroscope is not None and inliers.any():
+        R_by_gyroscope = (by_gyroscope[j].inv() * by_gyroscope[i]).as_matrix()
+        if rotation_angles(R, R_by_gyroscope) > allowed_apart(times[j] - times[i]):
+            agreeing = inliers_of_rotation(first, second, R_by_gyroscope, 2 * tolerance)
             if agreeing.sum() < _EXPLAINED * inliers.sum():
                 return None
-            inliers, R = inliers & agreeing, R_felt
+            inliers, R = inliers & agreeing, R_by_gyroscope
     if inliers.sum() < fewest:
         return None
     return VerifiedPair(i, j, matches[inliers], R)

@@ -97,7 +97,7 @@ class Observations:
 
 
 def followed_corners(
-    flow: Flow, rows: IntArray, camera: Camera, felt: Rotation | None, shutter: RollingShutter | None
+    flow: Flow, rows: IntArray, camera: Camera, by_gyroscope: Rotation | None, shutter: RollingShutter | None
 ) -> tuple[Observations, list[PairRotation]]:
     """Sightings of tracked corners by keyframes, and relative rotations of the keyframes (with 30 inliers or more).
 
@@ -107,7 +107,7 @@ def followed_corners(
     Args:
         rows: (K,) the keyframes' rows.
         camera: known, or guessed.
-        felt: R_start_camera of the keyframes by the gyroscope, or None.
+        by_gyroscope: R_start_camera of the keyframes by the gyroscope, or None.
         shutter: rolling-shutter correction of the keyframes, or None.
     """
     tolerance = _TOLERANCE_PX / camera.focal
@@ -121,12 +121,12 @@ def followed_corners(
         corners, places = flow.of_frame(row)
         carried = set()
         if k > 0:
-            shared, agree, turned = _neighbours(flow, rows, k - 1, k, camera, tolerance, felt)
+            shared, agree, rotation = _neighbours(flow, rows, k - 1, k, camera, tolerance, by_gyroscope)
             carried = set(shared[agree].tolist())
-            rotations += [turned] if turned is not None else []
+            rotations += [rotation] if rotation is not None else []
         if k >= _FURTHER:
-            _, _, turned = _neighbours(flow, rows, k - _FURTHER, k, camera, tolerance, felt)
-            rotations += [turned] if turned is not None else []
+            _, _, rotation = _neighbours(flow, rows, k - _FURTHER, k, camera, tolerance, by_gyroscope)
+            rotations += [rotation] if rotation is not None else []
         now: dict[int, int] = {}
         for corner in corners.tolist():
             if corner in carried and corner in numbers:
@@ -143,12 +143,12 @@ def followed_corners(
 
 
 def _neighbours(
-    flow: Flow, rows: IntArray, a: int, b: int, camera: Camera, tolerance: float, felt: Rotation | None
+    flow: Flow, rows: IntArray, a: int, b: int, camera: Camera, tolerance: float, by_gyroscope: Rotation | None
 ) -> tuple[IntArray, BoolArray, PairRotation | None]:
     """Corners (C,) shared by keyframes ``a`` and ``b``, a mask (C,) of the relative pose's inliers, and its rotation.
     The rotation is None with fewer than 30 inliers, or if the gyroscope contradicts it.
 
-    ``felt`` are all keyframes' orientations by the gyroscope: where it differs by over 1° between successive
+    ``by_gyroscope`` are all keyframes' orientations by the gyroscope: where it differs by over 1° between successive
     keyframes, the inliers are those of its rotation. ``tolerance`` is on the plane z = 1, for wide lenses in radians.
     """
     shared, in_a, in_b = flow.shared(int(rows[a]), int(rows[b]))
@@ -156,18 +156,18 @@ def _neighbours(
         return shared, np.zeros(len(shared), dtype=np.bool_), None
     first, second = camera.rays(in_a), camera.rays(in_b)
     view = relative_pose(first, second, tolerance)
-    turned: PairRotation | None = PairRotation(a, b, view.R_second_first, int(view.inliers.sum()))
+    rotation: PairRotation | None = PairRotation(a, b, view.R_second_first, int(view.inliers.sum()))
     inliers = view.inliers
-    if felt is not None:
-        R_felt = (felt[b].inv() * felt[a]).as_matrix()
-        apart = rotation_angles(view.R_second_first, R_felt)
+    if by_gyroscope is not None:
+        R_by_gyroscope = (by_gyroscope[b].inv() * by_gyroscope[a]).as_matrix()
+        apart = rotation_angles(view.R_second_first, R_by_gyroscope)
         if apart > _MAX_FELT_APART_RAD and b - a == 1:
-            inliers = inliers_of_rotation(first, second, R_felt, tolerance)
+            inliers = inliers_of_rotation(first, second, R_by_gyroscope, tolerance)
         if apart > float(allowed_apart(flow.times[rows[b]] - flow.times[rows[a]])):
-            turned = None
-    if turned is not None and turned.support < _MIN_FOR_ROTATION:
-        turned = None
-    return shared, inliers, turned
+            rotation = None
+    if rotation is not None and rotation.support < _MIN_FOR_ROTATION:
+        rotation = None
+    return shared, inliers, rotation
 
 
 def matched_features(

@@ -45,9 +45,9 @@ def read(folder: Path) -> Recording:
         timed = timed_video(video, times, "frames.csv")
     else:
         timed = timed_images([listed_file(folder, name) for name in table.text("filename")], times)
-    felt = Samples.from_rows(read_logged_table(folder / "accelerometer.csv").named(*_ACCELEROMETER))
-    turned = Samples.from_rows(read_logged_table(folder / "gyroscope.csv").named(*_GYROSCOPE))
-    imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(time_unit="ns"))
+    accelerometer = Samples.from_rows(read_logged_table(folder / "accelerometer.csv").named(*_ACCELEROMETER))
+    gyroscope = Samples.from_rows(read_logged_table(folder / "gyroscope.csv").named(*_GYROSCOPE))
+    imu, imu_warnings = normalise_imu(accelerometer, gyroscope, ImuConvention(time_unit="ns"))
     return Recording(
         timed.frames,
         imu=imu,

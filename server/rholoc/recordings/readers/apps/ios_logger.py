@@ -81,11 +81,11 @@ def _imu(folder: Path) -> tuple[Imu, tuple[RecordingWarning, ...]]:
     says = ImuConvention(in_g=True, apple_sign=True)
     if fused.is_file():
         rows = read_logged_table(fused).numbered(*range(10))
-        felt = Samples(rows[:, 0], rows[:, 4:7] + rows[:, 7:10])
-        turned = Samples.from_rows(rows[:, :4])
+        accelerometer = Samples(rows[:, 0], rows[:, 4:7] + rows[:, 7:10])
+        gyroscope = Samples.from_rows(rows[:, :4])
     else:
-        felt, turned = (
+        accelerometer, gyroscope = (
             Samples.from_rows(read_logged_table(folder / name).numbered(0, 1, 2, 3))
             for name in ("Accel.txt", "Gyro.txt")
         )
-    return normalise_imu(felt, turned, says, R_LANDSCAPE_CAMERA_IMU)
+    return normalise_imu(accelerometer, gyroscope, says, R_LANDSCAPE_CAMERA_IMU)

@@ -49,9 +49,9 @@ def read(folder: Path) -> Recording:
     name = gyroscope.name.removesuffix(_GYROSCOPE).lower()
     video = find_video(gyroscope.parent, name) or require_video(folder, name)
     timed = timed_video(video, times, times_csv.name)
-    felt = Samples.from_rows(read_logged_table(_sibling(gyroscope, _ACCELEROMETER)).numbered(3, 0, 1, 2))
-    turned = Samples.from_rows(read_logged_table(gyroscope).numbered(3, 0, 1, 2))
-    imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(time_unit="ns"))
+    acceleration = Samples.from_rows(read_logged_table(_sibling(gyroscope, _ACCELEROMETER)).numbered(3, 0, 1, 2))
+    rate = Samples.from_rows(read_logged_table(gyroscope).numbered(3, 0, 1, 2))
+    imu, imu_warnings = normalise_imu(acceleration, rate, ImuConvention(time_unit="ns"))
     return Recording(
         timed.frames,
         imu=imu,

@@ -44,10 +44,10 @@ def read(folder: Path) -> Recording:
         InvalidRecording: there are no frames or no accelerations, or a file is broken.
     """
     timed = _frames(folder / "Camera")
-    turned = _samples(folder / "Gyroscope.csv")
-    felt, includes_gravity = _acceleration(folder)
+    gyroscope = _samples(folder / "Gyroscope.csv")
+    accelerometer, includes_gravity = _acceleration(folder)
     says = ImuConvention(time_unit="ns", includes_gravity=includes_gravity, apple_sign=_apple_sign(folder))
-    imu, imu_warnings = normalise_imu(felt, turned, says)
+    imu, imu_warnings = normalise_imu(accelerometer, gyroscope, says)
     return Recording(
         timed.frames,
         imu=imu,

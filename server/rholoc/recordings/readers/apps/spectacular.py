@@ -106,12 +106,12 @@ def _take(log: _Log, value: dict[str, Any]) -> None:
 
 
 def _imu(log: _Log, R_camera_imu: FloatArray | None) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
-    felt, turned = (np.array(log.sensors[name]).reshape(-1, 4) for name in ("accelerometer", "gyroscope"))
-    if len(felt) == 0 or len(turned) == 0:
+    accelerometer, gyroscope = (np.array(log.sensors[name]).reshape(-1, 4) for name in ("accelerometer", "gyroscope"))
+    if len(accelerometer) == 0 or len(gyroscope) == 0:
         return None, ()
     # Lines of several sensors are written as they arrive; those of one may be out of order.
-    felt, turned = (rows[np.argsort(rows[:, 0], kind="stable")] for rows in (felt, turned))
-    return normalise_imu(Samples.from_rows(felt), Samples.from_rows(turned), ImuConvention(), R_camera_imu)
+    accelerometer, gyroscope = (rows[np.argsort(rows[:, 0], kind="stable")] for rows in (accelerometer, gyroscope))
+    return normalise_imu(Samples.from_rows(accelerometer), Samples.from_rows(gyroscope), ImuConvention(), R_camera_imu)
 
 
 def _calibration(path: Path) -> dict[str, Any] | None:

@@ -69,8 +69,8 @@ def _imu(path: Path, times: FloatArray, poses: GivenPoses) -> tuple[Imu | None, 
         return None, ()
     rows = read_logged_table(path).named(*_IMU)
     says = ImuConvention(in_g=True, apple_sign=True)
-    felt, turned = Samples(rows[:, 0], rows[:, 1:4]), Samples(rows[:, 0], rows[:, 4:7])
-    imu, warnings = normalise_imu(felt, turned, says, R_LANDSCAPE_CAMERA_IMU)
+    accelerometer, gyroscope = Samples(rows[:, 0], rows[:, 1:4]), Samples(rows[:, 0], rows[:, 4:7])
+    imu, warnings = normalise_imu(accelerometer, gyroscope, says, R_LANDSCAPE_CAMERA_IMU)
     imu, sign_warnings = with_sign_by_poses(imu, times, poses)
     return imu, (*warnings, *sign_warnings)
 

@@ -53,11 +53,11 @@ def read(folder: Path) -> Recording:
     start = float(times[0])
     timed = timed_video(require_video(phone, "frames"), times - start, "frames.csv")
     poses = read_arkit_poses(phone / "arkit.csv", timed.frames, start)
-    felt, turned = (
+    accelerometer, gyroscope = (
         Samples.from_rows(read_logged_table(path).numbered(0, 1, 2, 3))
         for path in (phone / "accelerometer.csv", _gyroscope(phone))
     )
-    imu, imu_warnings = normalise_imu(felt, turned, ImuConvention(), R_PORTRAIT_CAMERA_IMU)
+    imu, imu_warnings = normalise_imu(accelerometer, gyroscope, ImuConvention(), R_PORTRAIT_CAMERA_IMU)
     imu, sign_warnings = with_sign_by_poses(imu, timed.frames.times, poses)
     return Recording(
         timed.frames,
