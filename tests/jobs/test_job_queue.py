@@ -18,7 +18,7 @@ from rholoc.errors import Conflict, InvalidName, StorageFull, UnknownJob, Unknow
 from rholoc.jobs import JobOptions, JobPriority, JobQueue, JobState, Obstacle
 from rholoc.jobs.job import MoreMemoryNeeded, memory_for_walk
 from rholoc.jobs.leases import Leases, overall
-from rholoc.jobs.table import turn_of
+from rholoc.jobs.turns import turn_of
 from rholoc.jobs.workers_table import WorkerTable
 from rholoc.library.recording_notes import READ_FILES, RecordingNotes
 from rholoc.library.recordings import RecordingStore

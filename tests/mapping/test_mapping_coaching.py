@@ -12,7 +12,7 @@ import pytest
 from rholoc.errors import MappingFailed
 from rholoc.geometry import Pose
 from rholoc.mapping import build_map
-from rholoc.mapping.build.job_advice import advice_line, coach
+from rholoc.mapping.build.job_advice import advice_line, coaching_report
 from rholoc.recordings import Look, read_recording, write_frames_csv
 from rholoc.reports import AdviceKind
 
@@ -31,7 +31,7 @@ def test_a_section_holds_what_was_measured_and_advised(dark: Path) -> None:
     write_frames_csv(dark / "frames.csv", np.arange(20), np.arange(20) / 30)
     recording = read_recording(dark)
     straight = [Pose.from_heading(np.array([t, 0, 1.5]), np.array([1.0, 0, 0])).T_map_camera for t in range(20)]
-    section = coach(recording, [Look(120.0, 400)] * 20, recording.frames.times, np.array(straight))
+    section = coaching_report(recording, [Look(120.0, 400)] * 20, recording.frames.times, np.array(straight))
     assert section.recording == "dark"
     assert section.warnings == ()
     assert section.figures.nearest_return == pytest.approx(1)

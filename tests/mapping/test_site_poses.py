@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from rholoc.errors import InvalidInput, MappingFailed
 from rholoc.geometry import FloatArray, Pose, Similarity, pose_distances, pose_matrix
 from rholoc.mapping.edit.moving import move_map
-from rholoc.mapping.sites.poses import find_link, pose_in_site, solve_site, with_link
+from rholoc.mapping.sites.linking import find_link
+from rholoc.mapping.sites.poses import pose_in_site, solve_site, with_link
 from rholoc.maps import FramePose, LinkOrigin, MapNames, MapWaypoint, NamedPoint, Site, SiteLink, SiteMap
 
 

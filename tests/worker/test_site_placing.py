@@ -81,7 +81,7 @@ def test_a_search_that_was_broken_off_goes_on_from_there(
         write_links(links.parent / "maps", "house", links, until_the_last)
     assert not links.exists()
     find = Mock(side_effect=MappingFailed("They do not overlap."))
-    monkeypatch.setattr("rholoc.mapping.sites.linking.find_link", find)
+    monkeypatch.setattr("rholoc.mapping.sites.link_search.find_link", find)
     write_links(links.parent / "maps", "house", links, silent)
     assert [(call.args[0], call.args[2]) for call in find.call_args_list] == [("kitchen", "study")]
     assert store_links(links, "house", sites, maps) == (

@@ -88,7 +88,8 @@ def link(
     """Find the pose between two maps, by points that both have or by overlap, and place the site's maps anew."""
     from rholoc.library.maps import MapLibrary
     from rholoc.library.sites import SiteLibrary
-    from rholoc.mapping.sites.poses import find_link, with_link
+    from rholoc.mapping.sites.linking import find_link
+    from rholoc.mapping.sites.poses import with_link
 
     sites, library = SiteLibrary(maps), MapLibrary(maps)
     site = sites.get(name)
@@ -133,7 +134,7 @@ def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> N
 def _place(name: str, maps: Path, as_json: bool) -> None:
     from rholoc.library.maps import MapLibrary
     from rholoc.library.sites import SiteLibrary
-    from rholoc.mapping.sites.linking import search_links
+    from rholoc.mapping.sites.link_search import search_links
     from rholoc.mapping.sites.poses import solve_site, with_link
 
     sites, library = SiteLibrary(maps), MapLibrary(maps)

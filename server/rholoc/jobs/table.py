@@ -12,15 +12,13 @@ import sqlalchemy as sa
 
 from rholoc.errors import Conflict, UnknownJob
 from rholoc.jobs.job import Job, JobKind, JobOptions, JobPriority, JobState
+from rholoc.jobs.turns import changed_turn, turn_of
 from rholoc.progress import Stage
 from rholoc.reports import report_from_json
 from rholoc.storage.database import change_rows, read_rows
 from rholoc.storage.tables import jobs_table
 
 _ID_LENGTH = 32
-_DAY_S = 24 * 3600.0
-_AHEAD_S = {JobPriority.HIGH: _DAY_S, JobPriority.NORMAL: 0.0, JobPriority.LOW: -_DAY_S}
-_PATIENCE = 10.0  # seconds that each second of a walk delays its turn
 
 
 @dataclass(frozen=True)
@@ -31,20 +29,6 @@ class JobWork:
     map_name: str
     options: JobOptions
     asked_in: str | None = None  # the trace of the request, as a W3C traceparent
-
-
-def turn_of(submitted_s: float, priority: JobPriority, length_s: float) -> float:
-    """Sort key of the queue [s]: the job with the smallest turn is taken first.
-
-    It is the time of submission, minus or plus a day by priority, plus ten times the walk's length. Since a turn does
-    not change, no job waits for ever.
-
-    Args:
-        submitted_s: seconds since the epoch.
-        priority: of the job.
-        length_s: estimated length of the walk.
-    """
-    return submitted_s - _AHEAD_S[priority] + _PATIENCE * length_s
 
 
 class JobTable:
@@ -156,7 +140,7 @@ class JobTable:
             row = connection.execute(sa.select(jobs_table).where(jobs_table.c.id == job_id)).mappings().first()
             if row is None:
                 raise _unknown(job_id)
-            turn = row["turn"] + _AHEAD_S[row["options"]["priority"]] - _AHEAD_S[priority]
+            turn = changed_turn(row["turn"], row["options"]["priority"], priority)
             changed = connection.execute(
                 jobs_table.update()
                 .where(jobs_table.c.id == job_id, jobs_table.c.state == JobState.QUEUED)

@@ -14,8 +14,9 @@ from rholoc.density import Evidence
 from rholoc.errors import InvalidDescriptors
 from rholoc.features import Extractor, FeatureSet, get_extractor
 from rholoc.geometry import UP, FloatArray, IntArray, Lens, Pose, angles_between, pose_distances
+from rholoc.localization.belief.acceptance import gated
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED, belief_of
-from rholoc.localization.belief.map_uncertainty import gated, with_map_error
+from rholoc.localization.belief.map_uncertainty import with_map_error
 from rholoc.localization.diagnosis import (
     INEXACT_MAP,
     TOO_LITTLE_TIME,

@@ -18,8 +18,9 @@ from rholoc.errors import InvalidInput
 from rholoc.geometry import FloatArray, Pose, is_rotation, pose_distances
 from rholoc.geometry.resection import resected
 from rholoc.lazy import lazy
+from rholoc.localization.belief.acceptance import gated
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED, belief_of, joint_belief
-from rholoc.localization.belief.map_uncertainty import gated, with_map_error
+from rholoc.localization.belief.map_uncertainty import with_map_error
 from rholoc.localization.diagnosis import wrong_motion
 from rholoc.localization.index.map_error import RIGHT_M, RIGHT_RAD
 from rholoc.localization.index.map_index import MapIndex

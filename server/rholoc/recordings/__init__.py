@@ -26,7 +26,7 @@ from rholoc.recordings.recording import (
 from rholoc.recordings.tables.own_tables import read_frames_csv, read_imu_csv, write_frames_csv, write_imu_csv
 from rholoc.recordings.tables.pose_table import read_pose_table
 from rholoc.recordings.tables.waypoints import check_waypoints_fix_frame, read_waypoints_csv, write_waypoints_csv
-from rholoc.recordings.walk.coaching import advise
+from rholoc.recordings.walk.advice import advise
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.recordings.walk.walk_figures import Look, look_at, look_through, measure_walk
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.geometry import FloatArray
 from rholoc.recordings.recording import FrameSource, GivenPoses, Imu, Recording, Waypoint
-from rholoc.recordings.walk.coaching import advise
+from rholoc.recordings.walk.advice import advise
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.recordings.walk.walk_figures import look_through, measure_walk
 from rholoc.reports import report_to_json

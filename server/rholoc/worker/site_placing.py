@@ -12,7 +12,7 @@ from rholoc.disk import replace_file
 from rholoc.errors import Conflict, InvalidMap, UnknownMap
 from rholoc.library.maps import MapLibrary
 from rholoc.library.sites import SiteLibrary
-from rholoc.mapping.sites.linking import SearchedPair, add_links, map_state, search_links
+from rholoc.mapping.sites.link_search import SearchedPair, add_links, map_state, search_links
 from rholoc.progress import ProgressListener
 from rholoc.reports import report_from_json, report_to_json
 

@@ -1,21 +1,19 @@
-"""Add the uncertainty that a frame's own covariance lacks, and withhold poses that are too doubtful or too inexact."""
+"""Add to an answer the uncertainty that a frame's own covariance lacks: the map's own error, and other poses."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 from rholoc.geometry import FloatArray
-from rholoc.localization.diagnosis import too_inexact
 from rholoc.localization.index.map_error import (
     INDEPENDENT_SHARE,
     PLACE_M,
     PLACE_RAD,
     rms_position_error,
     widening_factor,
-    worst_sigma,
 )
 from rholoc.localization.index.map_index import MapIndex
-from rholoc.localization.types import MAX_ALTERNATIVES, MIN_WEIGHT, Alternative, Belief, Localization, Query, Reason
+from rholoc.localization.types import Alternative, Belief, Localization
 
 _VIEWS_HERE = 10  # views that saw most of an answer's inlier landmarks, and hence are near the pose
 # How probably a pose is exact in a map that failed a check, beside one in a map that passed. Such maps differ: of sure
@@ -68,29 +66,3 @@ def _lowered(belief: Belief, own: FloatArray, of_map: FloatArray) -> Belief:
     here, exact = widening_factor(own, of_map, PLACE_M, PLACE_RAD), widening_factor(own, of_map)
     exact_if_here = min(exact / here, 1.0) if here > 0 else 0.0
     return Belief(belief.recognized * here, belief.exact * exact_if_here)
-
-
-def gated(answer: Localization, min_recognized: float, query: Query) -> Localization:
-    """Withhold the pose if the place is too doubtful, or the pose less exact than the query demands.
-
-    Args:
-        answer: an answer with or without a pose; one without is returned unchanged.
-        min_recognized: minimum probability of the right place.
-        query: its ``max_sigma_m`` and ``max_sigma_rad`` bound the standard deviations along the worst axes.
-
-    Returns:
-        The answer, or one that is not localized, with reason NOT_RECOGNIZED (the pose becomes its first alternative) or
-        TOO_INEXACT (with a diagnosis).
-    """
-    if answer.pose is None or answer.covariance is None:
-        return answer
-    refused = replace(answer, localized=False, pose=None, covariance=None, expected_error_m=None)
-    if answer.recognized < min_recognized:
-        withheld = Alternative(answer.recognized, answer.pose, answer.covariance, answer.inlier_features)
-        poses = (withheld, *answer.alternatives) if withheld.weight >= MIN_WEIGHT else answer.alternatives
-        return replace(refused, reason=Reason.NOT_RECOGNIZED, alternatives=poses[:MAX_ALTERNATIVES])
-    sigma_m, sigma_rad = worst_sigma(answer.covariance[:3, :3]), worst_sigma(answer.covariance[3:, 3:])
-    if sigma_m <= query.max_sigma_m and sigma_rad <= query.max_sigma_rad:
-        return answer
-    diagnosis = too_inexact(sigma_m, sigma_rad, query.max_sigma_m, query.max_sigma_rad)
-    return replace(refused, reason=Reason.TOO_INEXACT, diagnosis=diagnosis)

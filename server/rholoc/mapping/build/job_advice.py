@@ -12,7 +12,9 @@ from rholoc.recordings import Look, Recording, advise, look_through, measure_wal
 from rholoc.reports import CoachingReport
 
 
-def coach(recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray) -> CoachingReport:
+def coaching_report(
+    recording: Recording, looks: Sequence[Look], times: FloatArray, T_map_camera: FloatArray
+) -> CoachingReport:
     """Report on one recording, from its frames' appearance and the poses (N, 4, 4) at times (N,) [s]; N may be 0."""
     figures = measure_walk(recording, looks, times, T_map_camera)
     return CoachingReport(recording.name, figures, recording.warnings, advise(figures))
@@ -29,7 +31,7 @@ def with_advice(failure: MappingFailed, recording: Recording) -> MappingFailed:
     ``failure`` itself if a frame cannot be decoded.
     """
     try:
-        section = coach(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
+        section = coaching_report(recording, look_through(recording.frames), np.zeros(0), np.zeros((0, 4, 4)))
     except InvalidRecording:
         return failure
     texts = [warning.text for warning in section.warnings] + [advice.text for advice in section.advice]

@@ -17,7 +17,7 @@ from rholoc.geometry.earth import enu_of
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import DEFAULT_DEGREE, fit_densities
 from rholoc.mapping.build.frame_features import FrameFeatures
-from rholoc.mapping.build.job_advice import advice_line, coach, with_advice
+from rholoc.mapping.build.job_advice import advice_line, coaching_report, with_advice
 from rholoc.mapping.build.landmarks import (
     Landmarks,
     are_stable,
@@ -110,7 +110,7 @@ def build_map(
         map_report(map_, held_out, progress),
         trajectories=tuple(walk.trajectory.report for walk in walks),
         coaching=tuple(
-            coach(walk.recording, seen, walk.trajectory.times, walk.trajectory.T_map_camera)
+            coaching_report(walk.recording, seen, walk.trajectory.times, walk.trajectory.T_map_camera)
             for walk, seen in zip(walks, looks, strict=True)
         ),
     )

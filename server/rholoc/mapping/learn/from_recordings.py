@@ -14,7 +14,7 @@ from rholoc.localization import Localizer
 from rholoc.mapping.build.assembly import assemble
 from rholoc.mapping.build.density_fitting import ray_form
 from rholoc.mapping.build.frame_features import FrameFeatures, Shown
-from rholoc.mapping.build.job_advice import coach
+from rholoc.mapping.build.job_advice import coaching_report
 from rholoc.mapping.build.recursive_densities import check_forgetting
 from rholoc.mapping.build.stored_observations import recording_id
 from rholoc.mapping.build.tracks import Views
@@ -136,7 +136,7 @@ def update_map(
         views=len(views),
         features_seen_again=int((seen >= 0).sum()),
         features_new=int((seen < 0).sum()),
-        coaching=coach(recording, look_through(recording.frames), walk.times, walk.T_map_camera),
+        coaching=coaching_report(recording, look_through(recording.frames), walk.times, walk.T_map_camera),
     )
     return as_learned(map_, joined, report, progress, options.forgetting)
 

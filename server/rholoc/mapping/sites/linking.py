@@ -1,161 +1,93 @@
-"""Links between the maps of a site: search pair by pair until all maps have a pose."""
+"""The link between two maps: their relative pose, from the maps themselves."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+import numpy as np
 
-from rholoc.errors import InvalidInput, InvalidMap, MappingFailed, UnknownMap
-from rholoc.mapping.sites.poses import find_link, solve_site, with_link
-from rholoc.maps import Map, Site, SiteLink
-from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.errors import InvalidInput, MappingFailed
+from rholoc.geometry import FloatArray, evenly, kabsch, pose_matrix
+from rholoc.localization import Localizer
+from rholoc.mapping.build.density_fitting import ray_form
+from rholoc.mapping.learn.merging import check_alike, remembered_frames
+from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_found, find_frames
+from rholoc.maps import FramePose, LinkOrigin, Map, SiteLink
+from rholoc.progress import ProgressListener, silent
 
-
-@dataclass(frozen=True)
-class SearchedPair:
-    """Two maps of a site between which a link was looked for.
-
-    Attributes:
-        first, second: the maps' names.
-        states: the :func:`map_state` of each map at the search; both empty if a map could not be read.
-        link: the link found, or None.
-        reason: one line that says why there is no link; empty if there is one.
-    """
-
-    first: str
-    second: str
-    states: tuple[str, str]
-    link: SiteLink | None = None
-    reason: str = ""
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """The names of both maps."""
-        return self.first, self.second
+_MIN_SIGMA_M, _MIN_SIGMA_DEG = 0.02, 0.3  # of a link that was found: the maps themselves are no better
+_MIN_SHARED = 3
+_MIN_SPREAD_M = 0.3  # of shared points across their main direction, below which they leave a rotation open
+_MAX_OFF_M = 0.3  # of a shared point
+_MAX_LOCALIZED = 60
 
 
-def map_state(map_id: str, version: int) -> str:
-    """Key of a map's content: changes whenever its frame, landmarks or views do."""
-    return f"{map_id} {version}"
-
-
-def search_links(
-    site: Site,
-    load: Callable[[str], Map],
-    present: Collection[str],
-    searched: Sequence[SearchedPair] = (),
-    progress: ProgressListener = silent,
-) -> Iterator[SearchedPair]:
-    """Look for links until all maps are placed, or there is no pair of maps left that could help.
-
-    Args:
-        site: site with maps to place.
-        load: returns a map by its name; if it raises UnknownMap or InvalidMap, the pair gets no link.
-        present: names of the existing maps; others are skipped.
-        searched: results of an earlier search; their pairs are not searched again.
-        progress: called with :attr:`Stage.LINKS` and the share of all pairs done.
-
-    Yields:
-        Result of each pair whose relative pose was unknown, including earlier results, with or without a link. A link
-        that contradicts others is replaced by the reason.
+def find_link(first: str, a: Map, second: str, b: Map, progress: ProgressListener = silent) -> SiteLink:
+    """The pose between two maps: by measured points of the same names, else by views of ``b`` localized in ``a``.
 
     Raises:
-        InvalidInput: the site's own links contradict each other.
+        InvalidInput: a map has no metric scale; or they share no three points, and their features or densities differ.
+        MappingFailed: they do not overlap, or disagree; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
-    site = solve_site(site)
-    known = {pair.names: pair for pair in searched}
-    pairs = list(combinations([one.map for one in site.maps if one.map in set(present)], 2))
-    for number, (first, second) in enumerate(pairs):
-        note = _of_pair(progress, number, len(pairs))
-        if _in_one_frame(site, first, second):
-            continue
-        note(Stage.LINKS, 0.0, f"{first} and {second}")
-        pair = known.get((first, second))
-        if pair is None:
-            pair = _search(first, second, load, note)
-        site, pair = _with_pair(site, pair)
-        yield pair
+    for name, map_ in ((first, a), (second, b)):
+        if not map_.info.metric:
+            raise InvalidInput(
+                f"The map {name} has no metric scale.", "Map it with an IMU or waypoints, or correct its scale."
+            )
+    by_points = _link_by_points(first, a, second, b)
+    return by_points or _link_by_overlap(first, a, second, b, progress)
 
 
-def add_links(
-    site: Site, searched: Sequence[SearchedPair], state_of: Callable[[str], str | None]
-) -> tuple[Site, list[str]]:
-    """Add the links that a search found to a site, and report why some maps still have no pose.
+def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
+    """Link by waypoints and named points with the same names in both maps.
 
-    Ignores links that the site already has, and links of maps that left the site. A link of a map that has changed
-    since the search is not added, but reported.
-
-    Args:
-        site: the present site.
-        searched: results of the search.
-        state_of: returns the present :func:`map_state` of a map by its name; None if there is no such map.
-
-    Returns:
-        The site, and one line per problem; no lines if all maps have poses and all links were added.
+    None for fewer than three points, or if they are collinear: the second singular value of their centred positions is
+    below 0.3 m. Raises MappingFailed if a point's residual exceeds 0.3 m.
     """
-    problems = []
-    for pair in searched:
-        if pair.link is None or pair.link in site.links or any(site.member(name) is None for name in pair.names):
-            continue
-        if tuple(map(state_of, pair.names)) != pair.states:
-            problems.append(f"{pair.first} or {pair.second} has changed since the search for a link.")
-            continue
-        site, added = _with_pair(site, pair)
-        if added.link is None:
-            problems.append(f"{pair.first} and {pair.second}: {added.reason}")
-    unplaced = [one.map for one in site.maps if one.pose is None]
-    if unplaced:
-        tried = [pair for pair in searched if pair.reason and not set(unplaced).isdisjoint(pair.names)]
-        problems.append(f"Nothing joins {', '.join(unplaced)} to the others.")
-        problems += [f"{pair.first} and {pair.second}: {pair.reason}" for pair in tried]
-    return site, problems
+    of_a, of_b = _points(a), _points(b)
+    shared = sorted(of_a.keys() & of_b.keys())
+    if len(shared) < _MIN_SHARED:
+        return None
+    there, here = np.array([of_a[name] for name in shared]), np.array([of_b[name] for name in shared])
+    if np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < _MIN_SPREAD_M:
+        return None
+    similarity = kabsch(here, there)
+    off_m = np.linalg.norm(similarity.points(here) - there, axis=1)
+    if off_m.max() > _MAX_OFF_M:
+        name = shared[int(off_m.argmax())]
+        raise MappingFailed(
+            f"The points that {first} and {second} share disagree: {name} by {off_m.max():.2f} m.",
+            "Correct the point's name or position in one of the maps.",
+        )
+    rms_m = float(np.sqrt(np.mean(off_m**2)))
+    reach_m = float(np.sqrt(np.mean(np.sum((here - here.mean(axis=0)) ** 2, axis=1))))
+    sigma_m = max(rms_m, _MIN_SIGMA_M)
+    sigma_deg = max(float(np.degrees(sigma_m / reach_m)), _MIN_SIGMA_DEG)
+    T = pose_matrix(similarity.rotation, similarity.translation)
+    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.WAYPOINTS, _middle(here))
 
 
-def _of_pair(progress: ProgressListener, number: int, pairs: int) -> ProgressListener:
-    """Progress listener that maps one pair's progress onto the progress of all pairs."""
-
-    def note(stage: Stage, fraction: float, message: str = "") -> None:
-        progress(Stage.LINKS, (number + fraction) / pairs, message)
-
-    return note
+def _middle(positions: FloatArray) -> tuple[float, float, float]:
+    """Mean of positions (N, 3)."""
+    x, y, z = positions.mean(axis=0).tolist()
+    return x, y, z
 
 
-def _search(first: str, second: str, load: Callable[[str], Map], progress: ProgressListener) -> SearchedPair:
-    maps = []
-    for name in (first, second):
-        try:
-            maps.append(load(name))
-        except (UnknownMap, InvalidMap) as error:
-            return SearchedPair(first, second, ("", ""), reason=error.message)
-    a, b = maps
-    states = (map_state(a.info.id, a.info.version), map_state(b.info.id, b.info.version))
-    try:
-        return SearchedPair(first, second, states, find_link(first, a, second, b, progress))
-    except (MappingFailed, InvalidInput) as error:
-        return SearchedPair(first, second, states, reason=error.message)
+def _points(map_: Map) -> dict[str, tuple[float, float, float]]:
+    """Positions [m] of named points and waypoints by name; of the same name, the waypoint's."""
+    named = {point.name: point.position for point in map_.info.names.points}
+    return named | {waypoint.name: waypoint.position for waypoint in map_.info.waypoints}
 
 
-def _with_pair(site: Site, pair: SearchedPair) -> tuple[Site, SearchedPair]:
-    """The site with the pair's link, and the pair. If the link contradicts others, the same site, and the pair with the
-    reason in place of the link.
-    """
-    if pair.link is None:
-        return site, pair
-    try:
-        return with_link(site, pair.link), pair
-    except InvalidInput as error:
-        return site, SearchedPair(pair.first, pair.second, pair.states, reason=error.message)
-
-
-def _in_one_frame(site: Site, first: str, second: str) -> bool:
-    """Whether the relative pose of two maps is known: both have a pose, or links lead from one to the other."""
-    poses = [one.pose for one in site.maps if one.map in (first, second)]
-    if all(pose is not None for pose in poses):
-        return True
-    reached, before = {first}, 0
-    while len(reached) > before:
-        before = len(reached)
-        reached |= {end for one in site.links for end in (one.first, one.second) if {one.first, one.second} & reached}
-    return second in reached
+def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: ProgressListener) -> SiteLink:
+    check_alike(a, b)
+    localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
+    frames = remembered_frames(b)
+    tried = evenly(len(frames), _MAX_LOCALIZED)
+    found = find_frames(localizer, frames, tried, f"The map {second}", progress)
+    alignment = align_to_found(b.views.T_map_camera, found, True, f"The map {second}")
+    similarity = alignment.similarity
+    T = pose_matrix(similarity.rotation, similarity.translation)
+    sigma_m = max(alignment.residual_m, _MIN_SIGMA_M)
+    sigma_deg = max(float(np.degrees(alignment.residual_rad)), _MIN_SIGMA_DEG)
+    at = _middle(b.views.positions[found.rows])
+    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.OVERLAP, at)

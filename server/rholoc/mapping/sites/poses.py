@@ -1,4 +1,4 @@
-"""Poses of a site's maps from links between pairs of maps, and these links from the maps themselves."""
+"""Poses of a site's maps from links between pairs of maps."""
 
 from __future__ import annotations
 
@@ -8,27 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rholoc.errors import InvalidInput, MappingFailed
-from rholoc.geometry import FloatArray, Pose, evenly, kabsch, pose_distances, pose_matrix
-from rholoc.localization import Localizer
+from rholoc.errors import InvalidInput
+from rholoc.geometry import FloatArray, Pose, pose_distances
 from rholoc.localization.index.map_error import carried_covariances, worst_sigma
-from rholoc.mapping.build.density_fitting import ray_form
-from rholoc.mapping.learn.merging import check_alike, remembered_frames
-from rholoc.mapping.learn.registration import LEARNING_RECOGNIZED, align_to_found, find_frames
-from rholoc.maps import FramePose, LinkOrigin, Map, Site, SiteLink, SiteMap
-from rholoc.progress import ProgressListener, silent
+from rholoc.maps import FramePose, LinkOrigin, Site, SiteLink, SiteMap
 
 _GIVEN_SIGMA_M, _GIVEN_SIGMA_RAD = 1e-3, np.deg2rad(0.01)  # of a pose that was given without a covariance
 _HELD_SIGMA = 1e-5  # m and rad, of a given pose while others are placed by it
 _CONTRADICTION_SIGMAS = 5.0
-_MIN_SIGMA_M, _MIN_SIGMA_DEG = 0.02, 0.3  # of a link that was found: the maps themselves are no better
-_MIN_SHARED = 3
-_MIN_SPREAD_M = 0.3  # of shared points across their main direction, below which they leave a rotation open
-_MAX_OFF_M = 0.3  # of a shared point
-_MAX_LOCALIZED = 60
-
-
-# -- poses from links ------------------------------------------------------------------------------------------------
 
 
 def solve_site(site: Site) -> Site:
@@ -225,82 +212,6 @@ def _in_site(covariance: FloatArray, T: FloatArray) -> FloatArray:
     return np.asarray(turn @ covariance @ turn.T)
 
 
-# -- links from maps -------------------------------------------------------------------------------------------------
-
-
-def find_link(first: str, a: Map, second: str, b: Map, progress: ProgressListener = silent) -> SiteLink:
-    """The pose between two maps: by measured points of the same names, else by views of ``b`` localized in ``a``.
-
-    Raises:
-        InvalidInput: a map has no metric scale; or they share no three points, and their features or densities differ.
-        MappingFailed: they do not overlap, or disagree; says by how much.
-        Cancelled: ``progress`` asked to stop.
-    """
-    for name, map_ in ((first, a), (second, b)):
-        if not map_.info.metric:
-            raise InvalidInput(
-                f"The map {name} has no metric scale.", "Map it with an IMU or waypoints, or correct its scale."
-            )
-    by_points = _link_by_points(first, a, second, b)
-    return by_points or _link_by_overlap(first, a, second, b, progress)
-
-
-def _link_by_points(first: str, a: Map, second: str, b: Map) -> SiteLink | None:
-    """Link by waypoints and named points with the same names in both maps.
-
-    None for fewer than three points, or if they are collinear: the second singular value of their centred positions is
-    below 0.3 m. Raises MappingFailed if a point's residual exceeds 0.3 m.
-    """
-    of_a, of_b = _points(a), _points(b)
-    shared = sorted(of_a.keys() & of_b.keys())
-    if len(shared) < _MIN_SHARED:
-        return None
-    there, here = np.array([of_a[name] for name in shared]), np.array([of_b[name] for name in shared])
-    if np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < _MIN_SPREAD_M:
-        return None
-    similarity = kabsch(here, there)
-    off_m = np.linalg.norm(similarity.points(here) - there, axis=1)
-    if off_m.max() > _MAX_OFF_M:
-        name = shared[int(off_m.argmax())]
-        raise MappingFailed(
-            f"The points that {first} and {second} share disagree: {name} by {off_m.max():.2f} m.",
-            "Correct the point's name or position in one of the maps.",
-        )
-    rms_m = float(np.sqrt(np.mean(off_m**2)))
-    reach_m = float(np.sqrt(np.mean(np.sum((here - here.mean(axis=0)) ** 2, axis=1))))
-    sigma_m = max(rms_m, _MIN_SIGMA_M)
-    sigma_deg = max(float(np.degrees(sigma_m / reach_m)), _MIN_SIGMA_DEG)
-    T = pose_matrix(similarity.rotation, similarity.translation)
-    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.WAYPOINTS, _middle(here))
-
-
-def _middle(positions: FloatArray) -> tuple[float, float, float]:
-    """Mean of positions (N, 3)."""
-    x, y, z = positions.mean(axis=0).tolist()
-    return x, y, z
-
-
-def _points(map_: Map) -> dict[str, tuple[float, float, float]]:
-    """Positions [m] of named points and waypoints by name; of the same name, the waypoint's."""
-    named = {point.name: point.position for point in map_.info.names.points}
-    return named | {waypoint.name: waypoint.position for waypoint in map_.info.waypoints}
-
-
-def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: ProgressListener) -> SiteLink:
-    check_alike(a, b)
-    localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
-    frames = remembered_frames(b)
-    tried = evenly(len(frames), _MAX_LOCALIZED)
-    found = find_frames(localizer, frames, tried, f"The map {second}", progress)
-    alignment = align_to_found(b.views.T_map_camera, found, True, f"The map {second}")
-    similarity = alignment.similarity
-    T = pose_matrix(similarity.rotation, similarity.translation)
-    sigma_m = max(alignment.residual_m, _MIN_SIGMA_M)
-    sigma_deg = max(float(np.degrees(alignment.residual_rad)), _MIN_SIGMA_DEG)
-    at = _middle(b.views.positions[found.rows])
-    return SiteLink(first, second, FramePose.of(T), sigma_m, sigma_deg, LinkOrigin.OVERLAP, at)
-
-
 def with_link(site: Site, link: SiteLink) -> Site:
     """The site with ``link``, and all poses solved again.
 
@@ -312,9 +223,6 @@ def with_link(site: Site, link: SiteLink) -> Site:
     pair = {link.first, link.second}
     kept = [other for other in site.links if {other.first, other.second} != pair or other.origin is LinkOrigin.GIVEN]
     return solve_site(replace(site, links=(*kept, link)))
-
-
-# -- answers ---------------------------------------------------------------------------------------------------------
 
 
 def pose_in_site(

@@ -1,4 +1,4 @@
-"""Figures of a walk, for :mod:`rholoc.recordings.walk.coaching`."""
+"""Figures of a walk, for :mod:`rholoc.recordings.walk.advice`."""
 
 from __future__ import annotations
 

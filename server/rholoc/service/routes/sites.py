@@ -17,7 +17,8 @@ from rholoc.errors import (
     UnknownMap,
     UnknownSite,
 )
-from rholoc.mapping.sites.poses import find_link, solve_site, with_link
+from rholoc.mapping.sites.linking import find_link
+from rholoc.mapping.sites.poses import solve_site, with_link
 from rholoc.service.access.scopes import NEEDS_ADMIN, NEEDS_MAP, NEEDS_READ, request_key
 from rholoc.service.http.models import AnswerModel, RequestModel
 from rholoc.service.http.openapi import declared
