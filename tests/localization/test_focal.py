@@ -15,7 +15,7 @@ from rholoc.density import Evidence
 from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, Pose
 from rholoc.localization import Cause, Intrinsics, Localizer, Query
-from rholoc.localization.belief.map_uncertainty import worst_sigma
+from rholoc.localization.index.map_error import worst_sigma
 from rholoc.localization.index.matches import Matches
 from rholoc.localization.pose.ascent import ascend_with_focal, freed_focal
 from rholoc.localization.pose.focal import (

@@ -12,7 +12,7 @@ from scipy.stats import chi
 
 from rholoc.geometry import Pose
 from rholoc.localization import Alternative, Belief, Cause, Localization, Localizer, Query, Reason
-from rholoc.localization.belief.map_uncertainty import with_map_error, worst_sigma
+from rholoc.localization.belief.map_uncertainty import with_map_error
 from rholoc.localization.index.map_error import (
     PLACE_M,
     PLACE_RAD,
@@ -23,6 +23,7 @@ from rholoc.localization.index.map_error import (
     probability_right,
     rms_position_error,
     widening_factor,
+    worst_sigma,
 )
 from rholoc.localization.index.map_index import MapIndex
 from rholoc.mapping.build.view_covariance import storable_covariances
