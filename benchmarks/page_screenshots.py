@@ -38,7 +38,7 @@ from rholoc.maps import Map, MapLabels, MapNames, NamedArea, NamedPoint, save_ma
 from rholoc.recordings import Recording, read_recording
 from rholoc.service import Settings, create_app
 from rholoc.service.caller import ASKER
-from rholoc.service.frames.answers import LocalizationOut
+from rholoc.service.frames.answer_models import LocalizationOut
 from rholoc.service.http.models import EXAMPLES
 from rholoc.simulation import simulate_recording
 

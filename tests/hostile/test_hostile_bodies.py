@@ -45,7 +45,7 @@ def test_a_descriptor_set_is_measured_before_it_is_parsed(http, features, monkey
     def parse(*_args, **_options):
         raise AssertionError("parsed")
 
-    monkeypatch.setattr("rholoc.service.frames.requests.DescriptorQuery.model_validate_json", parse)
+    monkeypatch.setattr("rholoc.service.frames.request_models.DescriptorQuery.model_validate_json", parse)
     body = json.dumps({"camera": {"width": 640, "height": 480}, "features": features})
     assert code(http.post("/v1/maps/room/localize", content=body, headers=JSON)) == "too_large"
 

@@ -15,7 +15,7 @@ from rholoc.features import get_extractor
 from rholoc.geometry import Camera
 from rholoc.localization import Intrinsics
 from rholoc.service.frames.queries import Frame, camera_for, feature_set, gravity_of, prior_of
-from rholoc.service.frames.requests import FeaturesIn, LocalizeOptions, PriorIn
+from rholoc.service.frames.request_models import FeaturesIn, LocalizeOptions, PriorIn
 
 _HERE = {"position": [0, 0, 0], "quaternion_xyzw": [0, 0, 0, 1]}
 _CAMERA = {"fx": 520, "fy": 520, "cx": 319.5, "cy": 239.5}

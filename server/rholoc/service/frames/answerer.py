@@ -14,7 +14,7 @@ from rholoc.library.maps import MapLibrary
 from rholoc.library.sites import SiteLibrary
 from rholoc.localization import AnyLocalizer, MapFinder
 from rholoc.service.caller import ASKER
-from rholoc.service.frames.answers import LocalizationOut, PlacesOut, late_answer
+from rholoc.service.frames.answer_models import LocalizationOut, PlacesOut, late_answer
 from rholoc.service.frames.geoposes import GeoPoseKind
 from rholoc.service.frames.kept.learning import Learner
 from rholoc.service.frames.kept.live import Live

@@ -9,7 +9,7 @@ from rholoc.geometry import Pose
 from rholoc.localization import Localizer, Query
 from rholoc.paper.density_localizer import DensityLocalizer
 from rholoc.paper.landscape import landscape_around
-from rholoc.service.frames.answers import PoseOut, pose_out
+from rholoc.service.frames.answer_models import PoseOut, pose_out
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.queries import Frame, camera_for, gravity_of, prior_of

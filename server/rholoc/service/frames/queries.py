@@ -16,7 +16,7 @@ from rholoc.features import Extractor, FeatureSet
 from rholoc.geometry import ByteArray, Camera, FloatArray, Lens, Pose
 from rholoc.localization import Intrinsics, Prior
 from rholoc.recordings.frames.image_decoding import visited_pixels
-from rholoc.service.frames.requests import FeaturesIn, LocalizeOptions, PriorIn
+from rholoc.service.frames.request_models import FeaturesIn, LocalizeOptions, PriorIn
 from rholoc.service.http.models import CameraIn
 from rholoc.service.threads.compute import Effort
 

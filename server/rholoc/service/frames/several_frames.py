@@ -21,12 +21,12 @@ from rholoc.localization import (
     check_frame_count,
     localize_together,
 )
-from rholoc.service.frames.answers import FramePoseOut, LocalizationOut, PoseOut, answer_of, pose_out, too_late
+from rholoc.service.frames.answer_models import FramePoseOut, LocalizationOut, PoseOut, answer_of, pose_out, too_late
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.localizers import LocalizerSource
 from rholoc.service.frames.map_choice import MapChoice, best_map, choose_candidates
 from rholoc.service.frames.queries import Frame, camera_for, direction, finite, gravity_of, max_sigmas
-from rholoc.service.frames.requests import FrameIn, FramesQuery, LocalizeOptions
+from rholoc.service.frames.request_models import FrameIn, FramesQuery, LocalizeOptions
 from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.service.settings import Settings
 

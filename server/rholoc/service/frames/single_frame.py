@@ -14,7 +14,7 @@ from rholoc.localization import (
     Query,
     likeliest_views,
 )
-from rholoc.service.frames.answers import LocalizationOut, PlaceOut, PlacesOut, answer_of, pose_out, too_late
+from rholoc.service.frames.answer_models import LocalizationOut, PlaceOut, PlacesOut, answer_of, pose_out, too_late
 from rholoc.service.frames.frame_features import FrameFeatures
 from rholoc.service.frames.kept.learning import Lesson, Listener
 from rholoc.service.frames.localizers import LocalizerSource

@@ -11,7 +11,7 @@ from rholoc.geometry import FloatArray, Pose
 from rholoc.library.sites import SiteLibrary
 from rholoc.mapping.sites.poses import pose_in_site
 from rholoc.maps import Site, SiteMap, SiteOnEarth
-from rholoc.service.frames.answers import EarthOut, LocalizationOut, SitePoseOut
+from rholoc.service.frames.answer_models import EarthOut, LocalizationOut, SitePoseOut
 from rholoc.service.frames.geoposes import GeoPoseKind, geopose_of
 
 _DEGREES = np.array([1, 1, 1, *[180 / np.pi] * 3])

@@ -27,7 +27,7 @@ from rholoc.geometry import FloatArray
 from rholoc.maps import Map, SiteMap, room_to_bytes
 from rholoc.service.access.scopes import NEEDS_VISIT, request_key
 from rholoc.service.errors import Forbidden, UnsupportedMediaType
-from rholoc.service.frames.answers import LocalizationOut
+from rholoc.service.frames.answer_models import LocalizationOut
 from rholoc.service.http.models import AnswerModel
 from rholoc.service.http.openapi import BINARY, content, declared, request_body
 from rholoc.service.http.stopwatch import Stopwatch

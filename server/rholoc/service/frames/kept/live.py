@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from rholoc.errors import Conflict
 from rholoc.service.caller import ASKER
-from rholoc.service.frames.answers import LocalizationOut
+from rholoc.service.frames.answer_models import LocalizationOut
 
 UNSURE_BELOW = 0.8  # a confidence
 LIVE_S = 10.0  # time for which a client is shown after its last request

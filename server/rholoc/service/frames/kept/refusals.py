@@ -20,7 +20,7 @@ from rholoc.maps import Map
 from rholoc.maps.kept_observations import source_cameras
 from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image
 from rholoc.service.caller import ASKER
-from rholoc.service.frames.answers import LocalizationOut
+from rholoc.service.frames.answer_models import LocalizationOut
 from rholoc.service.http.models import AnswerModel
 
 _PICTURE_PX, _QUALITY = 480, 75

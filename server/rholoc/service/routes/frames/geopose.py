@@ -31,7 +31,7 @@ from rholoc.service.access.scopes import NEEDS_LOCALIZE, OPEN
 from rholoc.service.errors import InvalidRequest
 from rholoc.service.frames.geoposes import GeoPoseKind, GeoPoseQuaternionOut
 from rholoc.service.frames.queries import Frame, effort_of
-from rholoc.service.frames.requests import CameraChoice, LocalizeOptions
+from rholoc.service.frames.request_models import CameraChoice, LocalizeOptions
 from rholoc.service.http.bodies import read_body
 from rholoc.service.http.json_bodies import JsonLimits
 from rholoc.service.http.models import AnswerModel, RequestModel

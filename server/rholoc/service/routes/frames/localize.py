@@ -22,10 +22,10 @@ from rholoc.errors import (
 )
 from rholoc.service.access.scopes import NEEDS_LOCALIZE
 from rholoc.service.errors import UnsupportedMediaType
-from rholoc.service.frames.answers import LocalizationOut, PlacesOut
+from rholoc.service.frames.answer_models import LocalizationOut, PlacesOut
 from rholoc.service.frames.landscape import LandscapeOut
 from rholoc.service.frames.map_choice import MapChoice
-from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
+from rholoc.service.frames.request_models import DescriptorQuery, FramesQuery, LocalizeOptions
 from rholoc.service.http.models import EXAMPLES
 from rholoc.service.http.openapi import BINARY, declared, reference, request_body
 from rholoc.service.http.stopwatch import Stopwatch

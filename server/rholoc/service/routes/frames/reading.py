@@ -15,7 +15,7 @@ from rholoc.localization import MAX_FRAMES
 from rholoc.recordings.frames.image_decoding import IMAGE_START_BYTES, begins_like_an_image, not_an_image
 from rholoc.service.errors import InvalidRequest, UnsupportedMediaType
 from rholoc.service.frames.queries import Frame, effort_of, effort_of_set
-from rholoc.service.frames.requests import DescriptorQuery, FramesQuery, LocalizeOptions
+from rholoc.service.frames.request_models import DescriptorQuery, FramesQuery, LocalizeOptions
 from rholoc.service.frames.several_frames import Frames
 from rholoc.service.http.bodies import PieceListener, media_type, read_body, read_multipart
 from rholoc.service.http.json_bodies import JsonLimits

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from rholoc.localization import Dof
-from rholoc.service.frames.answers import LocalizationOut, PoseOut
-from rholoc.service.frames.requests import CameraChoice
+from rholoc.service.frames.answer_models import LocalizationOut, PoseOut
+from rholoc.service.frames.request_models import CameraChoice
 from rholoc.service.http.models import Number, Quaternion, RequestModel, Vector3
 from rholoc.trajectory import Scale
 from rholoc_client.tracking import TrackStatus

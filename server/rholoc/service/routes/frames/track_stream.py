@@ -25,10 +25,10 @@ from rholoc.recordings.frames.image_decoding import SENT_FORMATS, decode_image
 from rholoc.service.access.open_streams import StreamKind
 from rholoc.service.access.scopes import STREAM_NEEDS_LOCALIZE, STREAM_PROTOCOL
 from rholoc.service.errors import Internal, InvalidRequest, RequestTimeout, as_rholoc_error, error_body
-from rholoc.service.frames.answers import LocalizationOut, PoseOut
+from rholoc.service.frames.answer_models import LocalizationOut, PoseOut
 from rholoc.service.frames.map_choice import MapChoice
 from rholoc.service.frames.queries import Frame, camera_for, effort_of
-from rholoc.service.frames.requests import LocalizeOptions, PriorIn
+from rholoc.service.frames.request_models import LocalizeOptions, PriorIn
 from rholoc.service.http.json_bodies import JsonLimits, check_json
 from rholoc.service.http.stopwatch import Stopwatch
 from rholoc.service.routes.frames.track_messages import Begin, Begun, FrameMessage, StreamError, TrackedOut
