@@ -11,7 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray
+from rholoc.geometry import BoolArray, ByteArray, Camera, FloatArray, IntArray, evenly
 from rholoc.maps import Map
 from rholoc.recordings import Recording
 from rholoc.recordings.frames.depth import DepthImages
@@ -292,7 +292,7 @@ def _recorded(
     landmarks'. Empty with fewer than 20 ratios, or if these deviate by more than 10 % in the median.
     """
     having = [view for view, row in rows.items() if depth.paths[row] is not None]
-    chosen = [having[i] for i in np.unique(np.linspace(0, len(having) - 1, min(most, len(having))).astype(np.int64))]
+    chosen = [having[i] for i in evenly(len(having), most)]
     images, found, ratios = _images(recording, rows, set(chosen)), [], []
     focal, centre = _window(camera, np.eye(3))
     for view in chosen:
