@@ -19,7 +19,7 @@ from rholoc.mapping.build.reconstruction_cloud import cloud_of
 from rholoc.mapping.build.stored_observations import recording_id
 from rholoc.mapping.build.tracks import Views, link_observations
 from rholoc.mapping.edit.correcting import remove_region, remove_views
-from rholoc.mapping.edit.frame_from_people import levelled
+from rholoc.mapping.edit.frame_corrections import levelled
 from rholoc.mapping.edit.moving import move_map
 from rholoc.mapping.edit.sources import forget_recording
 from rholoc.mapping.learn.merging import merge_maps

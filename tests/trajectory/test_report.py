@@ -14,7 +14,7 @@ from rholoc.recordings import Imu, MemoryFrames, Recording, Waypoint
 from rholoc.reports import ImuReport
 from rholoc.trajectory import PoseMethod, Scale
 from rholoc.trajectory.checks.agreement import Agreement
-from rholoc.trajectory.checks.blame import LeftOut
+from rholoc.trajectory.checks.mistaken_waypoints import LeftOut
 from rholoc.trajectory.estimate import _doubts, _imu_report, _report
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration

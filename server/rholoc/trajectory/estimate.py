@@ -14,9 +14,9 @@ from rholoc.geometry.graphs import components
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import Imu, KnownLength, Mounted, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
 from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
-from rholoc.trajectory.checks.blame import LeftOut, explain
 from rholoc.trajectory.checks.gaps import describe, missing_spans
 from rholoc.trajectory.checks.given_poses import PoseAxes, check_given_poses
+from rholoc.trajectory.checks.mistaken_waypoints import LeftOut, explain
 from rholoc.trajectory.child import run_in_child
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.frame.upright import up_without_roll

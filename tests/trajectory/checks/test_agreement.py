@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, Similarity, pose_matrix
 from rholoc.trajectory.checks.agreement import Agreement, compare
-from rholoc.trajectory.checks.blame import LeftOut, explain, held_against, leave_out, worst
+from rholoc.trajectory.checks.mistaken_waypoints import LeftOut, compare_unused, explain, leave_out, worst
 
 _DEPTH = 3.0  # of the points, in the walk's unit
 _COUNT = 40
@@ -229,7 +229,7 @@ def test_a_mistake_is_far_off_in_sigmas_and_in_metres(off_m: float, sigmas: floa
 
 def test_a_distance_in_sigmas_is_of_both_uncertainties() -> None:
     covariance = np.diag([0.03, 0.04, 0.0]) ** 2
-    found = held_against(np.array([1.1, 2.0, 3.0]), np.array([1.0, 2.0, 3.1]), covariance, 0.04)
+    found = compare_unused(np.array([1.1, 2.0, 3.0]), np.array([1.0, 2.0, 3.1]), covariance, 0.04)
     np.testing.assert_allclose(found.off_m, [0.1, 0, -0.1])
     assert found.sigmas == pytest.approx(np.sqrt((0.1 / 0.05) ** 2 + (0.1 / 0.04) ** 2))
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import BoolArray, FloatArray, Similarity
 from rholoc.recordings import Waypoint
 from rholoc.trajectory import Scale
-from rholoc.trajectory.checks.blame import LeftOut
+from rholoc.trajectory.checks.mistaken_waypoints import LeftOut
 from rholoc.trajectory.frame.map_frame import MapFrame, ScaleMeasurement, ScaleSource, up_by_gravity
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import Fix, Problem, State

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from rholoc.errors import Conflict, InvalidInput
 from rholoc.geometry import FloatArray, Similarity
 from rholoc.geometry.earth import EarthPlace
-from rholoc.mapping.edit import frame_from_people as frames
+from rholoc.mapping.edit import frame_corrections as frames
 from rholoc.mapping.edit.cutting import in_region, without_landmarks, without_views
 from rholoc.mapping.edit.moving import move_map
 from rholoc.mapping.edit.versions import as_corrected, noted

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.geometry import FloatArray
 from rholoc.mapping.build.stored_observations import recording_id
-from rholoc.mapping.edit.frame_from_people import levelled
+from rholoc.mapping.edit.frame_corrections import levelled
 from rholoc.mapping.room.colouring import vertex_colours
 from rholoc.mapping.room.depth_views import DepthView, depth_views
 from rholoc.mapping.room.fusion import fused, sampled_points, voxel_size

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from rholoc.errors import RholocError, UnknownMap
 from rholoc.library.maps import MapLibrary
-from rholoc.mapping.edit.frame_from_people import levelled
+from rholoc.mapping.edit.frame_corrections import levelled
 from rholoc.maps import (
     Correction,
     DensityKind,

@@ -8,7 +8,7 @@ import numpy as np
 
 from rholoc.geometry import BoolArray, Camera, FloatArray, Similarity
 from rholoc.trajectory.checks.agreement import Agreement
-from rholoc.trajectory.checks.blame import LeftOut
+from rholoc.trajectory.checks.mistaken_waypoints import LeftOut
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State, residuals_px

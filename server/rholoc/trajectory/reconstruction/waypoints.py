@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.recordings import Waypoint
 from rholoc.recordings.tables.waypoints import DEFAULT_SIGMA_M
-from rholoc.trajectory.checks.blame import LeftOut, held_against, leave_out, worst
+from rholoc.trajectory.checks.mistaken_waypoints import LeftOut, compare_unused, leave_out, worst
 from rholoc.trajectory.frame.map_frame import (
     MapFrame,
     ScaleMeasurement,
@@ -108,7 +108,7 @@ def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adj
     covariances = adjusted.covariances([fix.keyframe for fix in fixes.values()])[:, :3, :3]
     found = {}
     for (name, fix), covariance in zip(fixes.items(), covariances, strict=True):
-        judge = held_against if name in mistaken else leave_out
+        judge = compare_unused if name in mistaken else leave_out
         place = adjusted.state.positions[fix.keyframe]
         if not np.isfinite(covariance).all():
             found[name] = LeftOut(np.array(fix.position) - place, np.nan)

@@ -13,7 +13,7 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from rholoc.errors import Busy, InvalidInput, UnknownPicture
-from rholoc.mapping.edit.frame_from_people import levelled
+from rholoc.mapping.edit.frame_corrections import levelled
 from rholoc.maps import Map, MapNames, NamedArea, NamedPoint, cloud_to_bytes, map_to_scene, room_to_bytes
 from rholoc.maps.floor_plan import GEOJSON, MEDIA_TYPES
 from rholoc.maps.formats.geojson import names_to_geojson

@@ -50,10 +50,10 @@ def leave_out(measured: FloatArray, estimated: FloatArray, covariance: FloatArra
     information = np.linalg.inv(covariance) - weight * np.eye(3)
     values, axes = np.linalg.eigh(information)
     without = (axes / np.maximum(values, _MIN_INFORMATION * weight)) @ axes.T
-    return held_against(off + weight * without @ off, np.zeros(3), without, sigma_m)
+    return compare_unused(off + weight * without @ off, np.zeros(3), without, sigma_m)
 
 
-def held_against(measured: FloatArray, estimated: FloatArray, covariance: FloatArray, sigma_m: float) -> LeftOut:
+def compare_unused(measured: FloatArray, estimated: FloatArray, covariance: FloatArray, sigma_m: float) -> LeftOut:
     """Compare a waypoint with a solution that did not use it; arguments as in :func:`leave_out`."""
     off = measured - estimated
     expected = covariance + sigma_m**2 * np.eye(3)
