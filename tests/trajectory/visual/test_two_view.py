@@ -39,6 +39,15 @@ def test_a_relative_pose_outvotes_wrong_matches() -> None:
     assert view.inliers[-_WRONG:].mean() < 0.3
 
 
+@pytest.mark.parametrize("fewest", [15, 0])
+def test_a_pose_with_just_enough_inliers_is_found(fewest: int) -> None:
+    """Twenty right matches and as many wrong ones: where fifteen are enough, fewer samples are drawn."""
+    for seed in range(20):
+        first, second, _ = _matches(cloud(20 + _WRONG, seed), seed)
+        some = np.r_[:20, -20:0]
+        assert relative_pose(first[some], second[some], _TOLERANCE, fewest).inliers[:20].sum() >= 15
+
+
 def test_the_same_matches_give_the_same_pose() -> None:
     first, second, _ = _matches(cloud(160))
     one, other = (relative_pose(first, second, _TOLERANCE) for _ in range(2))

@@ -151,7 +151,7 @@ def with_poses_anew(pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray], f
 
     def anew(pair: VerifiedPair) -> VerifiedPair | None:
         first, second = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
-        view = relative_pose(first, second, _TOLERANCE_PX / focal_px)
+        view = relative_pose(first, second, _TOLERANCE_PX / focal_px, _MIN_SEQUENTIAL)
         if view.inliers.sum() < _MIN_SEQUENTIAL:
             return None
         return VerifiedPair(pair.first, pair.second, pair.matches[view.inliers], view.R_second_first)
@@ -211,7 +211,7 @@ def _verify(
     if len(matches) < fewest:
         return None
     first, second = rays[i][matches[:, 0]], rays[j][matches[:, 1]]
-    view = relative_pose(first, second, tolerance)
+    view = relative_pose(first, second, tolerance, fewest)
     inliers, R = view.inliers, view.R_second_first
     if by_gyroscope is not None and inliers.any():
         R_by_gyroscope = (by_gyroscope[j].inv() * by_gyroscope[i]).as_matrix()

@@ -15,6 +15,7 @@ from rholoc.trajectory.visual.sphere import relative_pose_on_sphere
 _RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
 _ROUNDING = 1e-6  # of a dot product of equal unit descriptors
 _ITERATIONS = (30, 1000)  # of RANSAC, minimum and maximum
+_SAMPLE, _MISSED = 5, 1e-6  # matches of a minimal sample; probability that none of the samples has inliers alone
 UNIT_CAMERA = {"model": "PINHOLE", "width": 2, "height": 2, "params": [1.0, 1.0, 0.0, 0.0]}
 _HYPOTHESES = 300  # of the translation, with known rotation
 _MIN_PARALLAX = 0.05  # radians, for a ray to constrain the translation
@@ -50,21 +51,23 @@ class PairRotation:
     support: int
 
 
-def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> TwoView:
+def relative_pose(first: FloatArray, second: FloatArray, tolerance: float, fewest: int = 0) -> TwoView:
     """Relative pose with most inliers (LO-RANSAC; by poselib, for wide lenses by pycolmap); no inliers if none is
     found.
 
     Args:
         first, second: (M, 3) rays of the matches, each in its camera's frame, M ≥ 5.
         tolerance: maximum epipolar distance of an inlier on the plane z = 1; for wide lenses in radians.
+        fewest: number of inliers below which the pose is of no use: the search ends when it would have found so many.
     """
+    least, most = _ITERATIONS[0], _iterations(len(first), fewest)
     if not (is_narrow(first) and is_narrow(second)):
-        inliers, R = relative_pose_on_sphere(first, second, tolerance, _ITERATIONS, _SEED)
+        inliers, R = relative_pose_on_sphere(first, second, tolerance, (least, most), _SEED)
         return TwoView(inliers, R)
     options = {
         "max_epipolar_error": tolerance,
-        "min_iterations": _ITERATIONS[0],
-        "max_iterations": _ITERATIONS[1],
+        "min_iterations": least,
+        "max_iterations": most,
         "seed": _SEED,
     }
     pose, info = poselib.estimate_relative_pose(
@@ -72,6 +75,14 @@ def relative_pose(first: FloatArray, second: FloatArray, tolerance: float) -> Tw
     )
     inliers = np.array(info["inliers"], dtype=np.bool_)
     return TwoView(inliers if len(inliers) == len(first) else np.zeros(len(first), np.bool_), np.asarray(pose.R))
+
+
+def _iterations(matches: int, fewest: int) -> int:
+    """Iterations of RANSAC after which ``fewest`` inliers among the matches are found (Fischler and Bolles, 1981)."""
+    share = min(fewest / max(matches, 1), 1.0) ** _SAMPLE
+    with np.errstate(divide="ignore"):
+        needed = np.log(_MISSED) / np.log1p(-share)
+    return int(np.clip(needed, *_ITERATIONS))
 
 
 def absolute_pose(rays: FloatArray, points: FloatArray, tolerance: float) -> tuple[FloatArray, int]:
