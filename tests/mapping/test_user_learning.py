@@ -141,20 +141,45 @@ def test_the_changed_room_is_found_again(room_map: Map, learned: Map, changed_ro
     assert found > 0.8
 
 
-def test_a_query_becomes_a_view_once_and_a_map_does_not_grow_without_end(
-    room_map: Map, learned: Map, queries: list[AnsweredQuery], changed_room: Any
-) -> None:
-    """Of the second night's queries, some are the first's."""
+@pytest.fixture(scope="module")
+def second_night(queries: list[AnsweredQuery], changed_room: Any) -> list[user_learning._Placed]:
+    """Some of the first night's queries, and new ones."""
     night = [*queries[::2], *asked(changed_room, 40, apart_s=HOUR_S + 1)]
-    placed = [user_learning._Placed(one, one.T_map_camera, one.covariance, n) for n, one in enumerate(night)]
-    lesson = user_learning._lesson(Localizer(learned), placed, silent)
-    assert 0 < lesson.views < len(night)
-    assert len(np.unique(lesson.map_.views.times)) == len(lesson.map_.views) == len(learned.views) + lesson.views
-    assert [source.name for source in lesson.map_.info.sources] == ["walk", "queries"]
-    bounded = user_learning._bounded(lesson.map_)
-    assert len(bounded.views) == len(learned.views)
-    for map_ in (learned, bounded):
+    return [user_learning._Placed(one, one.T_map_camera, one.covariance, n) for n, one in enumerate(night)]
+
+
+@pytest.fixture(scope="module")
+def second_lesson(learned: Map, second_night: list[user_learning._Placed]) -> user_learning._Lesson:
+    return user_learning._lesson(Localizer(learned), second_night, silent)
+
+
+def test_a_query_becomes_a_view_once_and_a_map_does_not_grow_without_end(
+    room_map: Map, learned: Map, second_night: list[user_learning._Placed], second_lesson: user_learning._Lesson
+) -> None:
+    again = second_lesson.map_
+    assert 0 < second_lesson.views < len(second_night)
+    assert len(np.unique(again.views.times)) == len(again.views) == len(learned.views)
+    assert [(source.name, source.views) for source in again.info.sources] == [("walk", 30), ("queries", 30)]
+    for map_ in (learned, again):
         assert len(map_to_bytes(map_)) < 1.5 * len(map_to_bytes(room_map))
+
+
+def test_a_second_night_does_not_forget_other_places(
+    learned: Map, second_night: list[user_learning._Placed], second_lesson: user_learning._Lesson
+) -> None:
+    """The oldest views went, wherever they were: of 31 queries held back, halves included, 24 were still found."""
+    questions = user_learning._questions([one for one in second_night if user_learning._is_held_back(one.query)])
+    before, after = (user_learning._answers(Localizer(map_), questions) for map_ in (learned, second_lesson.map_))
+    assert after.right >= before.right > 0.9 * len(questions)
+
+
+def test_views_give_way_to_newer_ones_near_them(point_room: Any) -> None:
+    T, times = np.array([pose.T_map_camera for pose in beside(point_room, 6)]), np.arange(8.0)
+    poses = np.concatenate([T, T[3:5]])
+    assert np.flatnonzero(~user_learning._thinned(poses, times, 6)).tolist() == [3, 4]
+    assert np.flatnonzero(~user_learning._thinned(poses[::-1], times[::-1], 6)).tolist() == [3, 4]
+    assert user_learning._thinned(poses, times, 8).all()
+    assert user_learning._thinned(poses[:0], times[:0], 6).shape == (0,)
 
 
 def test_what_was_learned_can_be_forgotten_like_a_recording(learned: Map) -> None:

@@ -71,7 +71,7 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
     (:func:`rholoc.mapping.learn.expected_sightings.vanished`). Then all queries are localized in the new map, the
     doubtful ones too, and learned again. A fifth of the queries is held back for a test: these queries, whole and by
     halves, and the views that the map remembers must be localized as well as before. The numbers of views and of
-    landmarks from queries are bounded by those from recordings.
+    landmarks from queries are bounded by those from recordings; a view of a query gives way to newer ones near it.
 
     Raises:
         InvalidInput: the map does not remember its observations.
@@ -103,8 +103,7 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
         lesson = _lesson(localizer, believed_again, progress)
     if lesson.is_empty:
         raise MappingFailed("The queries show nothing new, and miss nothing.", "The map is unchanged.")
-    after = _bounded(lesson.map_)
-    learned = Localizer(after, min_recognized=LEARNING_RECOGNIZED)
+    learned = Localizer(lesson.map_, min_recognized=LEARNING_RECOGNIZED)
     held_back = [one for one in _settled(placed, believed, believed_again) if _is_held_back(one.query)]
     questions, remembered = _questions(held_back), _remembered(known, lesson.gone)
     before_answers, after_answers = _answers(localizer, questions), _answers(learned, questions)
@@ -130,7 +129,7 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
             contradicted=len(placed) - len(believed),
         ),
     )
-    return as_learned(map_, after, report, progress)
+    return as_learned(map_, lesson.map_, report, progress)
 
 
 def _is_held_back(query: AnsweredQuery) -> bool:
@@ -218,37 +217,50 @@ def _is_of_queries(info: MapInfo) -> BoolArray:
     return np.array([source.poses == QUERY_POSES for source in info.sources])
 
 
-def _fresh_views(known: Map, teaching: Sequence[_Placed]) -> list[_Placed]:
-    """Queries that become views: position sigma at most 3 × the median of ``teaching``, a time of which no view was
-    learned from queries, one of the four most common cameras; thinned to spread over the map.
+def _chosen_views(known: Map, teaching: Sequence[_Placed]) -> tuple[BoolArray, list[_Placed]]:
+    """Mask (K,) of the map's views that stay, and the queries that become views.
+
+    A query may become a view if its position sigma is at most 3 × the median of ``teaching``, no view was learned from
+    a query of its time, and its camera is one of the four most common. Views of queries, old and new, are thinned
+    together: an old one gives way to newer ones near it, not to those of other places.
     """
-    learned = set(known.views.times[~_is_recorded(known)].tolist())
+    of_queries = np.flatnonzero(~_is_recorded(known))
+    T_old, times_old = known.views.T_map_camera[of_queries], known.views.times[of_queries]
+    learned = set(times_old.tolist())
     new = [one for one in _exact(teaching, _MAX_VIEW_SIGMA_RATIO) if one.query.time_s not in learned]
     cameras = [one.query.camera for one in new]
     common = sorted(set(cameras), key=lambda camera: (-cameras.count(camera), astuple(camera)))[:_MAX_CAMERAS]
     new = [one for one in new if one.query.camera in common]
-    return [
-        new[row] for row in _spread(np.array([one.T_map_camera for one in new]).reshape(-1, 4, 4), _most_views(known))
-    ]
+    T_new = np.array([one.T_map_camera for one in new]).reshape(-1, 4, 4)
+    times = np.append(times_old, [one.query.time_s for one in new])
+    chosen = _thinned(np.concatenate([T_old, T_new]), times, _most_views(known))
+    stays = np.ones(len(known.views), dtype=bool)
+    stays[of_queries] = chosen[: len(of_queries)]
+    return stays, [new[row] for row in np.flatnonzero(chosen[len(of_queries) :])]
 
 
 def _most_views(map_: Map) -> int:
+    """Maximum number of views from queries: 0.35 × the recorded ones, at least 30."""
     return max(_MIN_VIEWS, int(_MAX_VIEWS_SHARE * _is_recorded(map_).sum()))
 
 
-def _spread(T_map_camera: FloatArray, most: int) -> list[int]:
-    """Sorted rows of at most ``most`` poses (N, 4, 4), chosen by farthest-point sampling (metres plus radians) from the
-    last.
+def _thinned(T_map_camera: FloatArray, times: FloatArray, most: int) -> BoolArray:
+    """Mask (N,) of at most ``most`` poses (N, 4, 4), spread over the map.
+
+    While there are more, the older of the two closest ones (metres plus radians) is dropped; ``times`` (N,) say which.
     """
-    if len(T_map_camera) <= most:
-        return list(range(len(T_map_camera)))
-    chosen = [len(T_map_camera) - 1]
-    nearest = np.full(len(T_map_camera), np.inf)
-    while len(chosen) < most:
-        apart, turned = pose_distances(T_map_camera, np.broadcast_to(T_map_camera[chosen[-1]], T_map_camera.shape))
-        nearest = np.minimum(nearest, apart + _METRES_PER_RADIAN * turned)
-        chosen.append(int(np.argmax(nearest)))
-    return sorted(chosen)
+    newest_first = np.argsort(-times, kind="stable")
+    T = T_map_camera[newest_first]
+    to_newer = np.full((len(T), len(T)), np.inf)
+    for row in range(len(T)):
+        apart_m, turned_rad = pose_distances(T[row], T[:row])
+        to_newer[row, :row] = apart_m + _METRES_PER_RADIAN * turned_rad
+    kept = np.ones(len(T), dtype=bool)
+    for _ in range(len(T) - most):
+        older = int(to_newer.argmin()) // len(T)
+        to_newer[older] = to_newer[:, older] = np.inf
+        kept[newest_first[older]] = False
+    return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,18 +288,20 @@ class _Lesson:
 
 
 def _lesson(localizer: Localizer, placed: Sequence[_Placed], progress: ProgressListener) -> _Lesson:
-    """The localizer's map without vanished landmarks, with queries (except held-back ones) as views. ``placed`` are the
-    believed queries with their poses.
+    """The localizer's map without vanished landmarks, with queries (except held-back ones) as views instead of older
+    ones near them. ``placed`` are the believed queries with their poses.
     """
     known = localizer.map
     teaching = [one for one in placed if not _is_held_back(one.query)]
     gone = vanished(_sights(localizer, teaching))
     progress(Stage.OBSERVATIONS, 0.0, f"{int(gone.sum())} landmarks are no longer seen")
-    left, fresh = keep_features(known, ~gone), _fresh_views(known, teaching)
+    stays, fresh = _chosen_views(known, teaching)
+    left = keep_features(known, ~gone)
     if not fresh:
-        return _Lesson(left, gone, 0, 0, 0)
+        return _Lesson(keep_views(left, stays), gone, 0, 0, 0)
     map_, seen_again, new = _joined(left, fresh, _most_landmarks(known), progress)
-    return _Lesson(map_, gone, len(fresh), seen_again, new)
+    bounded = keep_views(map_, np.append(stays, np.ones(len(fresh), dtype=bool)))
+    return _Lesson(bounded, gone, len(fresh), seen_again, new)
 
 
 def _joined(left: Map, fresh: Sequence[_Placed], most: int, progress: ProgressListener) -> tuple[Map, int, int]:
@@ -377,18 +391,6 @@ def _most_landmarks(known: Map) -> int:
     """Maximum number of landmarks in the next version: as many as now, or 1.15 × those that recordings contributed."""
     recorded = np.unique(known.observations.features[_is_recorded(known)[known.observations.views]])
     return max(len(known), int(_MAX_LANDMARKS_RATIO * len(recorded)))
-
-
-def _bounded(map_: Map) -> Map:
-    """The map without its oldest views of queries, if these are more than 30 and 0.35 × the recorded views."""
-    of_queries = np.flatnonzero(~_is_recorded(map_))
-    oldest_first = of_queries[np.argsort(map_.views.times[of_queries], kind="stable")]
-    excess = len(of_queries) - _most_views(map_)
-    if excess <= 0:
-        return map_
-    stays = np.ones(len(map_.views), dtype=bool)
-    stays[oldest_first[:excess]] = False
-    return keep_views(map_, stays)
 
 
 @dataclass(frozen=True)
