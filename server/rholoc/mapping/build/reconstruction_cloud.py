@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rholoc.geometry import BoolArray, IntArray
+from rholoc.geometry import BoolArray, IntArray, evenly
 from rholoc.mapping.build.assembly import mean_colours
 from rholoc.mapping.build.landmarks import Landmarks, relative_sigmas
 from rholoc.mapping.build.tracks import Views
@@ -29,8 +29,7 @@ def cloud_of(views: Views, reconstructed: Landmarks, is_landmark: BoolArray, vie
     shown = np.flatnonzero(~is_landmark & (relative_sigmas(views, reconstructed) < _MAX_RELATIVE_SIGMA))
     if colours is None or not len(shown):
         return Cloud()
-    if len(shown) > _MAX_POINTS:
-        shown = shown[np.linspace(0, len(shown) - 1, _MAX_POINTS).astype(np.int64)]
+    shown = shown[evenly(len(shown), _MAX_POINTS)]
     rows = reconstructed.observed_rows
     labels = reconstructed.labels[rows]
     sources = np.zeros(len(reconstructed), dtype=np.int32)

@@ -334,8 +334,7 @@ def _some_of_each_view(views: Views, labels: IntArray) -> IntArray:
     kept = np.full_like(labels, -1)
     for k in range(len(views)):
         known = np.flatnonzero(labels[views.offsets[k] : views.offsets[k + 1]] >= 0) + views.offsets[k]
-        if len(known) > _MAX_KNOWN_PER_VIEW:
-            known = known[np.linspace(0, len(known) - 1, _MAX_KNOWN_PER_VIEW).astype(np.int64)]
+        known = known[evenly(len(known), _MAX_KNOWN_PER_VIEW)]
         kept[known] = labels[known]
     return kept
 

@@ -144,7 +144,7 @@ def _pairs(map_: Map, views: Sequence[int], most: int) -> list[_Pair]:
     """
     seen = [map_.observations.features[map_.view_offsets[k] : map_.view_offsets[k + 1]] for k in views]
     centres, axes = map_.views.positions[views].astype(np.float64), map_.views.headings[views].astype(np.float64)
-    chosen = np.unique(np.linspace(0, len(views) - 1, max(1, most // _PARTNERS)).astype(np.int64))
+    chosen = evenly(len(views), max(1, most // _PARTNERS))
     found: list[_Pair] = []
     for i in chosen.tolist():
         if len(seen[i]) < _MIN_SHARED:

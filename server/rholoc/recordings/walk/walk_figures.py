@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from rholoc.geometry import ByteArray, FloatArray, rotation_angles
+from rholoc.geometry import ByteArray, FloatArray, evenly, rotation_angles
 from rholoc.recordings.recording import FrameSource, Imu, Recording, Waypoint
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.reports import WalkFigures
@@ -50,7 +50,7 @@ def look_through(frames: FrameSource) -> list[Look]:
     """
     if 0 in frames.size:
         return []
-    rows = np.unique(np.linspace(0, len(frames.times) - 1, _LOOKED_AT).astype(np.int64))
+    rows = evenly(len(frames.times), _LOOKED_AT)
     return [look_at(image) for image in frames.images(rows.tolist())]
 
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from rholoc.geometry import Camera, FloatArray, IntArray, rotation_angles
+from rholoc.geometry import Camera, FloatArray, IntArray, evenly, rotation_angles
 from rholoc.geometry.resection import is_narrow
 from rholoc.recordings import Recording
 from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
@@ -111,7 +111,7 @@ def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
     Ten anchors, spread evenly, are each paired with the rows 1 and 4 places later, and with the two nearest other
     positions whose rotation differs by at most 25°.
     """
-    anchors = np.unique(np.linspace(0, len(rows) - 1, _ANCHORS).astype(np.int64)).tolist()
+    anchors = evenly(len(rows), _ANCHORS).tolist()
     pairs: set[tuple[int, int]] = set()
     for anchor in anchors:
         pairs |= {(anchor, anchor + apart) for apart in _APART if anchor + apart < len(rows)}
