@@ -60,13 +60,17 @@ def all_answered(
 
 
 def fit(answered: list[Answered]) -> Weights:
-    """The likeliest weights of being at the right place and of being exact there, the same for all extractors."""
-    cases = [case for one in answered for case in one.cases if case.features and case.kind not in NOT_FITTED]
+    """The likeliest weights of being at the right place and of being exact there, the same for all extractors.
+
+    Wrong cameras count for the latter: a focal length that is off displaces a pose within the right place.
+    """
+    named = [(one.features, case) for one in answered for case in one.cases if case.features]
+    cases = [case for _, case in named if case.kind not in NOT_FITTED]
     features = [case.features for case in cases if case.features]
     at_place = np.array([case.is_right_place for case in cases], dtype=bool)
     place = np.array([one.place for one in features])
     extras = np.array([[one.patches, one.colours] for one in features]).reshape(-1, 2)
-    factor, exact_factor = np.clip([(case.factor, case.exact_factor) for case in cases], 1e-6, 1.0).T
+    factor = np.clip([case.factor for case in cases], 1e-6, 1.0)
 
     def by(*columns: int) -> tuple[float, ...]:
         """By the place and some of what is not always known, to the answers where it is."""
@@ -74,10 +78,10 @@ def fit(answered: list[Answered]) -> Weights:
         inputs = np.column_stack([place, extras[:, columns]])[told]
         return logistic(inputs, at_place[told], factor[told], (1,) * inputs.shape[1])
 
-    named = [one.features for one in answered for case in one.cases if case.features and case.kind not in NOT_FITTED]
-    exact_of = at_place & ~np.isin(named, LESS_EXACT)
-    sigma, right = np.array([[one.sigma] for one in features]), np.array([case.right for case in cases])
-    exact = logistic(sigma[exact_of], right[exact_of], exact_factor[exact_of], (-1,))
+    here = [case for name, case in named if case.is_right_place and name not in LESS_EXACT]
+    sigma = np.array([[case.features.sigma] for case in here if case.features]).reshape(-1, 1)
+    exact_factor = np.clip([case.exact_factor for case in here], 1e-6, 1.0)
+    exact = logistic(sigma, np.array([case.right for case in here], dtype=bool), exact_factor, (-1,))
     return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)
 
 
