@@ -27,7 +27,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -97,13 +97,18 @@ class Reader:
 
     Attributes:
         name: for people.
-        files: good ones, by path; a single one where the reader takes a file.
+        make: returns good files, by path; a single one where the reader takes a file.
         read: called with the folder of the files.
     """
 
     name: str
-    files: Mapping[str, bytes]
+    make: Callable[[], Mapping[str, bytes]]
     read: Callable[[Path], object]
+
+    @cached_property
+    def files(self) -> Mapping[str, bytes]:
+        """The good files."""
+        return self.make()
 
 
 @dataclass
@@ -162,7 +167,7 @@ def readers() -> list[Reader]:
     """All readers of what users hand in."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        found = [Reader(f"recording {layout}", _recording(layout, folder), _use_recording) for layout in phone.WRITERS]
+        found = [Reader(f"recording {layout}", partial(_recording, layout), _use_recording) for layout in phone.WRITERS]
         own = own_recording()
         (folder / "empty").mkdir()
         library = MapLibrary(folder / "maps")
@@ -173,7 +178,7 @@ def readers() -> list[Reader]:
         stores.close()
         return [
             *found,
-            Reader("recording images", _images(own), _use_recording),
+            Reader("recording images", partial(_images, own), _use_recording),
             _of_file("recording video", "walk.mp4", own["video.mp4"], _use_recording),
             _of_file("recording archive", "walk.zip", zipped(own), _use_recording),
             _of_file("imu table", "imu.csv", own["imu.csv"], read_imu_csv),
@@ -198,11 +203,13 @@ def readers() -> list[Reader]:
 
 
 def _of_file(name: str, path: str, content: bytes, read: Callable[[Path], object]) -> Reader:
-    return Reader(name, {path: content}, lambda folder: read(folder / path))
+    return Reader(name, lambda: {path: content}, lambda folder: read(folder / path))
 
 
-def _recording(layout: str, folder: Path) -> dict[str, bytes]:
-    return _contents(phone.write_complete_recording(layout, folder / layout))
+@cache
+def _recording(layout: str) -> Mapping[str, bytes]:
+    with tempfile.TemporaryDirectory() as name:
+        return _contents(phone.write_complete_recording(layout, Path(name) / "walk"))
 
 
 def _images(own: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -246,11 +253,9 @@ def _observations() -> bytes:
     return b"".join(table.splitlines(keepends=True)[:40])
 
 
-@cache
 def own_recording() -> Mapping[str, bytes]:
     """The files of a small recording in rholoc's own layout."""
-    with tempfile.TemporaryDirectory() as name:
-        return _contents(phone.write_complete_recording("rholoc", Path(name) / "walk"))
+    return _recording("rholoc")
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:
