@@ -196,9 +196,13 @@ class PictureWorld:
     pose: Pose
     map_: Map
 
+    @cached_property
+    def _png(self) -> bytes:
+        return cv2.imencode(".png", self.image)[1].tobytes()
+
     def png(self) -> bytes:
         """The picture as a PNG file."""
-        return cv2.imencode(".png", self.image)[1].tobytes()
+        return self._png
 
     def rho(self, **changes: Any) -> bytes:
         """The map as a file; ``changes`` are of its description."""
