@@ -188,7 +188,7 @@ def readers() -> list[Reader]:
             _of_file("pose table", "poses.txt", b"0 0 0 0 0 0 0 1\n0.5 1 0 0 0 0 0 1\n", read_pose_table),
             _of_file("trajectory (Table 6)", "t.csv", _exported(ExportFormat.TRAJECTORY), read_trajectory_csv),
             _of_file("ground truth", "t.txt", b"0 0 0 0 0 0 0 1\n0.5 1 0 0 0 0 0 1\n", read_frame_poses),
-            _of_file("observations (Table 4)", "o.csv", _observations(), read_observations),
+            Reader("observations (Table 4)", _observations, lambda folder: read_observations(folder / "o.csv")),
             _of_file("map (Table 5)", "m.csv", _exported(ExportFormat.CSV), read_coefficient_table),
             _of_file("tensors (Table 5)", "m.csv", _exported(ExportFormat.CSV, _tensor_map()), read_coefficient_table),
             _of_file("map", "room.rho", library.path("room").read_bytes(), load_map),
@@ -247,10 +247,10 @@ def _tensor_map() -> Map:
     return replace(map_, info=info, densities=replace(fitted, features=np.zeros(1, np.int64)))
 
 
-def _observations() -> bytes:
+def _observations() -> dict[str, bytes]:
     """The first rows of those of the shipped map."""
     table = _exported(ExportFormat.OBSERVATIONS, load_map(SHIPPED / "testsite.rho"))
-    return b"".join(table.splitlines(keepends=True)[:40])
+    return {"o.csv": b"".join(table.splitlines(keepends=True)[:40])}
 
 
 def own_recording() -> Mapping[str, bytes]:
