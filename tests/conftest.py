@@ -111,6 +111,11 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_sessionfinish() -> None:
+    """Hook of pytest, which then collects garbage five times: a second of each process, of all that the tests left."""
+    gc.freeze()
+
+
 @functools.cache
 def _tree_of_commands(app: Any) -> Any:
     """What Typer makes of a command's functions, 0.1 s each time; once for all runs in this process, for nothing
