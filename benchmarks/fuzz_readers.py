@@ -27,7 +27,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -97,13 +97,18 @@ class Reader:
 
     Attributes:
         name: for people.
-        files: good ones, by path; a single one where the reader takes a file.
+        make: returns good files, by path; a single one where the reader takes a file.
         read: called with the folder of the files.
     """
 
     name: str
-    files: Mapping[str, bytes]
+    make: Callable[[], Mapping[str, bytes]]
     read: Callable[[Path], object]
+
+    @cached_property
+    def files(self) -> Mapping[str, bytes]:
+        """The good files."""
+        return self.make()
 
 
 @dataclass
@@ -162,7 +167,7 @@ def readers() -> list[Reader]:
     """All readers of what users hand in."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        found = [Reader(f"recording {layout}", _recording(layout, folder), _use_recording) for layout in phone.WRITERS]
+        found = [Reader(f"recording {layout}", partial(_recording, layout), _use_recording) for layout in phone.WRITERS]
         own = own_recording()
         (folder / "empty").mkdir()
         library = MapLibrary(folder / "maps")
@@ -173,7 +178,7 @@ def readers() -> list[Reader]:
         stores.close()
         return [
             *found,
-            Reader("recording images", _images(own), _use_recording),
+            Reader("recording images", partial(_images, own), _use_recording),
             _of_file("recording video", "walk.mp4", own["video.mp4"], _use_recording),
             _of_file("recording archive", "walk.zip", zipped(own), _use_recording),
             _of_file("imu table", "imu.csv", own["imu.csv"], read_imu_csv),
@@ -183,7 +188,7 @@ def readers() -> list[Reader]:
             _of_file("pose table", "poses.txt", b"0 0 0 0 0 0 0 1\n0.5 1 0 0 0 0 0 1\n", read_pose_table),
             _of_file("trajectory (Table 6)", "t.csv", _exported(ExportFormat.TRAJECTORY), read_trajectory_csv),
             _of_file("ground truth", "t.txt", b"0 0 0 0 0 0 0 1\n0.5 1 0 0 0 0 0 1\n", read_frame_poses),
-            _of_file("observations (Table 4)", "o.csv", _observations(), read_observations),
+            Reader("observations (Table 4)", _observations, lambda folder: read_observations(folder / "o.csv")),
             _of_file("map (Table 5)", "m.csv", _exported(ExportFormat.CSV), read_coefficient_table),
             _of_file("tensors (Table 5)", "m.csv", _exported(ExportFormat.CSV, _tensor_map()), read_coefficient_table),
             _of_file("map", "room.rho", library.path("room").read_bytes(), load_map),
@@ -198,11 +203,13 @@ def readers() -> list[Reader]:
 
 
 def _of_file(name: str, path: str, content: bytes, read: Callable[[Path], object]) -> Reader:
-    return Reader(name, {path: content}, lambda folder: read(folder / path))
+    return Reader(name, lambda: {path: content}, lambda folder: read(folder / path))
 
 
-def _recording(layout: str, folder: Path) -> dict[str, bytes]:
-    return _contents(phone.write_complete_recording(layout, folder / layout))
+@cache
+def _recording(layout: str) -> Mapping[str, bytes]:
+    with tempfile.TemporaryDirectory() as name:
+        return _contents(phone.write_complete_recording(layout, Path(name) / "walk"))
 
 
 def _images(own: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -240,17 +247,15 @@ def _tensor_map() -> Map:
     return replace(map_, info=info, densities=replace(fitted, features=np.zeros(1, np.int64)))
 
 
-def _observations() -> bytes:
+def _observations() -> dict[str, bytes]:
     """The first rows of those of the shipped map."""
     table = _exported(ExportFormat.OBSERVATIONS, load_map(SHIPPED / "testsite.rho"))
-    return b"".join(table.splitlines(keepends=True)[:40])
+    return {"o.csv": b"".join(table.splitlines(keepends=True)[:40])}
 
 
-@cache
 def own_recording() -> Mapping[str, bytes]:
     """The files of a small recording in rholoc's own layout."""
-    with tempfile.TemporaryDirectory() as name:
-        return _contents(phone.write_complete_recording("rholoc", Path(name) / "walk"))
+    return _recording("rholoc")
 
 
 def zipped(files: Mapping[str, bytes]) -> bytes:

@@ -111,6 +111,11 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_sessionfinish() -> None:
+    """Hook of pytest, which then collects garbage five times: a second of each process, of all that the tests left."""
+    gc.freeze()
+
+
 @functools.cache
 def _tree_of_commands(app: Any) -> Any:
     """What Typer makes of a command's functions, 0.1 s each time; once for all runs in this process, for nothing
@@ -196,9 +201,13 @@ class PictureWorld:
     pose: Pose
     map_: Map
 
+    @cached_property
+    def _png(self) -> bytes:
+        return cv2.imencode(".png", self.image)[1].tobytes()
+
     def png(self) -> bytes:
         """The picture as a PNG file."""
-        return cv2.imencode(".png", self.image)[1].tobytes()
+        return self._png
 
     def rho(self, **changes: Any) -> bytes:
         """The map as a file; ``changes`` are of its description."""

@@ -22,6 +22,13 @@ from rholoc.geometry import ByteArray
 sys.path.insert(0, str(Path(__file__).parent))  # for walking_phone
 
 PATIENCE_MS = 120_000  # only a stuck page takes so long, or a busy machine
+# Chromium draws two pages of its address bar, in a process of their own, for every window: two thirds of a window's
+# processor time. The last switch counts, so it has to name what Playwright turns off, too.
+_FEATURES_OFF = (
+    "WebUIOmniboxPopup,WebUIOmniboxAimPopup,SpareRendererForSitePerProcess,"
+    "AvoidUnnecessaryBeforeUnloadCheckSync,DestroyProfileOnBrowserClose,HttpsUpgrades,HttpsFirstBalancedModeAutoEnable,"
+    "PaintHolding,ThirdPartyStoragePartitioning,OptimizationHints,NetworkTimeServiceQuerying,PreconnectToSearch"
+)
 
 
 class _Shared:
@@ -79,7 +86,9 @@ def launch(playwright: Playwright) -> Callable[..., Browser]:
         pytest.skip("Chromium is absent: apt-get install chromium")
     # Tests run as root in containers, where Chromium's sandbox does not.
     return lambda *arguments: playwright.chromium.launch(
-        executable_path=executable, args=["--no-sandbox", *arguments], timeout=60_000
+        executable_path=executable,
+        args=["--no-sandbox", f"--disable-features={_FEATURES_OFF}", *arguments],
+        timeout=60_000,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from rholoc_lab.paper.equations import polynomial_values, variables_at
 _FOCAL_PX = 525
 
 
+@cache
 def _some(count: int, degree: int, seed: int = 0) -> TensorDensities:
     """Densities of landmarks 1–5 m from their places, in any direction, also straight up and down."""
     rng = np.random.default_rng(seed)
@@ -150,7 +152,7 @@ def test_the_cameras_roll_changes_nothing():
 @given(seed=st.integers(0, 10_000), degree=st.sampled_from([2, 3]))
 def test_gradients_by_the_cameras_motion_are_limits_of_differences(seed: int, degree: int):
     rng = np.random.default_rng(seed)
-    densities = _DENSITIES[degree]
+    densities = _some(6, degree)
     k = int(rng.integers(len(densities)))
     T_map_camera, pixel = _visible_pose(rng, densities, k)
     one, plane = densities.take(np.array([k])), pixel[None] + rng.uniform(-0.05, 0.05, (1, 2))
@@ -195,6 +197,3 @@ def test_sizes_follow_the_degree():
     for degree, kept in ((1, 4 * 7 * 8), (2, 6 * 10 * 27), (3, 6 * 10 * 64)):
         assert np.prod([len(powers) for powers in kept_powers(degree)]) == kept
         assert _some(3, degree).all_coefficients(np.arange(3)).shape == (3, (degree + 1) ** 8)
-
-
-_DENSITIES = {degree: _some(6, degree) for degree in (2, 3)}

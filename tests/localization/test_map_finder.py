@@ -72,6 +72,22 @@ def test_what_is_published_replaced_renamed_and_deleted_is_followed(library, loo
     assert best(finder, looking(1)) == "room1"
 
 
+def test_few_maps_are_indexed_once_there_are_more(library, looking) -> None:
+    finder = MapFinder(library, library.folder / VECTORS_FILE, min_maps=7)
+    finder.refresh()
+    assert (finder.counts(), finder.trouble) == ({"present": 6, "indexed": 0}, "")
+    publish(library, "room6", looking(6))
+    finder.refresh()
+    assert finder.counts() == {"present": 7, "indexed": 7}
+    assert best(finder, looking(6)) == "room6"
+    library.delete("room0")
+    publish(library, "room1", looking(10))
+    finder.refresh()
+    publish(library, "room0", looking(0))
+    finder.refresh()
+    assert best(finder, looking(10)) == "room1"
+
+
 def test_a_map_replaced_by_one_without_views_is_found_no_more(library, looking) -> None:
     finder = finder_of(library)
     known = looking(1)

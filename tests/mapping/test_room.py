@@ -134,11 +134,16 @@ def named(map_: Map, recording: Recording) -> Map:
     return replace(map_, info=replace(map_.info, sources=(source,)))
 
 
-def test_recorded_depth_becomes_a_room_in_the_maps_scale(walked_map: Map, recording: Recording) -> None:
+@pytest.fixture(scope="module")
+def drawn(made_once: Any, walked_map: Map, recording: Recording) -> Room:
+    """The room that the recorded depth gives."""
+    return made_once("drawn", lambda: draw_room(named(walked_map, recording), [recording]).room)
+
+
+def test_recorded_depth_becomes_a_room_in_the_maps_scale(walked_map: Map, recording: Recording, drawn: Room) -> None:
     assert recording.depth is not None
     in_feet = replace(recording, depth=replace(recording.depth, unit_m=1e-3 / 0.3048))
-    for one in (recording, in_feet):
-        room = draw_room(named(walked_map, one), [one]).room
+    for room in (drawn, draw_room(named(walked_map, in_feet), [in_feet]).room):
         assert len(room) > 2000
         above_the_floor = room.vertices.positions[room.vertices.positions[:, 2] > 0.6]  # which nobody looked at
         assert np.percentile(off_the_box(above_the_floor), 90) < 0.06
@@ -146,13 +151,13 @@ def test_recorded_depth_becomes_a_room_in_the_maps_scale(walked_map: Map, record
 
 
 def test_recorded_depth_is_of_its_recordings_camera_where_the_map_has_another(
-    walked_map: Map, recording: Recording
+    walked_map: Map, recording: Recording, drawn: Room
 ) -> None:
     map_ = named(walked_map, recording)
     first = replace(map_.info.camera, fx=2 * map_.info.camera.fx, fy=2 * map_.info.camera.fy)
     source = replace(map_.info.sources[0], camera=map_.info.camera)
     room = draw_room(replace(map_, info=replace(map_.info, camera=first, sources=(source,))), [recording]).room
-    np.testing.assert_array_equal(room.vertices.positions, draw_room(map_, [recording]).room.vertices.positions)
+    np.testing.assert_array_equal(room.vertices.positions, drawn.vertices.positions)
 
 
 def test_depth_that_contradicts_the_landmarks_draws_nothing(walked_map: Map, recording: Recording) -> None:

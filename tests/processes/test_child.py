@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 import signal
@@ -10,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pycolmap  # noqa: F401  # the child imports this module, and so installs pycolmap's handlers
 import pytest
@@ -18,8 +20,13 @@ from rholoc.errors import Cancelled, InvalidRecording, MappingFailed
 from rholoc.processes.child import ChildDied, ChildFailed, named, run_in_child
 from rholoc.processes.limits import Limits, MemoryLimitExceeded, TimeLimitExceeded, _control_group_limits
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.trajectory import child as reconstruction
 from waiting import alive, until
+
+
+@pytest.fixture
+def reconstruction() -> Any:
+    """``rholoc.trajectory.child``, which children that import this module do without: it takes a second."""
+    return importlib.import_module("rholoc.trajectory.child")
 
 
 def _add(a: int, b: int, progress: ProgressListener = silent) -> int:
@@ -177,7 +184,7 @@ def test_a_child_ends_with_its_parent() -> None:
             until(lambda pid=pid: not alive(pid))
 
 
-def test_a_reconstruction_reports_until_it_is_done() -> None:
+def test_a_reconstruction_reports_until_it_is_done(reconstruction: Any) -> None:
     heard: list[float] = []
     progress = lambda stage, fraction, message="": heard.append(fraction)  # noqa: E731
     assert reconstruction.run_in_child(_add, 2, 3, progress=progress, stage=Stage.POSES) == 5
@@ -188,7 +195,7 @@ def _killed(progress: ProgressListener = silent) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_a_reconstruction_that_was_killed_is_told_from_one_that_crashed() -> None:
+def test_a_reconstruction_that_was_killed_is_told_from_one_that_crashed(reconstruction: Any) -> None:
     with pytest.raises(reconstruction.ReconstructionKilled, match="signal 9"):
         reconstruction.run_in_child(_killed, progress=silent, stage=Stage.POSES)
 
@@ -197,7 +204,9 @@ def test_a_reconstruction_that_was_killed_is_told_from_one_that_crashed() -> Non
 @pytest.mark.parametrize(
     ("function", "message"), [(_crash, "process died"), (_fail, "ValueError: seven is not a camera")]
 )
-def test_a_reconstruction_that_dies_or_fails_is_a_failed_mapping(function: Callable[..., None], message: str) -> None:
+def test_a_reconstruction_that_dies_or_fails_is_a_failed_mapping(
+    reconstruction: Any, function: Callable[..., None], message: str
+) -> None:
     with pytest.raises(MappingFailed, match=message):
         reconstruction.run_in_child(function, progress=silent, stage=Stage.POSES)
 

@@ -38,7 +38,7 @@ def test_a_list_reads_no_map(running, picture_world, monkeypatch):
         put(running, name, picture_world.rho()).raise_for_status()
     library = running.app.state.rholoc.maps.sync
     wanted = httpx.get(f"{running.url}/v1/maps/a").json()
-    until(lambda: running.app.state.rholoc.frames.finder.counts()["indexed"] == 2)  # which reads them once
+    until(lambda: running.app.state.rholoc.frames.finder._fetched.keys() == {"a", "b"})
     library._cache.drop("a")
     for copy in library.folder.glob("*.rho") if running.settings.shared_storage else ():
         copy.unlink()

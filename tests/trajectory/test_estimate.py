@@ -8,11 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from failing import fail
 from synthetic_walk import DELAY_S, SyntheticWalk, estimated
 
 from rholoc.errors import InvalidRecording, InvalidWaypoints, MappingFailed
 from rholoc.geometry import ByteArray, Camera, FloatArray, align_poses, pose_distances, umeyama
-from rholoc.progress import ProgressListener, Stage, silent
+from rholoc.progress import Stage, silent
 from rholoc.recordings import GivenPoses, KnownLength, MemoryFrames, Recording, Waypoint, read_recording
 from rholoc.simulation import PHONE_CAMERA, Renderer, Scene, make_walk
 from rholoc.trajectory import PoseMethod, Scale, Trajectory
@@ -108,10 +109,6 @@ def test_a_rolling_shutter_is_corrected_before_the_reconstruction(monkeypatch: p
     np.testing.assert_allclose(at_once[:, 1], as_read[:, 1], atol=0.1)
 
 
-def _fail(text: str, _: ProgressListener) -> None:
-    raise RuntimeError(text)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -125,7 +122,7 @@ def _fail(text: str, _: ProgressListener) -> None:
 )
 def test_a_librarys_error_is_reported_in_words(text: str, message: str) -> None:
     with pytest.raises(MappingFailed) as raised:
-        run_in_child(_fail, text, progress=silent, stage=Stage.POSES)
+        run_in_child(fail, text, progress=silent, stage=Stage.POSES)
     assert raised.value.message == message
     assert raised.value.hint
     assert isinstance(raised.value, ReconstructionBroken) == ("unexpected" in message)

@@ -15,8 +15,12 @@ UP.flags.writeable = False
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """a × b of (..., 3); several times faster than NumPy's own on a few hundred vectors."""
     ax, ay, az, bx, by, bz = a[..., 0], a[..., 1], a[..., 2], b[..., 0], b[..., 1], b[..., 2]
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    out[..., 0], out[..., 1], out[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    x, y, z = ay * bz, az * bx, ax * by
+    x -= az * by
+    y -= ax * bz
+    z -= ay * bx
+    out = np.empty((*x.shape, 3))
+    out[..., 0], out[..., 1], out[..., 2] = x, y, z
     return out
 
 

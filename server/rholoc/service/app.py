@@ -47,6 +47,7 @@ from rholoc.service.frames.kept.learning import Learner
 from rholoc.service.frames.kept.live import Live
 from rholoc.service.frames.kept.refusals import Refusals
 from rholoc.service.frames.localizers import Localizers
+from rholoc.service.frames.map_choice import MAX_ASKED
 from rholoc.service.housekeeping import clean_up_regularly, follow_keys
 from rholoc.service.http import web
 from rholoc.service.http.bodies import HeldBodies
@@ -217,7 +218,7 @@ def _start(
     queries = QueryStore(stores.objects, KeptLimits(size_bytes=settings.learn_max_bytes))
     learner = Learner(queries, settings, stores.documents(ASKERS))
     sites = SiteLibrary(stores.documents(SITES))
-    finder = MapFinder(library, settings.data_dir / VECTORS_FILE)
+    finder = MapFinder(library, settings.data_dir / VECTORS_FILE, min_maps=MAX_ASKED + 1)  # of fewer, all are asked
     compute = ComputePool(settings.concurrency, settings.queue_length)
     frames = Answerer(
         settings,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,15 +29,13 @@ CAMERA = PHONE_CAMERA.resized(160, 120)
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1,))]
 
 
-@cache
-def building_of(seed: int) -> Building:
-    made = make_site(Site.BUILDING, seed)
-    assert isinstance(made, Building)
-    return made
+@pytest.fixture(scope="module")
+def building_of(made_once: Any) -> Callable[[int], Building]:
+    return cache(lambda seed: made_once(f"building-{seed}", lambda: make_site(Site.BUILDING, seed)))
 
 
 @pytest.fixture(scope="module")
-def building() -> Building:
+def building(building_of: Callable[[int], Building]) -> Building:
     return building_of(0)
 
 
@@ -49,7 +49,7 @@ def room_names(building: Building, points: FloatArray) -> list[str]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_boxes_stand_in_their_rooms_and_do_not_overlap(seed: int) -> None:
+def test_boxes_stand_in_their_rooms_and_do_not_overlap(seed: int, building_of: Callable[[int], Building]) -> None:
     made = building_of(seed)
     samples = np.random.default_rng(0).uniform(-0.499, 0.499, (60, 3))
     for name, room in zip(made.names, made.rooms, strict=True):
@@ -68,7 +68,9 @@ def test_boxes_stand_in_their_rooms_and_do_not_overlap(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("number", [1, 2])
-def test_the_walks_keep_to_the_rooms_and_clear_of_what_stands_there(seed: int, number: int) -> None:
+def test_the_walks_keep_to_the_rooms_and_clear_of_what_stands_there(
+    seed: int, number: int, building_of: Callable[[int], Building]
+) -> None:
     made, walk = building_of(seed), make_site_walk(Site.BUILDING, number, SECONDS, seed)
     times = np.arange(0, SECONDS, 0.2)
     positions = walk.positions(times)

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import BoolArray, FloatArray, pose_matrix
+from rholoc.features import FeatureSet
+from rholoc.geometry import BoolArray, ByteArray, FloatArray, pose_matrix
 from rholoc.recordings import GivenPoses, Recording, read_recording
 from rholoc.reports import MissingSpan
 from rholoc.trajectory import PoseMethod
 from rholoc.trajectory.checks.gaps import describe, missing_spans
 from rholoc.trajectory.checks.given_poses import PoseAxes, check_given_poses, epipolar_errors
 from rholoc.trajectory.estimate import estimate_trajectory
+from rholoc.trajectory.visual import keyframe_features
 from rholoc.trajectory.visual.flow import Flow
 
 _SECONDS, _HZ, _START_S = 20, 10, 100.0
@@ -169,8 +172,19 @@ def test_cameras_at_one_place_are_compared_by_their_rotation() -> None:
 
 
 @pytest.fixture(scope="module")
-def kitchen(real_data: Path) -> Recording:
-    return read_recording(real_data / "redkitchen", "525.505,525.505,320,240", "400:520:8")
+def kitchen(real_data: Path) -> Iterator[Recording]:
+    """A recording whose pictures' features are extracted once: tests differ in the poses that are held against them."""
+    extract, known = keyframe_features._extract, {}
+
+    def extracted_once(image: ByteArray, *how: Any) -> FeatureSet:
+        content = image.tobytes()
+        if content not in known:
+            known[content] = extract(image, *how)
+        return known[content]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(keyframe_features, "_extract", extracted_once)
+        yield read_recording(real_data / "redkitchen", "525.505,525.505,320,240", "400:520:8")
 
 
 def _written(recording: Recording, write: Callable[[FloatArray], FloatArray]) -> Recording:

@@ -11,7 +11,7 @@ import sqlite3
 import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Protocol
@@ -71,14 +71,17 @@ class MapFinder:
     Args:
         library: the maps.
         file: where to keep view vectors; None keeps them in memory.
+        min_maps: a library with fewer maps is not indexed; its files are only fetched.
     """
 
-    def __init__(self, library: MapFiles, file: Path | None = None) -> None:
+    def __init__(self, library: MapFiles, file: Path | None = None, min_maps: int = 1) -> None:
         self._library = library
+        self._min_maps = min_maps
         self._store = ViewStore(file)
         self._indexes: dict[str, ViewIndex] = {}
         self._models: dict[str, Model] = {}
         self._files: dict[str, str] = {}  # of the maps whose views are known, and of files that are no maps
+        self._fetched: dict[str, str] = {}  # of the maps whose files are on this machine, while there is no index
         self._present: dict[str, str] = {}
         self._is_read = False
         self._scanned_stamp: int | None = None
@@ -139,14 +142,20 @@ class MapFinder:
         gone = [name for name in self._files if name not in present]
         self._present = present
         self._forget(gone)
-        changed = [name for name, file in present.items() if self._files.get(name) != file]
+        is_indexed = len(present) >= self._min_maps
+        known = self._files if is_indexed else self._fetched
+        changed = [name for name, file in present.items() if known.get(name) != file]
         random.Random(_SEED).shuffle(changed)
         try:
-            self._relearn(changed, is_stopped)
+            if is_indexed:
+                self._relearn(changed, is_stopped)
             for name in changed:
                 if is_stopped():
                     return
-                self._take(name, present[name], changed)
+                if is_indexed:
+                    self._take(name, present[name], changed)
+                else:
+                    self._fetch(name, present[name])
         except (StorageUnavailable, StorageFull) as error:  # the next time, then
             self.trouble = error.message
             return
@@ -212,6 +221,12 @@ class MapFinder:
                 continue
             found[name] = f"{modified}-{size_bytes}"
         return found
+
+    def _fetch(self, name: str, file: str) -> None:
+        """Fetch the version ``file`` of a map to this machine. Raises StorageUnavailable, StorageFull."""
+        with suppress(UnknownMap):
+            self._library.path(name)
+            self._fetched[name] = file
 
     def _take(self, name: str, file: str, others: Sequence[str]) -> None:
         """Index the version ``file`` of a map, from the views that another process has stored or from the map itself.

@@ -9,7 +9,7 @@ import numpy as np
 
 from rholoc.features import FeatureSet, Metric
 from rholoc.features.matching import LIMITS, descriptor_distances, mutual_matches
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, PosedCameras, direction_angles
+from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, PosedCameras, cross, direction_angles
 from rholoc.lazy import lazy
 from rholoc.progress import ProgressListener, Stage, silent
 
@@ -65,7 +65,7 @@ class Views(PosedCameras):
     def __len__(self) -> int:
         return len(self.T_map_camera)
 
-    @property
+    @lazy
     def focal_px(self) -> FloatArray:
         """(K,) focal lengths, pixels."""
         return np.array([camera.focal for camera in self.cameras])
@@ -135,15 +135,11 @@ def epipolar_agreement(views: Views, rows: IntArray, i: int, j: int) -> BoolArra
     length = np.linalg.norm(baseline)
     limit = _EPIPOLAR_LIMIT_PX / min(views.focal_px[i], views.focal_px[j])
     if length < 1e-6:
-        return np.asarray(np.linalg.norm(np.cross(b_i, b_j), axis=1) < limit)
-    direction = baseline / length
-
-    def out_of_plane(b: FloatArray, other: FloatArray) -> FloatArray:
-        normal = np.cross(direction, other)
-        size = np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
-        return np.asarray(np.abs(np.einsum("mi,mi->m", b, normal)) / size)
-
-    return np.asarray((out_of_plane(b_i, b_j) < limit) & (out_of_plane(b_j, b_i) < limit))
+        return np.asarray(np.linalg.norm(cross(b_i, b_j), axis=1) < limit)
+    normals = [cross(baseline / length, b) for b in (b_i, b_j)]
+    out_of_plane = np.abs(np.einsum("mi,mi->m", b_i, normals[1]))  # times the length of the other view's normal
+    lengths = [np.maximum(np.linalg.norm(normal, axis=1), 1e-9) for normal in normals]
+    return np.asarray(out_of_plane < limit * np.minimum(*lengths))
 
 
 def _tracks(links: IntArray, view_of: IntArray) -> IntArray:
