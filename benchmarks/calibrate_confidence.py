@@ -6,8 +6,9 @@
 Every kind of features in every room of benchmarks/rooms.py. What is asked of a room's map: frames of the room, whole
 and with an eighth of their features (frames that are easy say nothing about doubt); and pictures of all other rooms,
 which are all wrong; of what is asked from a walk's other end, whole frames alone. To these confidence is fitted, to all
-recordings or to those named by ``--fit``. Besides, frames as if by a camera whose focal length is a tenth off; and
-windows of a frame, over a seventh of its area, in a picture of another room: a thing that looks alike.
+recordings or to those named by ``--fit``. Besides, frames as if by a camera whose focal length is a tenth off, to which
+exactness alone is fitted, too; and, to check, windows of a frame, over a seventh of its area, in a picture of another
+room: a thing that looks alike.
 
 Answers are kept in the cache, room by room, until the code that gives them changes; after ``--minutes`` of processor
 time the command ends and says what is missing, and asking again goes on there. With all at hand it prints, of each
@@ -39,7 +40,7 @@ from rholoc.geometry import BoolArray, FloatArray
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED, WEIGHTS, Weights
 from rooms import ROOMS, WIDE, NamedRoom
 
-NOT_FITTED = (Kind.FOCAL_OFF, Kind.WINDOW)
+ONLY_CHECKED = (Kind.FOCAL_OFF, Kind.WINDOW)  # by the reliability; exactness is fitted to wrong cameras, too
 LESS_EXACT = ("xfeat",)  # than their sigma says: fitted apart
 RIDGE = 0.7
 LEAST_SLOPE = 0.05  # of a standardized input: each has a say
@@ -64,9 +65,8 @@ def fit(answered: list[Answered]) -> Weights:
 
     Wrong cameras count for the latter: a focal length that is off displaces a pose within the right place.
     """
-    named = [(one.features, case) for one in answered for case in one.cases if case.features]
-    cases = [case for _, case in named if case.kind not in NOT_FITTED]
-    features = [case.features for case in cases if case.features]
+    named = [(one.features, case, case.features) for one in answered for case in one.cases if case.features]
+    cases, features = zip(*[(case, of) for _, case, of in named if case.kind not in ONLY_CHECKED], strict=True)
     at_place = np.array([case.is_right_place for case in cases], dtype=bool)
     place = np.array([one.place for one in features])
     extras = np.array([[one.patches, one.colours] for one in features]).reshape(-1, 2)
@@ -78,10 +78,10 @@ def fit(answered: list[Answered]) -> Weights:
         inputs = np.column_stack([place, extras[:, columns]])[told]
         return logistic(inputs, at_place[told], factor[told], (1,) * inputs.shape[1])
 
-    here = [case for name, case in named if case.is_right_place and name not in LESS_EXACT]
-    sigma = np.array([[case.features.sigma] for case in here if case.features]).reshape(-1, 1)
-    exact_factor = np.clip([case.exact_factor for case in here], 1e-6, 1.0)
-    exact = logistic(sigma, np.array([case.right for case in here], dtype=bool), exact_factor, (-1,))
+    here = [(case, of) for name, case, of in named if case.is_right_place and name not in LESS_EXACT]
+    sigma = np.array([[of.sigma] for _, of in here]).reshape(-1, 1)
+    exact_factor = np.clip([case.exact_factor for case, _ in here], 1e-6, 1.0)
+    exact = logistic(sigma, np.array([case.right for case, _ in here], dtype=bool), exact_factor, (-1,))
     return Weights(place=by(), colours=by(1), patches=by(0), both=by(0, 1), exact=exact)
 
 
@@ -167,7 +167,7 @@ class Bin:
 
 def reliability(judged: list[Judged], exact: bool) -> list[Bin]:
     """The answers of about the same ``recognized``, or ``confidence`` if ``exact``, where there are some."""
-    confidence, right = of(judged, lambda case: case.kind not in NOT_FITTED, exact)
+    confidence, right = of(judged, lambda case: case.kind not in ONLY_CHECKED, exact)
     bins = []
     for low, high in pairwise(BINS):
         inside = (confidence >= low) & (confidence < high)
@@ -214,7 +214,7 @@ def figures(judged: list[Judged], threshold: float) -> dict[str, str]:
 
 def log_score(judged: list[Judged]) -> float:
     """The mean logarithmic loss of ``recognized``, nats."""
-    said, right = of(judged, lambda case: case.kind not in NOT_FITTED)
+    said, right = of(judged, lambda case: case.kind not in ONLY_CHECKED)
     said = np.clip(said, 1e-4, 1 - 1e-4)
     return float(-np.where(right, np.log(said), np.log(1 - said)).mean())
 
@@ -247,6 +247,9 @@ def main() -> None:
         fitted = [one for one in answered if not args.fit or one.recording in args.fit]
         for name, values in asdict(fit(fitted)).items():
             print(f"{name} that fits all best: {np.round(values, 2).tolist()}")
+        for recording in dict.fromkeys(one.recording for one in fitted):
+            others = fit([one for one in fitted if one.recording != recording])
+            print(f"exact without {recording}: {np.round(others.exact, 2).tolist()}")
         every = {"held back": held_back(answered, fitted), "in use": [judge(one) for one in answered]}
         names = list(dict.fromkeys(one.features for one in answered))
         rows = []

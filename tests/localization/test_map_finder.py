@@ -83,6 +83,7 @@ def test_few_maps_are_indexed_once_there_are_more(library, looking) -> None:
     library.delete("room0")
     publish(library, "room1", looking(10))
     finder.refresh()
+    assert finder.counts()["present"] == 6
     publish(library, "room0", looking(0))
     finder.refresh()
     assert best(finder, looking(10)) == "room1"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import os
 import signal
@@ -26,7 +25,9 @@ from waiting import alive, until
 @pytest.fixture
 def reconstruction() -> Any:
     """``rholoc.trajectory.child``, which children that import this module do without: it takes a second."""
-    return importlib.import_module("rholoc.trajectory.child")
+    from rholoc.trajectory import child
+
+    return child
 
 
 def _add(a: int, b: int, progress: ProgressListener = silent) -> int:

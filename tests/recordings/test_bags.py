@@ -101,16 +101,16 @@ class Bag:
         )
         self.write(topic, kind, message, START_NS)
 
-    def imu(self, topic: str, stamp_ns: int, felt: Any, turned: Any, frame: str = "imu") -> None:
+    def imu(self, topic: str, stamp_ns: int, acceleration: Any, rate: Any, frame: str = "imu") -> None:
         nothing = np.zeros(9)
         message = self.make(
             "sensor_msgs/msg/Imu",
             header=self.header(stamp_ns, frame),
             orientation=self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
             orientation_covariance=nothing,
-            angular_velocity=self.vector(turned),
+            angular_velocity=self.vector(rate),
             angular_velocity_covariance=nothing,
-            linear_acceleration=self.vector(felt),
+            linear_acceleration=self.vector(acceleration),
             linear_acceleration_covariance=nothing,
         )
         self.write(topic, "sensor_msgs/msg/Imu", message, stamp_ns + 2_000_000)

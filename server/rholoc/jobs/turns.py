@@ -12,8 +12,8 @@ _PATIENCE = 10.0  # seconds that each second of a walk delays its turn
 def turn_of(submitted_s: float, priority: JobPriority, length_s: float) -> float:
     """Sort key of the queue [s]: the job with the smallest turn is taken first.
 
-    It is the time of submission, minus or plus a day by priority, plus ten times the walk's length. Since a turn does
-    not change, no job waits for ever.
+    It is the time of submission, minus or plus a day by priority, plus ten times the walk's length. Since it
+    does not depend on the present time, no job waits for ever.
 
     Args:
         submitted_s: seconds since the epoch.

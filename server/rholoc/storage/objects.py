@@ -27,7 +27,7 @@ _PIECE_BYTES = 8 * 2**20
 _TIMEOUT_S = 60.0  # of one request for an object, or a piece of one
 _CONNECT_TIMEOUT_S = 5.0
 _RETRY_FOR_S = 10.0
-_LONGEST_PAUSE_S = 1.0  # between two tries
+_MAX_BACKOFF_S = 1.0  # pause between two tries
 _MAX_RETRIES = 1000  # the time is the limit
 _ATTEMPTS = 100  # to write to a folder whose last object is being deleted
 
@@ -88,7 +88,7 @@ class ObjectStorage:
                     retry_config={
                         "max_retries": _MAX_RETRIES,
                         "retry_timeout": timedelta(seconds=_RETRY_FOR_S),
-                        "backoff": {"max_backoff": timedelta(seconds=_LONGEST_PAUSE_S)},
+                        "backoff": {"max_backoff": timedelta(seconds=_MAX_BACKOFF_S)},
                     },
                 )
         except (BaseError, ValueError) as error:

@@ -80,10 +80,10 @@ def test_camera_rotations_are_those_of_the_camera() -> None:
     walk = hand_held_walk(delay_s=0.043)
     gyro = calibrate_gyro(walk.times, walk.T_map_camera[:, :3, :3], walk.imu)
     assert gyro is not None
-    felt = camera_rotations(walk.imu, gyro, walk.times)
+    by_gyroscope = camera_rotations(walk.imu, gyro, walk.times)
     true = Rotation.from_matrix(walk.T_map_camera[:, :3, :3])
     for later in (1, 10, 99):
-        apart = (felt[0].inv() * felt[later]).inv() * (true[0].inv() * true[later])
+        apart = (by_gyroscope[0].inv() * by_gyroscope[later]).inv() * (true[0].inv() * true[later])
         assert apart.magnitude() < np.radians(0.6)
         assert apart.magnitude() < allowed_apart(walk.times[later] - walk.times[0])
 
@@ -108,9 +108,9 @@ def test_a_steady_rate_without_its_bias_turns_about_one_axis() -> None:
 
 def test_a_camera_turns_with_the_gyroscope_it_is_mounted_on_and_rests_outside_its_table() -> None:
     gyro = GyroCalibration(0.25, 0.0, np.zeros(3), 0.0, R_CAMERA_IMU, False, 0.0, 0.0)
-    felt = camera_rotations(_imu(np.array([0.1, -0.2, 0.3])), gyro, np.array([-5.0, -0.25, 0.75, 3.75, 100.0]))
+    by_gyroscope = camera_rotations(_imu(np.array([0.1, -0.2, 0.3])), gyro, np.array([-5.0, -0.25, 0.75, 3.75, 100.0]))
     seconds = np.array([0.0, 0.0, 1.0, 4.0, 7.99])
-    turned = (felt[0].inv() * felt).as_rotvec()
+    turned = (by_gyroscope[0].inv() * by_gyroscope).as_rotvec()
     axis = R_CAMERA_IMU @ [0.1, -0.2, 0.3]
     expected = Rotation.from_rotvec(np.outer(seconds, axis)).as_rotvec()
     np.testing.assert_allclose(turned, expected, atol=1e-9)

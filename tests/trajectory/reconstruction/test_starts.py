@@ -1,4 +1,4 @@
-"""From what was seen and felt to a start, and which way a reconstruction goes: by the parts, each put in by hand."""
+"""From what was seen and measured to a start, and which way a reconstruction goes: by the parts, put in by hand."""
 
 from __future__ import annotations
 
@@ -135,19 +135,19 @@ class _Route:
     """Which parts a reconstruction went through."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, gyro: GyroCalibration | None, starts: bool) -> None:
-        self.felt: list[object] = []
+        self.by_gyroscope: list[object] = []
         self.reasons: list[str] = []
         self.halves: list[IntArray] = []
         monkeypatch.setattr(dispatch, "calibrated", lambda *_: (gyro, "" if gyro else "It is of no use."))
-        monkeypatch.setattr(dispatch, "camera_rotations", lambda *_: "felt")
+        monkeypatch.setattr(dispatch, "camera_rotations", lambda *_: "by_gyroscope")
         monkeypatch.setattr(dispatch, "gather_evidence", self._gather)
         monkeypatch.setattr(dispatch, "start_with_imu", lambda *_: "start" if starts else None)
         monkeypatch.setattr(dispatch, "solve_with_imu", lambda *_: "with the IMU")
         monkeypatch.setattr(dispatch, "solve_from_pictures", self._solve)
         monkeypatch.setattr(dispatch, "solve_from_set", self._solve_set)
 
-    def _gather(self, sights: Sights, camera: object, felt: object, progress: object) -> str:
-        self.felt.append(felt)
+    def _gather(self, sights: Sights, camera: object, by_gyroscope: object, progress: object) -> str:
+        self.by_gyroscope.append(by_gyroscope)
         return "evidence"
 
     def _solve(self, walk: Pictured, steps: object) -> Any:
@@ -169,7 +169,7 @@ class _Route:
 def test_a_useful_imu_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     route = _Route(monkeypatch, _GYRO, starts=True)
     assert dispatch.reconstruct(_sights(), _IMU, []) == "with the IMU"
-    assert route.felt == ["felt"]
+    assert route.by_gyroscope == ["by_gyroscope"]
     assert route.reasons == []
 
 
@@ -186,8 +186,8 @@ def test_else_pictures_are_held_against_every_other_of_them(
     assert bool(route.reasons[0]) is bool(reason)
     assert route.reasons[1] == ""
     assert route.halves[1].tolist() == list(range(0, 24, 4))
-    assert route.felt[0] == ("felt" if imu is not None and gyro is not None else None)
-    assert route.felt[1] is None
+    assert route.by_gyroscope[0] == ("by_gyroscope" if imu is not None and gyro is not None else None)
+    assert route.by_gyroscope[1] is None
     assert found.agreement.same
     assert found.agreement.of == 6
 
@@ -257,7 +257,7 @@ def test_where_corners_cannot_be_followed_matched_pictures_calibrate_the_gyrosco
     route = _Route(monkeypatch, None, starts=True)
     monkeypatch.setattr(dispatch, "calibrated", lambda *what: (_GYRO, "") if what[3:] else (None, "It contradicts."))
     assert dispatch.reconstruct(replace(_sights(), is_film=False), _IMU, []) == "with the IMU"
-    assert route.felt == [None, "felt"]
+    assert route.by_gyroscope == [None, "by_gyroscope"]
 
 
 def test_pictures_that_are_linked_calibrate_the_gyroscope(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,8 +33,8 @@ def test_sequential_pairs_skip_nothing() -> None:
 def test_neighbours_agree_and_say_how_the_camera_turned(gyroscope: bool) -> None:
     T = arc(6)
     features = _seen(T, cloud(120), descriptors_of(120))
-    felt = Rotation.from_matrix(T[:, :3, :3]) if gyroscope else None
-    sequential, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(6.0), felt, True)
+    by_gyroscope = Rotation.from_matrix(T[:, :3, :3]) if gyroscope else None
+    sequential, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(6.0), by_gyroscope, True)
     assert {(pair.first, pair.second) for pair in sequential} >= {(k, k + 1) for k in range(5)}
     assert not loops
     for pair in sequential:
@@ -48,7 +48,7 @@ def test_neighbours_agree_and_say_how_the_camera_turned(gyroscope: bool) -> None
 def _two_walls(turned_deg: float) -> tuple[list[FeatureSet], Rotation]:
     """Six keyframes along a wall, ten of other things, six along a wall that looks just like the first.
 
-    And the rotations that the gyroscope felt: by then the camera has turned.
+    And the rotations that the gyroscope measured: by then the camera has turned.
     """
     T = arc(6, 0.5)
     points, descriptors = cloud(100), descriptors_of(100)
@@ -60,15 +60,15 @@ def _two_walls(turned_deg: float) -> tuple[list[FeatureSet], Rotation]:
 
 
 def test_a_place_seen_again_is_found() -> None:
-    features, felt = _two_walls(0.0)
-    _, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(22.0), felt, True)
+    features, by_gyroscope = _two_walls(0.0)
+    _, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(22.0), by_gyroscope, True)
     assert len(loops) >= 6
     assert all(pair.first < 6 and pair.second >= 16 for pair in loops)
 
 
 def test_a_wall_that_only_looks_alike_is_refused_because_the_gyroscope_contradicts_it() -> None:
-    features, felt = _two_walls(90.0)
-    _, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(22.0), felt, True)
+    features, by_gyroscope = _two_walls(90.0)
+    _, loops = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(22.0), by_gyroscope, True)
     assert not loops
     _, believed = match_keyframes(features, _rays(features), CAMERA.focal, np.arange(22.0), None, True)
     assert believed, "pictures alone cannot tell: the test would pass for nothing"

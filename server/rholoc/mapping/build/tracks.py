@@ -137,9 +137,9 @@ def epipolar_agreement(views: Views, rows: IntArray, i: int, j: int) -> BoolArra
     if length < 1e-6:
         return np.asarray(np.linalg.norm(cross(b_i, b_j), axis=1) < limit)
     normals = [cross(baseline / length, b) for b in (b_i, b_j)]
-    out_of_plane = np.abs(np.einsum("mi,mi->m", b_i, normals[1]))  # times the length of the other view's normal
+    triple = np.abs(np.einsum("mi,mi->m", b_i, normals[1]))  # |b_i · (t × b_j)| = |b_j · (t × b_i)|
     lengths = [np.maximum(np.linalg.norm(normal, axis=1), 1e-9) for normal in normals]
-    return np.asarray(out_of_plane < limit * np.minimum(*lengths))
+    return np.asarray(triple < limit * np.minimum(*lengths))
 
 
 def _tracks(links: IntArray, view_of: IntArray) -> IntArray:

@@ -16,8 +16,8 @@ from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro
 from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import Adjusted, InertialState, Problem, State, adjust
-from rholoc.trajectory.reconstruction.closing_loops import with_loops_closed
 from rholoc.trajectory.reconstruction.figures import scale_sigma_of
+from rholoc.trajectory.reconstruction.loop_closure import with_loops_closed
 from rholoc.trajectory.reconstruction.measured_scale import (
     scale_by_depth,
     scale_by_steps,

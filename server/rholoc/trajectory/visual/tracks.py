@@ -21,7 +21,7 @@ _TOLERANCE_PX = 2.0
 _MIN_SHARED = 12  # corners, for a relative pose
 _MIN_FOR_ROTATION = 30
 MIN_SIGHTINGS = 3
-_MAX_FELT_APART_RAD = np.radians(1.0)  # from the image's rotation of neighbours to use the gyroscope's
+_MAX_GYROSCOPE_APART_RAD = np.radians(1.0)  # from the image's rotation of neighbours to use the gyroscope's
 _MIN_TOGETHER = 10  # common points that connect two keyframes
 _MIN_PIECE = 3  # keyframes of a connected component that counts
 _FURTHER = 4  # keyframes: a longer interval over which corners measure rotation more accurately
@@ -161,7 +161,7 @@ def _neighbours(
     if by_gyroscope is not None:
         R_by_gyroscope = (by_gyroscope[b].inv() * by_gyroscope[a]).as_matrix()
         apart = rotation_angles(view.R_second_first, R_by_gyroscope)
-        if apart > _MAX_FELT_APART_RAD and b - a == 1:
+        if apart > _MAX_GYROSCOPE_APART_RAD and b - a == 1:
             inliers = inliers_of_rotation(first, second, R_by_gyroscope, tolerance)
         if apart > float(allowed_apart(flow.times[rows[b]] - flow.times[rows[a]])):
             rotation = None

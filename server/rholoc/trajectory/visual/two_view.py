@@ -15,7 +15,7 @@ from rholoc.trajectory.visual.sphere import relative_pose_on_sphere
 _RATIO = 0.8  # Lowe's ratio of the nearest to the second nearest distance
 _ROUNDING = 1e-6  # of a dot product of equal unit descriptors
 _ITERATIONS = (30, 1000)  # of RANSAC, minimum and maximum
-_SAMPLE, _MISSED = 5, 1e-6  # matches of a minimal sample; probability that none of the samples has inliers alone
+_SAMPLE_SIZE, _MISS_PROBABILITY = 5, 1e-6  # of minimal samples; that none of them consists of inliers only
 UNIT_CAMERA = {"model": "PINHOLE", "width": 2, "height": 2, "params": [1.0, 1.0, 0.0, 0.0]}
 _HYPOTHESES = 300  # of the translation, with known rotation
 _MIN_PARALLAX = 0.05  # radians, for a ray to constrain the translation
@@ -51,23 +51,23 @@ class PairRotation:
     support: int
 
 
-def relative_pose(first: FloatArray, second: FloatArray, tolerance: float, fewest: int = 0) -> TwoView:
+def relative_pose(first: FloatArray, second: FloatArray, tolerance: float, min_inliers: int = 0) -> TwoView:
     """Relative pose with most inliers (LO-RANSAC; by poselib, for wide lenses by pycolmap); no inliers if none is
     found.
 
     Args:
         first, second: (M, 3) rays of the matches, each in its camera's frame, M ≥ 5.
         tolerance: maximum epipolar distance of an inlier on the plane z = 1; for wide lenses in radians.
-        fewest: number of inliers below which the pose is of no use: the search ends when it would have found so many.
+        min_inliers: number of inliers below which the pose is useless; the iterations are bounded accordingly.
     """
-    least, most = _ITERATIONS[0], _iterations(len(first), fewest)
+    iterations = _ITERATIONS[0], _max_iterations(len(first), min_inliers)
     if not (is_narrow(first) and is_narrow(second)):
-        inliers, R = relative_pose_on_sphere(first, second, tolerance, (least, most), _SEED)
+        inliers, R = relative_pose_on_sphere(first, second, tolerance, iterations, _SEED)
         return TwoView(inliers, R)
     options = {
         "max_epipolar_error": tolerance,
-        "min_iterations": least,
-        "max_iterations": most,
+        "min_iterations": iterations[0],
+        "max_iterations": iterations[1],
         "seed": _SEED,
     }
     pose, info = poselib.estimate_relative_pose(
@@ -77,11 +77,13 @@ def relative_pose(first: FloatArray, second: FloatArray, tolerance: float, fewes
     return TwoView(inliers if len(inliers) == len(first) else np.zeros(len(first), np.bool_), np.asarray(pose.R))
 
 
-def _iterations(matches: int, fewest: int) -> int:
-    """Iterations of RANSAC after which ``fewest`` inliers among the matches are found (Fischler and Bolles, 1981)."""
-    share = min(fewest / max(matches, 1), 1.0) ** _SAMPLE
+def _max_iterations(matches: int, min_inliers: int) -> int:
+    """Iterations after which RANSAC has found ``min_inliers`` inliers with probability 1 − 1e-6 (Fischler and Bolles,
+    1981), within ``_ITERATIONS``.
+    """
+    share = min(min_inliers / max(matches, 1), 1.0) ** _SAMPLE_SIZE
     with np.errstate(divide="ignore"):
-        needed = np.log(_MISSED) / np.log1p(-share)
+        needed = np.log(_MISS_PROBABILITY) / np.log1p(-share)
     return int(np.clip(needed, *_ITERATIONS))
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Camera, FloatArray, Pose, pose_matrix
 from rholoc.trajectory.optimization.adjustment import Fix, InertialState, State
-from rholoc.trajectory.optimization.loop_checks import PlacedFeatures, loop_pose, loops_in_reach, place_features
+from rholoc.trajectory.optimization.loop_verification import PlacedFeatures, loop_pose, loops_in_reach, place_features
 from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
 from rholoc.trajectory.visual.matching import VerifiedPair
 
