@@ -149,7 +149,7 @@ def test_what_keys_hold_is_counted_together(serve: Any, s3_url: str, postgres: A
     secret = KeyStore(stores.documents(KEYS)).create("mapper", Scope.ADMIN, limits=KeyLimits(maps=1))
     stores.close()
     here, there = (httpx.Client(base_url=one.url, headers={"Authorization": f"Bearer {secret}"}) for one in running)
-    until(lambda: there.get("/v1/maps").status_code == 200, HEARD_WITHIN_S)
+    until(lambda: all(one.get("/v1/maps").status_code == 200 for one in (here, there)), HEARD_WITHIN_S)
     assert here.put("/v1/maps/one", content=picture_world.rho()).status_code == 201
     until(lambda: there.get("/v1/maps/one").status_code == 200, HEARD_WITHIN_S)
     refused = there.put("/v1/maps/two", content=picture_world.rho())
