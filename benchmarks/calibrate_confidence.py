@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -66,9 +66,10 @@ def fit(answered: list[Answered]) -> Weights:
     Wrong cameras count for the latter: a focal length that is off displaces a pose within the right place.
     """
     named = [(one.features, case, case.features) for one in answered for case in one.cases if case.features]
-    cases, features = zip(*[(case, of) for _, case, of in named if case.kind not in ONLY_CHECKED], strict=True)
+    cases = [case for _, case, _ in named if case.kind not in ONLY_CHECKED]
+    features = [of for _, case, of in named if case.kind not in ONLY_CHECKED]
     at_place = np.array([case.is_right_place for case in cases], dtype=bool)
-    place = np.array([one.place for one in features])
+    place = np.array([one.place for one in features]).reshape(-1, 3)
     extras = np.array([[one.patches, one.colours] for one in features]).reshape(-1, 2)
     factor = np.clip([case.factor for case in cases], 1e-6, 1.0)
 
@@ -127,11 +128,9 @@ class Judged:
     confidence: FloatArray
 
 
-def held_back(answered: list[Answered], fitted: list[Answered]) -> list[Judged]:
-    """All answers, by weights that are fitted to those of other recordings among ``fitted``."""
-    recordings = {one.recording for one in answered}
-    weights = {name: fit([one for one in fitted if one.recording != name]) for name in recordings}
-    return [judge(one, weights[one.recording]) for one in answered]
+def weights_without(recordings: Iterable[str], fitted: list[Answered]) -> dict[str, Weights]:
+    """Weights by recording: fitted to the answers of the others."""
+    return {name: fit([one for one in fitted if one.recording != name]) for name in dict.fromkeys(recordings)}
 
 
 def judge(answered: Answered, weights: Weights = WEIGHTS) -> Judged:
@@ -247,10 +246,13 @@ def main() -> None:
         fitted = [one for one in answered if not args.fit or one.recording in args.fit]
         for name, values in asdict(fit(fitted)).items():
             print(f"{name} that fits all best: {np.round(values, 2).tolist()}")
-        for recording in dict.fromkeys(one.recording for one in fitted):
-            others = fit([one for one in fitted if one.recording != recording])
-            print(f"exact without {recording}: {np.round(others.exact, 2).tolist()}")
-        every = {"held back": held_back(answered, fitted), "in use": [judge(one) for one in answered]}
+        without = weights_without((one.recording for one in answered), fitted)
+        for recording, weights in without.items():
+            print(f"exact without {recording}: {np.round(weights.exact, 2).tolist()}")
+        every = {
+            "held back": [judge(one, without[one.recording]) for one in answered],
+            "in use": [judge(one) for one in answered],
+        }
         names = list(dict.fromkeys(one.features for one in answered))
         rows = []
         for name in names:
