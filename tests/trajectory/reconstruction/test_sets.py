@@ -43,6 +43,8 @@ class Part:
 
     members: IntArray
     in_metres: bool = False
+    apart: tuple[()] = ()
+    by_waypoints: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +88,8 @@ def taken(
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "_agreement", compared)
     monkeypatch.setattr(from_pictures, "_comparison", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3]))
-    monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, _: (part, walk))
+    monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, _: (part, walk, None))
+    monkeypatch.setattr(from_pictures, "_unzoomed", lambda part, *_: part)
     monkeypatch.setattr(from_pictures, "_finished", lambda walk, part, _: Result(part, covariances, placed))
     found: Any = from_pictures.solve_from_set(Pictured(sights, CAMERA, evidence), AdjustmentProgress(silent))
     assert isinstance(found, Result)

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidWaypoints, MappingFailed
-from rholoc.geometry import FloatArray, Similarity, umeyama
+from rholoc.geometry import BoolArray, FloatArray, Similarity, umeyama
 from rholoc.recordings import Waypoint, check_waypoints_fix_frame
 
 _WAYPOINT_SIGMA_M = 0.02  # of a phone held at a measured point
@@ -72,7 +72,7 @@ def align_to_waypoints(
             and 0.5 % of the path length, or too few waypoints have a frame near in time.
     """
     check_waypoints_fix_frame(waypoints)
-    near = np.array([np.abs(times - waypoint.time).min() <= MAX_GAP_S for waypoint in waypoints])
+    near = _near(times, waypoints)
     _check_enough_near(waypoints, near)
     measured = np.array([waypoint.position for waypoint in waypoints])
     own = positions_at(times, positions, np.array([waypoint.time for waypoint in waypoints]))
@@ -93,6 +93,20 @@ def align_to_waypoints(
     return WaypointAlignment(found, residuals, mistake)
 
 
+def fix_frame(times: FloatArray, waypoints: Sequence[Waypoint]) -> bool:
+    """Whether those of the waypoints that have one of ``times`` (N,) [s] within ``MAX_GAP_S`` fix a frame."""
+    try:
+        check_waypoints_fix_frame([waypoints[k] for k in np.flatnonzero(_near(times, waypoints)).tolist()])
+    except InvalidWaypoints:
+        return False
+    return True
+
+
+def _near(times: FloatArray, waypoints: Sequence[Waypoint]) -> BoolArray:
+    """Mask (W,) of the waypoints that have one of ``times`` (N,) [s] within ``MAX_GAP_S``."""
+    return np.array([np.abs(times - waypoint.time).min() <= MAX_GAP_S for waypoint in waypoints], dtype=np.bool_)
+
+
 def positions_at(times: FloatArray, positions: FloatArray, at: FloatArray) -> FloatArray:
     """Interpolate ``positions`` (N, 3) at ``times`` (N,) to the times ``at`` (M,) by a cubic spline: (M, 3).
 
@@ -111,7 +125,7 @@ def _way(times: FloatArray, positions: FloatArray, waypoints: Sequence[Waypoint]
     return float(np.linalg.norm(np.diff(positions[between], axis=0), axis=1).sum())
 
 
-def _check_enough_near(waypoints: Sequence[Waypoint], near: FloatArray) -> None:
+def _check_enough_near(waypoints: Sequence[Waypoint], near: BoolArray) -> None:
     if near.all():
         return
     lost = ", ".join(w.name for w, ok in zip(waypoints, near, strict=True) if not ok)

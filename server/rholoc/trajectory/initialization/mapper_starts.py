@@ -65,7 +65,7 @@ class PycolmapStarts:
         self._folder = tempfile.TemporaryDirectory(prefix="rholoc-mapper-")
         self._pool = ThreadPoolExecutor(1)
         self._is_written = False
-        self._begun: dict[Mapper, Future[Piece | None]] = {}
+        self._begun: dict[Mapper, Future[list[Piece]]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -76,10 +76,10 @@ class PycolmapStarts:
 
     def begin(self, mapper: Mapper) -> None:
         """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread. The first one also writes the database."""
-        self._begun[mapper] = self._pool.submit(self._largest_piece, mapper)
+        self._begun[mapper] = self._pool.submit(self._pieces, mapper)
 
-    def largest_piece(self, mapper: Mapper) -> Piece | None:
-        """Pictures (N,), poses (N, 4, 4) and camera of the largest model of a mapper; None below three pictures.
+    def pieces(self, mapper: Mapper) -> list[Piece]:
+        """Models of a mapper, the largest first; each has three pictures or more, which another one may have, too.
 
         Waits for a mapper that was begun, runs another one.
         """
@@ -91,15 +91,15 @@ class PycolmapStarts:
     def _database(self) -> Path:
         return Path(self._folder.name) / "pictures.db"
 
-    def _largest_piece(self, mapper: Mapper) -> Piece | None:
+    def _pieces(self, mapper: Mapper) -> list[Piece]:
         pycolmap.logging.minloglevel = 3  # a failure shows in the result
         if not self._is_written:
             self._write()
             self._is_written = True
-        found = _run(mapper, self._database, self._is_known, len(self._pixels))
-        if not found:
-            return None
-        return _piece(max(found, key=lambda one: one.num_reg_images()), self._camera, self._is_known)
+        models = _run(mapper, self._database, self._is_known, len(self._pixels))
+        found = [_piece(model, self._camera, self._is_known) for model in models]
+        kept = (piece for piece in found if piece is not None and len(piece[0]) >= _MIN_PIECE)
+        return sorted(kept, key=lambda piece: -len(piece[0]))
 
     def _write(self) -> None:
         """Write pictures, features and verified matches to a new pycolmap database; estimates each pair's two-view

@@ -13,13 +13,15 @@ from rholoc.geometry.graphs import components
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.frame.map_frame import up_by_pictures
+from rholoc.trajectory.frame.waypoint_alignment import fix_frame
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, PycolmapStarts
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
-from rholoc.trajectory.optimization.adjustment import ANY, GUESSED, Adjusted, Problem, State, adjust
+from rholoc.trajectory.optimization.adjustment import ANY, GUESSED, Adjusted, Fix, Problem, State, adjust
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.figures import median_depth_of
+from rholoc.trajectory.reconstruction.joining import Start, joined_by_points, joined_by_waypoints
 from rholoc.trajectory.reconstruction.measured_scale import (
     DEPTH_SIGMA,
     scale_by_depth,
@@ -46,7 +48,7 @@ from rholoc.trajectory.reconstruction.sights import (
     Evidence,
     Sights,
 )
-from rholoc.trajectory.reconstruction.waypoints import in_map_frame
+from rholoc.trajectory.reconstruction.waypoints import fixes_of, in_map_frame
 from rholoc.trajectory.visual.focal_guess import focal_by_matches
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS, Observations, pieces_of
@@ -62,6 +64,8 @@ _MOST = 0.7  # share of a reconstruction's pictures that another one must confir
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
 _ANOTHER_PLACE = 4  # minimum pictures of a separate component that may show another place
+_FEWEST_OF_PIECE = 3  # pictures that a further piece adds
+_WAYPOINTS_MISSED = "The waypoints are not used: too few of the pictures at them could be placed."
 _LOOSE = 0.1  # pose uncertainty as a share of the extent, above which a reconstruction is useless
 
 
@@ -159,17 +163,31 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     agreement, other = _best_agreement(best, parts)
     if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
-    part, walk = _refined(best, walk, progress)
-    found = _finished(walk, part, progress)
+    part, walk, whole = _refined(best, walk, progress)
+    part = _joined(part, [piece for one in parts for piece in one.apart], walk, whole, progress)
+    part = _unzoomed(part, walk, whole, progress)
+    reached = [some for some in walk.waypoints if fix_frame(walk.sights.times[part.members], some)]
+    found = _finished(replace(walk, waypoints=reached), part, progress)
+    if walk.waypoints and not reached:
+        found = replace(found, frame=replace(found.frame, doubts=(*found.frame.doubts, _WAYPOINTS_MISSED)))
     if _is_loose(found):
         raise MappingFailed("Too little ties these pictures together.", DENSER)
-    found = replace(found, note=f"{found.note} {_elsewhere(found.placed, walk.evidence.sequential)}".strip())
+    notes = found.note, _by_waypoints(part.by_waypoints), _elsewhere(found.placed, walk.evidence.sequential)
+    found = replace(found, note=" ".join(note for note in notes if note))
     if agreement is None or other is None:
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, count))
     if agreement.common < _MOST * len(part.members):
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
     in_map_frame = _comparison(found.T_map_camera, found.placed, found.median_depth, other)
     return replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
+
+
+def _by_waypoints(pictures: Sequence[int]) -> str:
+    """One line on pieces of so many ``pictures`` that the waypoints alone join; empty if there are none."""
+    if not pictures:
+        return ""
+    sizes = ", ".join(str(one) for one in pictures[:-1])
+    return f"Its pictures fall into pieces of {sizes} and {pictures[-1]}, which the waypoints alone join."
 
 
 def _elsewhere(placed: BoolArray, pairs: Sequence[VerifiedPair]) -> str:
@@ -192,6 +210,8 @@ class _Part:
         problem, adjusted: of those.
         in_metres: whether depth pictures gave it its first poses, so that they check its shape.
         zooms: (N,) of each picture relative to the camera, which its sightings are corrected for; or None.
+        apart: first poses of further pieces by the same mapper, each in a frame and scale of its own.
+        by_waypoints: numbers of pictures of the pieces that the waypoints alone join; empty if there is one piece.
     """
 
     members: IntArray
@@ -199,6 +219,13 @@ class _Part:
     adjusted: Adjusted
     in_metres: bool = False
     zooms: FloatArray | None = None
+    apart: tuple[Start, ...] = ()
+    by_waypoints: tuple[int, ...] = ()
+
+    @property
+    def start(self) -> Start:
+        """Its pictures and their poses, without points."""
+        return replace(self.adjusted.state, points=np.zeros((0, 3))), self.members
 
 
 def _placed_by(
@@ -212,57 +239,121 @@ def _placed_by(
     """The part that a mapper places, adjusted; None if it places none or fails. ``whole`` are the sightings of all
     pictures, ``starts`` gives pycolmap's first poses, ``span`` the fractions of progress.
     """
-    sights, camera, sequential = walk.sights, walk.camera, walk.evidence.sequential
     try:
-        if mapper is Mapper.DEPTH:
-            linked = None if sights.depth is None else depth_start(camera, sights.depth, walk.rays(), sequential)
-            if linked is None:
-                return None
-            start = State(linked[0], np.zeros((0, 3)), camera), linked[1]
-        elif mapper is Mapper.OWN:
-            start = _own_start(walk, whole)
-        else:
-            piece = starts.largest_piece(mapper)
-            if piece is None:
-                return None
-            members, T, found = piece
-            start = State(T, np.zeros((0, 3)), found), members
+        found = _starts_by(mapper, walk, whole, starts)
+        if not found:
+            return None
         middle = sum(span) / 2
-        part = _adjusted(walk, whole, start, progress, (span[0], middle))
-        more = _extended(part, walk, whole)
+        part = _adjusted(walk, whole, found[0], progress, (span[0], middle))
+        more = _extended(part.start, walk, whole)
         if len(more[1]) > len(part.members):
             part = _adjusted(walk, whole, more, progress, (middle, span[1]))
     except (MappingFailed, RuntimeError):  # gtsam's word for a system that cannot be solved
         return None
-    return replace(part, in_metres=mapper is Mapper.DEPTH)
+    return replace(part, in_metres=mapper is Mapper.DEPTH, apart=tuple(found[1:]))
 
 
-def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[_Part, Pictured]:
+def _starts_by(mapper: Mapper, walk: Pictured, whole: Observations, starts: PycolmapStarts) -> list[Start]:
+    """First poses by a mapper: of its largest piece, then of smaller ones. Raises MappingFailed."""
+    sights, camera = walk.sights, walk.camera
+    if mapper is Mapper.OWN:
+        return [_own_start(walk, whole)]
+    if mapper is Mapper.DEPTH:
+        if sights.depth is None:
+            return []
+        linked = depth_start(camera, sights.depth, walk.rays(), walk.evidence.sequential)
+        return [] if linked is None else [(State(linked[0], np.zeros((0, 3)), camera), linked[1])]
+    return [(State(T, np.zeros((0, 3)), found), members) for members, T, found in starts.pieces(mapper)]
+
+
+def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[_Part, Pictured, Observations]:
     """Adjust a part to more features and to the weak pairs that fit it, and add the pictures that these place.
 
-    Returns the new part, and the walk with the weak pairs used. If the adjustment fails or disagrees with ``part``,
-    both arguments unchanged.
+    Returns the new part, the walk with the weak pairs used, and its sightings. If the adjustment fails or disagrees
+    with ``part``, this and ``walk`` unchanged.
     """
     evidence = walk.evidence
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
     whole = walk.observed(richer, MANY_FEATURES)
     try:
-        found = _adjusted(walk, whole, _extended(part, walk, whole), progress, (0.75, 0.85))
+        found = _adjusted(walk, whole, _extended(part.start, walk, whole), progress, (0.75, 0.85))
     except (MappingFailed, RuntimeError):
-        return part, walk
+        return part, walk, whole
     if not _agreement(found, part).same:
-        return part, walk
-    return _unzoomed(found, walk, whole, progress), replace(walk, evidence=richer)
+        return part, walk, whole
+    return found, replace(walk, evidence=richer), whole
 
 
-def _extended(part: _Part, walk: Pictured, whole: Observations) -> tuple[State, IntArray]:
-    """State of the part's pictures and of those that it places by the ``whole`` sightings, without points, and their
-    numbers. Pictures that the clear pairs contradict there are left out.
+def _joined(
+    part: _Part, pieces: Sequence[Start], walk: Pictured, whole: Observations, progress: AdjustmentProgress
+) -> _Part:
+    """The part with the ``pieces`` that share points with it; then with those taken at enough waypoints, if these have
+    times. Each piece is adjusted alone first. A join that fails or moves the part is not made.
     """
-    found = with_missing_placed(whole, part.members, part.adjusted.state, len(walk.sights.rows))
-    if len(found[1]) == len(part.members):
+    others = _adjusted_pieces(pieces, part.members, walk, whole, progress)
+    if not others:
+        return part
+    start, apart = joined_by_points(part.start, others, whole, walk.evidence.sequential, walk.rays())
+    part = _joined_part(part, start, (), walk, whole, progress)
+    if not apart or len(walk.waypoints) != 1:
+        return part
+    (waypoints,), times = walk.waypoints, walk.sights.times
+    try:
+        start, used = joined_by_waypoints(part.start, apart, times, waypoints)
+    except MappingFailed:
+        return part
+    found = _joined_part(part, start, waypoints, walk, whole, progress)
+    return part if found is part else replace(found, by_waypoints=tuple(len(one[1]) for one in (part.start, *used)))
+
+
+def _joined_part(
+    part: _Part,
+    start: Start,
+    waypoints: tuple[Waypoint, ...],
+    walk: Pictured,
+    whole: Observations,
+    progress: AdjustmentProgress,
+) -> _Part:
+    """The ``start``, of the part and other pieces, with the pictures that it places, adjusted to the ``whole``
+    sightings and the waypoints. The ``part`` itself if the start adds nothing, the adjustment fails or moves the part.
+    """
+    if len(start[1]) == len(part.members):
+        return part
+    state, members = _extended(start, walk, whole)
+    fixes = tuple(fixes_of(walk.sights.times[members], waypoints).values())
+    try:
+        found = _adjusted(walk, whole, (state, members), progress, (0.85, 0.85), fixes)
+    except (MappingFailed, RuntimeError):
+        return part
+    return found if _agreement(found, part).same else part
+
+
+def _adjusted_pieces(
+    pieces: Sequence[Start], placed: IntArray, walk: Pictured, whole: Observations, progress: AdjustmentProgress
+) -> list[Start]:
+    """The pieces, each adjusted alone to the ``whole`` sightings. Those that fail, or have fewer than three pictures
+    that are not ``placed`` (N,) already, are left out.
+    """
+    found = []
+    for piece in pieces:
+        if len(np.setdiff1d(piece[1], placed)) < _FEWEST_OF_PIECE:
+            continue
+        try:
+            found.append(_adjusted(walk, whole, piece, progress, (0.85, 0.85)).start)
+        except (MappingFailed, RuntimeError):
+            continue
+    return found
+
+
+def _extended(start: Start, walk: Pictured, whole: Observations) -> Start:
+    """The pictures of ``start`` and those that they place by the ``whole`` sightings, without points. Pictures that the
+    clear pairs contradict there are left out.
+    """
+    state, members = start
+    found = with_missing_placed(whole, members, state, len(walk.sights.rows))
+    if len(found[1]) == len(members):
         return found
-    return without_contradicted(found, part.members, walk.evidence.sequential, walk.rays())
+    return without_contradicted(found, members, walk.evidence.sequential, walk.rays())
 
 
 def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> _Part:
@@ -278,13 +369,12 @@ def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: Adjust
         if not differ and found is part:
             break
         zooms[found.members] *= more**_ZOOM_HASTE
-        start = replace(found.adjusted.state, points=np.zeros((0, 3))), found.members
         try:
             corrected = zoomed(whole, zooms, found.adjusted.state.camera)
-            found = _adjusted(walk, corrected, start, progress, (0.85, 0.85))
+            found = _adjusted(walk, corrected, found.start, progress, (0.85, 0.85), problem.fixes)
         except (MappingFailed, RuntimeError):
             return part
-    return found if found is part else replace(found, zooms=zooms[found.members])
+    return found if found is part else replace(found, zooms=zooms[found.members], by_waypoints=part.by_waypoints)
 
 
 def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
@@ -386,12 +476,13 @@ def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | No
 def _adjusted(
     walk: Pictured,
     whole: Observations,
-    start: tuple[State, IntArray],
+    start: Start,
     progress: AdjustmentProgress,
     span: tuple[float, float],
+    fixes: tuple[Fix, ...] = (),
 ) -> _Part:
-    """Adjust some pictures from their first poses ``start`` (state, members) to those of the ``whole`` sightings they
-    see. Also to depths or odometry steps, in metres, if these fix the scale. Raises MappingFailed.
+    """Adjust some pictures from their first poses ``start`` to those of the ``whole`` sightings they see, and to
+    ``fixes``. Also to depths or odometry steps, in metres, if these fix the scale. Raises MappingFailed.
     """
     sights, (state, members) = walk.sights, start
     number = np.full(len(sights.rows), -1)
@@ -399,7 +490,7 @@ def _adjusted(
     numbered = replace(whole, keyframes=number[whole.keyframes])
     observations = numbered.take(numbered.keyframes >= 0)
     sigmas = camera_sigmas(sights.camera, ANY)
-    problem = Problem(sights.times[members], observations, camera_sigmas=sigmas, camera_mean=walk.camera)
+    problem = Problem(sights.times[members], observations, fixes=fixes, camera_sigmas=sigmas, camera_mean=walk.camera)
     problem, adjusted = adjusted_in_rounds(problem, state, progress, span, _ROUNDS_OF_PICTURES)
     scaled = scaled_by_depth(problem, adjusted)
     if scaled is not None:
@@ -497,7 +588,7 @@ def _of_all(part: Reconstruction, members: IntArray, count: int) -> Reconstructi
     return replace(part, placed=placed, T_map_camera=T, covariances=covariances, zooms=zooms)
 
 
-def _own_start(walk: Pictured, observations: Observations) -> tuple[State, IntArray]:
+def _own_start(walk: Pictured, observations: Observations) -> Start:
     """First poses of the largest connected part by rotation averaging and global positioning, and its keyframes (N,).
     Raises MappingFailed if no two pictures overlap enough.
     """

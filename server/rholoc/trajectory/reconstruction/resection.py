@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rholoc.geometry import FloatArray, IntArray
+from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.trajectory.optimization.adjustment import State, residuals_px, triangulate
 from rholoc.trajectory.visual.tracks import Observations
 from rholoc.trajectory.visual.two_view import absolute_pose
@@ -38,7 +38,7 @@ def with_missing_placed(
     placed = np.zeros(count, dtype=np.bool_)
     placed[members] = True
     for _ in range(_ROUNDS):
-        points, known = _known_points(observations, placed, T, state)
+        points, known = known_points(observations, np.flatnonzero(placed), replace(state, T_map_camera=T[placed]))
         added = False
         for k in np.flatnonzero(~placed).tolist():
             pose = _resected(observations, k, points, known, state)
@@ -50,18 +50,14 @@ def with_missing_placed(
     return replace(state, T_map_camera=T[now], points=np.zeros((0, 3))), now
 
 
-def _known_points(
-    observations: Observations, placed: np.ndarray, T: FloatArray, state: State
-) -> tuple[FloatArray, np.ndarray]:
-    """Points (M, 3), NaN if untriangulated, from pictures with a pose T (K, 4, 4), and a mask (M,) of the reliable
-    ones. These have 1.5° of parallax and all errors below 4 px.
+def known_points(observations: Observations, members: IntArray, state: State) -> tuple[FloatArray, BoolArray]:
+    """Points (M, 3) of all sightings, NaN if untriangulated, by the pictures ``members`` (N,), whose poses are the
+    state's; and a mask (M,) of the reliable ones. These have 1.5° of parallax and all errors below 4 px.
     """
-    number = np.cumsum(placed) - 1
-    seen = observations.at(placed[observations.keyframes])
-    seen = replace(seen, keyframes=number[seen.keyframes])
-    now = replace(state, T_map_camera=T[placed])
-    found, parallax_deg = triangulate(seen, now)
-    off_px = residuals_px(seen, now, found)
+    seen = observations.at(np.isin(observations.keyframes, members))
+    seen = replace(seen, keyframes=np.searchsorted(members, seen.keyframes))
+    found, parallax_deg = triangulate(seen, state)
+    off_px = residuals_px(seen, state, found)
     worst = np.zeros(len(found))
     np.maximum.at(worst, seen.tracks, off_px)
     points = np.full((observations.points, 3), np.nan)
@@ -72,7 +68,7 @@ def _known_points(
 
 
 def _resected(
-    observations: Observations, k: int, points: FloatArray, known: np.ndarray, state: State
+    observations: Observations, k: int, points: FloatArray, known: BoolArray, state: State
 ) -> FloatArray | None:
     rows = np.flatnonzero(observations.keyframes == k)
     rows = rows[known[observations.tracks[rows]]]

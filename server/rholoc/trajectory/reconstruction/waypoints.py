@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rholoc.geometry import FloatArray
 from rholoc.recordings import Waypoint
 from rholoc.recordings.tables.waypoints import DEFAULT_SIGMA_M
 from rholoc.trajectory.checks.mistaken_waypoints import LeftOut, compare_unused, leave_out, worst
@@ -73,13 +74,7 @@ def _held_by_waypoints(
     """Adjust with the waypoints; remove mistaken ones (at most a third, leaving three), the largest error first. Raises
     MappingFailed.
     """
-    keyframes = {waypoint.name: int(np.abs(problem.times - waypoint.time).argmin()) for waypoint in frame.waypoints}
-    measured = {
-        waypoint.name: waypoint
-        for waypoint in frame.waypoints
-        if abs(problem.times[keyframes[waypoint.name]] - waypoint.time) <= MAX_GAP_S
-    }
-    fixes = {name: Fix(keyframes[name], point.position, point.sigma_m) for name, point in measured.items()}
+    fixes = fixes_of(problem.times, frame.waypoints)
     state = _with_waypoints_met(moved(state, frame.similarity), tuple(fixes.values()), loops)
     most = _MAX_MISTAKES * len(fixes)
     mistaken: list[str] = []
@@ -98,6 +93,16 @@ def _held_by_waypoints(
     problem = replace(problem, fixes=tuple(_of_noise(fix, factor) for fix in problem.fixes))
     adjusted = adjust(problem, state, LAST_ITERATIONS, progress.step(0.9, 0.95, "adjusted to the waypoints"))
     return Solved(problem, adjusted, frame, True, left_out, tuple(mistaken))
+
+
+def fixes_of(times: FloatArray, waypoints: Sequence[Waypoint]) -> dict[str, Fix]:
+    """The keyframe (of ``times`` (K,) [s]) at each waypoint, by the waypoint's name; none where no keyframe is near."""
+    nearest = {waypoint: int(np.abs(times - waypoint.time).argmin()) for waypoint in waypoints}
+    return {
+        waypoint.name: Fix(keyframe, waypoint.position, waypoint.sigma_m)
+        for waypoint, keyframe in nearest.items()
+        if abs(times[keyframe] - waypoint.time) <= MAX_GAP_S
+    }
 
 
 def _each_left_out(fixes: dict[str, Fix], mistaken: Sequence[str], adjusted: Adjusted) -> dict[str, LeftOut]:

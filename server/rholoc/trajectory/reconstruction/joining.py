@@ -1,0 +1,231 @@
+"""Parts of a set of pictures → one, by the points that they share or by waypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rholoc.errors import MappingFailed
+from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity, umeyama
+from rholoc.recordings import Waypoint
+from rholoc.trajectory.frame.map_frame import frame_of_waypoints, up_by_pictures
+from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.reconstruction.outcome import moved
+from rholoc.trajectory.reconstruction.pair_fit import pair_error, without_contradicted
+from rholoc.trajectory.reconstruction.resection import known_points
+from rholoc.trajectory.visual.matching import VerifiedPair
+from rholoc.trajectory.visual.tracks import Observations
+
+_SAMPLES, _SEED = 300, 1  # of three shared points
+_REFINEMENTS = 3
+_TOLERANCE_PX = 8.0  # reprojection error of one part's point in the other part's pictures, before adjustment
+_MIN_POINTS = 15
+_MIN_INLIER_SHARE = 0.4
+_MIN_DISTANCES, _MAX_DISTANCE_ERROR = 6, 0.05  # from a common picture; relative
+_MAX_PAIR_ERROR = 5e-3  # median epipolar error of a pair that fits, as a share of the focal length
+
+Start = tuple[State, IntArray]
+"""State of some pictures, and their numbers (N,), increasing."""
+
+
+def joined_by_points(
+    start: Start,
+    others: Sequence[Start],
+    observations: Observations,
+    pairs: Sequence[VerifiedPair],
+    rays: Sequence[FloatArray],
+) -> tuple[Start, tuple[Start, ...]]:
+    """Join to a start the others that share points with it, or with one joined before.
+
+    By a picture that both have and six points on whose distances from it they agree; else by 15 shared points and two
+    pairs of pictures, without a common one, that fit. Of the matches that link further pictures to the start, at most a
+    third may contradict their poses.
+
+    Args:
+        start: its frame remains.
+        others: may have pictures in common.
+        observations: of all pictures.
+        pairs: verified, of all pictures.
+        rays: of every picture's features.
+
+    Returns:
+        The start, without points, and those of the others that do not join.
+    """
+    apart = list(others)
+    k = 0
+    while k < len(apart):
+        found = _joined(start, apart[k], observations, pairs, rays)
+        if found is None:
+            k += 1
+        else:
+            start, k = found, 0
+            apart = [other for other in apart if not np.isin(other[1], start[1]).all()]
+    return start, tuple(apart)
+
+
+def joined_by_waypoints(
+    start: Start, others: Sequence[Start], times: FloatArray, waypoints: tuple[Waypoint, ...]
+) -> tuple[Start, tuple[Start, ...]]:
+    """Join to the start the others whose pictures were taken at three waypoints or more, in the waypoints' frame.
+
+    Args:
+        start: likewise at three waypoints.
+        others: may have pictures in common.
+        times: of all pictures [s].
+        waypoints: with times.
+
+    Returns:
+        The start in the waypoints' frame, without points, and those of the others that joined.
+
+    Raises:
+        MappingFailed: the start misses the waypoints, or was not taken at enough of them.
+    """
+    whole = _at_waypoints(start, times, waypoints)
+    found: list[Start] = []
+    for other in others:
+        try:
+            whole = joined(whole, _at_waypoints(other, times, waypoints), Similarity.identity())
+        except MappingFailed:
+            continue
+        found.append(other)
+    return whole, tuple(found)
+
+
+def _at_waypoints(start: Start, times: FloatArray, waypoints: tuple[Waypoint, ...]) -> Start:
+    state, members = start
+    up = up_by_pictures(state.R_map_camera)
+    frame = frame_of_waypoints(times[members], state.T_map_camera, [waypoints], *up)
+    return moved(state, frame.similarity), members
+
+
+def joined(one: Start, other: Start, similarity: Similarity) -> Start:
+    """The pictures of both in the first one's frame, without points. ``similarity`` leads there from the other's frame;
+    pictures of both keep their pose in the first.
+    """
+    (state, members), new = one, ~np.isin(other[1], one[1])
+    numbers = np.concatenate([members, other[1][new]])
+    T = np.concatenate([state.T_map_camera, similarity.poses(other[0].T_map_camera[new])])
+    order = np.argsort(numbers)
+    return replace(state, T_map_camera=T[order], points=np.zeros((0, 3))), numbers[order]
+
+
+def _joined(
+    one: Start,
+    other: Start,
+    observations: Observations,
+    pairs: Sequence[VerifiedPair],
+    rays: Sequence[FloatArray],
+) -> Start | None:
+    have_common = bool(np.isin(other[1], one[1]).any())
+    similarity = (_by_common_picture if have_common else _by_shared_points)(one, other, observations)
+    if similarity is None:
+        return None
+    found = joined(one, other, similarity)
+    if not (have_common or _several_fit(found, one[1], pairs, rays)):
+        return None
+    kept = without_contradicted(found, one[1], pairs, rays)
+    return found if len(kept[1]) == len(found[1]) else None
+
+
+def _by_common_picture(one: Start, other: Start, observations: Observations) -> Similarity | None:
+    """Similarity from the other's frame to the one's by the common picture that shows most points on whose distances
+    the two agree, up to a factor. None with fewer than six such points, or less than half of its points.
+    """
+    points, known = zip(*(known_points(observations, members, state) for state, members in (one, other)), strict=True)
+    best, most = None, 0
+    for picture in np.intersect1d(one[1], other[1]).tolist():
+        tracks = observations.tracks[observations.keyframes == picture]
+        tracks = tracks[known[0][tracks] & known[1][tracks]]
+        if len(tracks) < _MIN_DISTANCES:
+            continue
+        T, T_other = (state.T_map_camera[np.searchsorted(members, picture)] for state, members in (one, other))
+        ratios = np.linalg.norm(points[0][tracks] - T[:3, 3], axis=1)
+        ratios /= np.linalg.norm(points[1][tracks] - T_other[:3, 3], axis=1)
+        scale = float(np.median(ratios))
+        agreeing = int((np.abs(ratios / scale - 1) < _MAX_DISTANCE_ERROR).sum())
+        if agreeing > most and agreeing >= max(_MIN_DISTANCES, len(tracks) / 2):
+            R = T[:3, :3] @ T_other[:3, :3].T
+            best, most = Similarity(scale, R, T[:3, 3] - scale * R @ T_other[:3, 3]), agreeing
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """M shared points as a part knows them, in one frame.
+
+    Attributes:
+        points: (M, 3).
+        centres: (M, 3) positions of a picture of the part that shows each.
+        rays: (M, 3) unit, from there to the point as it was seen.
+    """
+
+    points: FloatArray
+    centres: FloatArray
+    rays: FloatArray
+
+    def moved(self, similarity: Similarity) -> _Shared:
+        """The same in the frame that ``similarity`` leads to."""
+        points, centres = similarity.points(self.points), similarity.points(self.centres)
+        return _Shared(points, centres, self.rays @ similarity.rotation.T)
+
+    def fits(self, points: FloatArray, tolerance: float) -> BoolArray:
+        """Mask (M,) of the other positions (M, 3) of its points that are within ``tolerance`` [rad] of its rays."""
+        away = points - self.centres
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+        return np.asarray(np.linalg.norm(away - self.rays, axis=1) < tolerance)
+
+
+def _by_shared_points(one: Start, other: Start, observations: Observations) -> Similarity | None:
+    """Similarity from the other's frame to the one's by RANSAC over the points that both know; None if too few fit."""
+    found = [known_points(observations, members, state) for state, members in (one, other)]
+    shared = np.flatnonzero(found[0][1] & found[1][1])
+    if len(shared) < _MIN_POINTS:
+        return None
+    a, b = (_shared(some, points, shared, observations) for some, (points, _) in zip((one, other), found, strict=True))
+    tolerance = _TOLERANCE_PX / one[0].camera.focal
+
+    def inliers(similarity: Similarity) -> BoolArray:
+        there = b.moved(similarity)
+        return np.asarray(a.fits(there.points, tolerance) & there.fits(a.points, tolerance))
+
+    def fitted(rows: IntArray | BoolArray) -> Similarity:
+        return umeyama(b.points[rows], a.points[rows])
+
+    rng = np.random.default_rng(_SEED)
+    samples = [rng.choice(len(shared), 3, replace=False) for _ in range(_SAMPLES)]
+    best = max((inliers(fitted(sample)) for sample in samples), key=np.sum)
+    for _ in range(_REFINEMENTS):
+        if best.sum() < _MIN_POINTS:
+            return None
+        similarity = fitted(best)
+        best = inliers(similarity)
+    return similarity if best.sum() >= max(_MIN_POINTS, _MIN_INLIER_SHARE * len(shared)) else None
+
+
+def _shared(part: Start, points: FloatArray, shared: IntArray, observations: Observations) -> _Shared:
+    """The points ``shared`` (M,) of all ``points``, with the first sighting of each by the part."""
+    state, members = part
+    seen = observations.at(np.isin(observations.keyframes, members) & np.isin(observations.tracks, shared))
+    first = seen.at(np.unique(seen.tracks, return_index=True)[1])
+    k = np.searchsorted(members, first.keyframes)
+    rays = np.einsum("nij,nj->ni", state.R_map_camera[k], state.camera.rays(first.pixels))
+    return _Shared(points[shared], state.positions[k], rays)
+
+
+def _several_fit(whole: Start, members: IntArray, pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray]) -> bool:
+    """Whether two pairs without a common picture, each of a member and another picture of the ``whole``, fit its
+    poses.
+    """
+    T = np.full((len(rays), 4, 4), np.nan)
+    T[whole[1]] = whole[0].T_map_camera
+    placed, inside = np.isfinite(T[:, 0, 0]), np.isin(np.arange(len(rays)), members)
+    fitting = [
+        {pair.first, pair.second}
+        for pair in pairs
+        if placed[[pair.first, pair.second]].all()
+        and inside[pair.first] != inside[pair.second]
+        and pair_error(pair, rays, T) <= _MAX_PAIR_ERROR
+    ]
+    return any(a.isdisjoint(b) for a in fitting for b in fitting)
