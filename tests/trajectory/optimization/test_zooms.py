@@ -16,6 +16,7 @@ from rholoc.trajectory import Scale, Trajectory
 from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction import from_pictures
+from rholoc.trajectory.reconstruction.part import Pictured, adjusted_part
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.visual.tracks import Observations
 
@@ -50,10 +51,10 @@ def test_zooms_are_taken_out_of_a_reconstruction(zooms: FloatArray) -> None:
     things = {"rows": np.arange(COUNT), "times": np.arange(float(COUNT)), "camera": CAMERA, "take": lambda *_: taken}
     sights: Any = type("Sights", (), things)()
     evidence: Any = None
-    walk = from_pictures.Pictured(sights, CAMERA, evidence)
+    walk = Pictured(sights, CAMERA, evidence)
     whole, progress = seen(zooms), AdjustmentProgress(silent)
     start = State(T, np.zeros((0, 3)), CAMERA), np.arange(COUNT)
-    part = from_pictures._adjusted(walk, whole, start, progress, (0.0, 0.5))
+    part = adjusted_part(walk, whole, start, progress, (0.0, 0.5))
     found = from_pictures._unzoomed(part, walk, whole, progress)
     if zooms is not ZOOMS:
         assert found is part

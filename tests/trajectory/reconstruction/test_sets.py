@@ -18,7 +18,8 @@ from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.initialization.mapper_starts import Mapper
 from rholoc.trajectory.optimization.adjustment import GIVEN, Problem, State
 from rholoc.trajectory.reconstruction import from_pictures
-from rholoc.trajectory.reconstruction.from_pictures import Pictured
+from rholoc.trajectory.reconstruction.part import Part as _Part
+from rholoc.trajectory.reconstruction.part import Pictured
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations
@@ -86,8 +87,10 @@ def taken(
     sights: Any = type("Sights", (), seen)()
     monkeypatch.setattr(from_pictures, "PycolmapStarts", MagicMock())
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
-    monkeypatch.setattr(from_pictures, "_agreement", compared)
-    monkeypatch.setattr(from_pictures, "_comparison", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3]))
+    monkeypatch.setattr(from_pictures, "agreement_of", compared)
+    monkeypatch.setattr(
+        from_pictures, "comparison_with", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3])
+    )
     monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, _: (part, walk, None))
     monkeypatch.setattr(from_pictures, "_unzoomed", lambda part, *_: part)
     monkeypatch.setattr(from_pictures, "_finished", lambda walk, part, _: Result(part, covariances, placed))
@@ -185,7 +188,7 @@ def test_pairs_contradict_a_focal_length_that_is_far_off(
     evidence: Any = type("Evidence", (), {"sequential": pairs})()
     problem = Problem(np.arange(6.0), Observations(*np.zeros((2, 0), np.int64), np.zeros((0, 2))), camera_sigmas=GIVEN)
     adjusted: Any = type("Adjusted", (), {"state": State(arc(6), points, given)})()
-    part = from_pictures._Part(np.arange(6), problem, adjusted)
+    part = _Part(np.arange(6), problem, adjusted)
     doubts = from_pictures._doubts_about_focal(part, Pictured(sights, given, evidence), given)
     assert bool(doubts) is contradicted
     assert not contradicted or "contradict the focal length" in doubts[0]

@@ -22,8 +22,8 @@ from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import InertialState, Problem, State
 from rholoc.trajectory.reconstruction import dispatch, from_imu
-from rholoc.trajectory.reconstruction.from_pictures import Pictured
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
+from rholoc.trajectory.reconstruction.part import Pictured
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
 from rholoc.trajectory.visual.matching import VerifiedPair

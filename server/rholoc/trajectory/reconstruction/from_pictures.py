@@ -3,58 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, on_plane, pose_matrix
 from rholoc.geometry.graphs import components
-from rholoc.recordings import Waypoint
-from rholoc.trajectory.checks.agreement import Agreement, compare
+from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.frame.waypoint_alignment import fix_frame
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, PycolmapStarts
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
-from rholoc.trajectory.optimization.adjustment import ANY, GUESSED, Adjusted, Fix, Problem, State, adjust
+from rholoc.trajectory.optimization.adjustment import GUESSED, State, adjust
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction.depth_start import depth_start
-from rholoc.trajectory.reconstruction.figures import median_depth_of
-from rholoc.trajectory.reconstruction.joining import Start, joined_by_points, joined_by_waypoints
+from rholoc.trajectory.reconstruction.joining import with_pieces_joined
 from rholoc.trajectory.reconstruction.measured_scale import (
-    DEPTH_SIGMA,
     scale_by_depth,
     scale_by_steps,
-    scaled_by_depth,
-    scaled_by_steps,
     scales_by_lengths,
-    with_depths,
 )
-from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished, held_keyframes
-from rholoc.trajectory.reconstruction.pair_fit import pair_error, without_contradicted
-from rholoc.trajectory.reconstruction.resection import with_missing_placed
+from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished
+from rholoc.trajectory.reconstruction.pair_fit import pair_error
+from rholoc.trajectory.reconstruction.part import (
+    Part,
+    Pictured,
+    Start,
+    adjusted_part,
+    agreement_of,
+    comparison_with,
+    extended,
+)
 from rholoc.trajectory.reconstruction.rounds import (
     LAST_ITERATIONS,
     AdjustmentProgress,
-    adjusted_in_rounds,
-    camera_sigmas,
 )
 from rholoc.trajectory.reconstruction.sights import (
     ADVICE,
     DENSER,
-    FEATURES_PER_KEYFRAME,
     MANY_FEATURES,
-    Evidence,
-    Sights,
 )
-from rholoc.trajectory.reconstruction.waypoints import fixes_of, in_map_frame
+from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.focal_guess import focal_by_matches
 from rholoc.trajectory.visual.matching import VerifiedPair
-from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS, Observations, pieces_of
+from rholoc.trajectory.visual.tracks import Observations, pieces_of
 
-_FEWEST_OF_SET = 2  # sightings of a point: pictures far apart share few points with two others
-_ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
@@ -64,61 +59,8 @@ _MOST = 0.7  # share of a reconstruction's pictures that another one must confir
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
 _ANOTHER_PLACE = 4  # minimum pictures of a separate component that may show another place
-_FEWEST_OF_PIECE = 3  # pictures that a further piece adds
 _WAYPOINTS_MISSED = "The waypoints are not used: too few of the pictures at them could be placed."
 _LOOSE = 0.1  # pose uncertainty as a share of the extent, above which a reconstruction is useless
-
-
-@dataclass(frozen=True, eq=False)
-class Pictured:
-    """A walk without an IMU: what its pictures show, and what else was measured.
-
-    Attributes:
-        sights: sightings of K keyframes.
-        camera: of the sights, or a first guess of it.
-        evidence: of the sights.
-        waypoints: assignments of times to the waypoints; a single one if times are known. Empty without waypoints.
-        reason: one line on why the IMU was not used, or empty.
-    """
-
-    sights: Sights
-    camera: Camera
-    evidence: Evidence
-    waypoints: Sequence[tuple[Waypoint, ...]] = ()
-    reason: str = ""
-
-    def observations(self) -> Observations:
-        """Sightings of corners and matched features, with their depths where these were measured. Raises MappingFailed
-        if there are none.
-        """
-        return self.observed(self.evidence, FEATURES_PER_KEYFRAME)
-
-    def observed(self, evidence: Evidence, features: int) -> Observations:
-        """Sightings by given evidence, with about ``features`` matched features per keyframe. Raises MappingFailed."""
-        fewest = MIN_SIGHTINGS if self.sights.is_film else _FEWEST_OF_SET
-        found = evidence.observations(self.sights, features, fewest)
-        return with_depths(found, self.sights.depth, self.camera)
-
-    def rays(self) -> list[FloatArray]:
-        """Rays (F, 3) of each picture's features, in its camera's frame."""
-        return [self.camera.rays(found.pixels) for found in self.sights.features]
-
-    def matched(self, lens: int, other: int) -> list[tuple[FloatArray, FloatArray]]:
-        """Matches of each clear pair of a picture by lens ``lens`` with one by lens ``other`` (or the same).
-
-        Returns for each pair the pixels (M, 2) in the former and in the latter picture.
-        """
-        lenses = np.zeros(len(self.sights.rows)) if self.sights.lenses is None else self.sights.lenses
-        places = [found.pixels.astype(np.float64) for found in self.sights.features]
-        found: list[tuple[FloatArray, FloatArray]] = []
-        for pair in self.evidence.sequential:
-            seen = places[pair.first][pair.matches[:, 0]], places[pair.second][pair.matches[:, 1]]
-            by = lenses[pair.first], lenses[pair.second]
-            if by == (lens, other):
-                found.append(seen)
-            elif by == (other, lens):
-                found.append(seen[::-1])
-        return found
 
 
 def solve_from_pictures(walk: Pictured, progress: AdjustmentProgress) -> Reconstruction:
@@ -128,7 +70,7 @@ def solve_from_pictures(walk: Pictured, progress: AdjustmentProgress) -> Reconst
         MappingFailed: no two pictures overlap, or the waypoints contradict them.
     """
     whole = walk.observations()
-    part = _adjusted(walk, whole, _own_start(walk, whole), progress, (0.45, 0.75))
+    part = adjusted_part(walk, whole, _own_start(walk, whole), progress, (0.45, 0.75))
     return _finished(walk, part, progress)
 
 
@@ -145,7 +87,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     sights, count = walk.sights, len(walk.sights.rows)
     whole = walk.observations()
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
-    parts: list[_Part] = []
+    parts: list[Part] = []
     with PycolmapStarts(walk.camera, sights.camera is not None, pixels, walk.evidence.sequential) as starts:
         for number, mapper in enumerate(Mapper):
             if mapper is Mapper.OWN and not parts:  # which another one has to confirm
@@ -164,7 +106,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
     part, walk, whole = _refined(best, walk, progress)
-    part = _joined(part, [piece for one in parts for piece in one.apart], walk, whole, progress)
+    part = with_pieces_joined(part, [piece for one in parts for piece in one.apart], walk, whole, progress)
     part = _unzoomed(part, walk, whole, progress)
     reached = [some for some in walk.waypoints if fix_frame(walk.sights.times[part.members], some)]
     found = _finished(replace(walk, waypoints=reached), part, progress)
@@ -178,7 +120,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, count))
     if agreement.common < _MOST * len(part.members):
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
-    in_map_frame = _comparison(found.T_map_camera, found.placed, found.median_depth, other)
+    in_map_frame = comparison_with(found.T_map_camera, found.placed, found.median_depth, other)
     return replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
 
 
@@ -201,33 +143,6 @@ def _elsewhere(placed: BoolArray, pairs: Sequence[VerifiedPair]) -> str:
     return f"{together} further pictures fit each other, but not these: perhaps of another place. Map them alone."
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """An adjusted reconstruction of some of K pictures.
-
-    Attributes:
-        members: (N,) the pictures, increasing.
-        problem, adjusted: of those.
-        in_metres: whether depth pictures gave it its first poses, so that they check its shape.
-        zooms: (N,) of each picture relative to the camera, which its sightings are corrected for; or None.
-        apart: first poses of further pieces by the same mapper, each in a frame and scale of its own.
-        by_waypoints: numbers of pictures of the pieces that the waypoints alone join; empty if there is one piece.
-    """
-
-    members: IntArray
-    problem: Problem
-    adjusted: Adjusted
-    in_metres: bool = False
-    zooms: FloatArray | None = None
-    apart: tuple[Start, ...] = ()
-    by_waypoints: tuple[int, ...] = ()
-
-    @property
-    def start(self) -> Start:
-        """Its pictures and their poses, without points."""
-        return replace(self.adjusted.state, points=np.zeros((0, 3))), self.members
-
-
 def _placed_by(
     mapper: Mapper,
     walk: Pictured,
@@ -235,7 +150,7 @@ def _placed_by(
     starts: PycolmapStarts,
     progress: AdjustmentProgress,
     span: tuple[float, float],
-) -> _Part | None:
+) -> Part | None:
     """The part that a mapper places, adjusted; None if it places none or fails. ``whole`` are the sightings of all
     pictures, ``starts`` gives pycolmap's first poses, ``span`` the fractions of progress.
     """
@@ -244,10 +159,10 @@ def _placed_by(
         if not found:
             return None
         middle = sum(span) / 2
-        part = _adjusted(walk, whole, found[0], progress, (span[0], middle))
-        more = _extended(part.start, walk, whole)
+        part = adjusted_part(walk, whole, found[0], progress, (span[0], middle))
+        more = extended(part.start, walk, whole)
         if len(more[1]) > len(part.members):
-            part = _adjusted(walk, whole, more, progress, (middle, span[1]))
+            part = adjusted_part(walk, whole, more, progress, (middle, span[1]))
     except (MappingFailed, RuntimeError):  # gtsam's word for a system that cannot be solved
         return None
     return replace(part, in_metres=mapper is Mapper.DEPTH, apart=tuple(found[1:]))
@@ -266,7 +181,7 @@ def _starts_by(mapper: Mapper, walk: Pictured, whole: Observations, starts: Pyco
     return [(State(T, np.zeros((0, 3)), found), members) for members, T, found in starts.pieces(mapper)]
 
 
-def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[_Part, Pictured, Observations]:
+def _refined(part: Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[Part, Pictured, Observations]:
     """Adjust a part to more features and to the weak pairs that fit it, and add the pictures that these place.
 
     Returns the new part, the walk with the weak pairs used, and its sightings. If the adjustment fails or disagrees
@@ -276,87 +191,15 @@ def _refined(part: _Part, walk: Pictured, progress: AdjustmentProgress) -> tuple
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
     whole = walk.observed(richer, MANY_FEATURES)
     try:
-        found = _adjusted(walk, whole, _extended(part.start, walk, whole), progress, (0.75, 0.85))
+        found = adjusted_part(walk, whole, extended(part.start, walk, whole), progress, (0.75, 0.85))
     except (MappingFailed, RuntimeError):
         return part, walk, whole
-    if not _agreement(found, part).same:
+    if not agreement_of(found, part).same:
         return part, walk, whole
     return found, replace(walk, evidence=richer), whole
 
 
-def _joined(
-    part: _Part, pieces: Sequence[Start], walk: Pictured, whole: Observations, progress: AdjustmentProgress
-) -> _Part:
-    """The part with the ``pieces`` that share points with it; then with those taken at enough waypoints, if these have
-    times. Each piece is adjusted alone first. A join that fails or moves the part is not made.
-    """
-    others = _adjusted_pieces(pieces, part.members, walk, whole, progress)
-    if not others:
-        return part
-    start, apart = joined_by_points(part.start, others, whole, walk.evidence.sequential, walk.rays())
-    part = _joined_part(part, start, (), walk, whole, progress)
-    if not apart or len(walk.waypoints) != 1:
-        return part
-    (waypoints,), times = walk.waypoints, walk.sights.times
-    try:
-        start, used = joined_by_waypoints(part.start, apart, times, waypoints)
-    except MappingFailed:
-        return part
-    found = _joined_part(part, start, waypoints, walk, whole, progress)
-    return part if found is part else replace(found, by_waypoints=tuple(len(one[1]) for one in (part.start, *used)))
-
-
-def _joined_part(
-    part: _Part,
-    start: Start,
-    waypoints: tuple[Waypoint, ...],
-    walk: Pictured,
-    whole: Observations,
-    progress: AdjustmentProgress,
-) -> _Part:
-    """The ``start``, of the part and other pieces, with the pictures that it places, adjusted to the ``whole``
-    sightings and the waypoints. The ``part`` itself if the start adds nothing, the adjustment fails or moves the part.
-    """
-    if len(start[1]) == len(part.members):
-        return part
-    state, members = _extended(start, walk, whole)
-    fixes = tuple(fixes_of(walk.sights.times[members], waypoints).values())
-    try:
-        found = _adjusted(walk, whole, (state, members), progress, (0.85, 0.85), fixes)
-    except (MappingFailed, RuntimeError):
-        return part
-    return found if _agreement(found, part).same else part
-
-
-def _adjusted_pieces(
-    pieces: Sequence[Start], placed: IntArray, walk: Pictured, whole: Observations, progress: AdjustmentProgress
-) -> list[Start]:
-    """The pieces, each adjusted alone to the ``whole`` sightings. Those that fail, or have fewer than three pictures
-    that are not ``placed`` (N,) already, are left out.
-    """
-    found = []
-    for piece in pieces:
-        if len(np.setdiff1d(piece[1], placed)) < _FEWEST_OF_PIECE:
-            continue
-        try:
-            found.append(_adjusted(walk, whole, piece, progress, (0.85, 0.85)).start)
-        except (MappingFailed, RuntimeError):
-            continue
-    return found
-
-
-def _extended(start: Start, walk: Pictured, whole: Observations) -> Start:
-    """The pictures of ``start`` and those that they place by the ``whole`` sightings, without points. Pictures that the
-    clear pairs contradict there are left out.
-    """
-    state, members = start
-    found = with_missing_placed(whole, members, state, len(walk.sights.rows))
-    if len(found[1]) == len(members):
-        return found
-    return without_contradicted(found, members, walk.evidence.sequential, walk.rays())
-
-
-def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> _Part:
+def _unzoomed(part: Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> Part:
     """The part, adjusted again with each picture's zoom estimated. Returns ``part`` itself if the zooms are alike, the
     camera is not a pinhole, or the adjustment fails.
     """
@@ -371,13 +214,13 @@ def _unzoomed(part: _Part, walk: Pictured, whole: Observations, progress: Adjust
         zooms[found.members] *= more**_ZOOM_HASTE
         try:
             corrected = zoomed(whole, zooms, found.adjusted.state.camera)
-            found = _adjusted(walk, corrected, found.start, progress, (0.85, 0.85), problem.fixes)
+            found = adjusted_part(walk, corrected, found.start, progress, (0.85, 0.85), problem.fixes)
         except (MappingFailed, RuntimeError):
             return part
     return found if found is part else replace(found, zooms=zooms[found.members], by_waypoints=part.by_waypoints)
 
 
-def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
+def _fitting(part: Part, walk: Pictured) -> list[VerifiedPair]:
     """Weak pairs of the walk that probably show one place, judged by the part's poses.
 
     Both pictures in the part: they are no farther apart than a clear pair of either, and their median epipolar error is
@@ -405,21 +248,6 @@ def _fitting(part: _Part, walk: Pictured) -> list[VerifiedPair]:
     return found
 
 
-def _agreement(part: _Part, other: _Part) -> Agreement:
-    """Agreement of two reconstructions, over the pictures of the smaller one."""
-    one, two = sorted((part, other), key=lambda some: len(some.members), reverse=True)
-    count = int(max(one.members.max(), two.members.max())) + 1
-    T, placed = np.tile(np.eye(4), (count, 1, 1)), np.zeros(count, dtype=np.bool_)
-    T[one.members], placed[one.members] = one.adjusted.state.T_map_camera, held_keyframes(one.problem, one.adjusted)
-    return _comparison(T, placed, median_depth_of(one.problem.observations, one.adjusted), two)
-
-
-def _comparison(T: FloatArray, placed: BoolArray, median_depth: float, other: _Part) -> Agreement:
-    """Compare poses T (K, 4, 4), valid where ``placed`` (K,), with a part."""
-    held = held_keyframes(other.problem, other.adjusted)
-    return compare(T, placed, other.members, other.adjusted.state.T_map_camera, held, median_depth)
-
-
 def _is_loose(found: Reconstruction) -> bool:
     """Whether there are no poses, or their median uncertainty is more than a tenth of their extent."""
     if not found.placed.any():
@@ -429,7 +257,7 @@ def _is_loose(found: Reconstruction) -> bool:
     return bool(np.median(np.sqrt(np.nan_to_num(variances, nan=np.inf))) > _LOOSE * extent)
 
 
-def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
+def _most_confirmed(parts: Sequence[Part], count: int) -> Part:
     """The part with the most pictures confirmed by another part.
 
     Ties, if at least half of all ``count`` pictures are confirmed: parts in metres first, then the smallest. Otherwise:
@@ -448,9 +276,9 @@ def _most_confirmed(parts: Sequence[_Part], count: int) -> _Part:
     return parts[max(range(len(parts)), key=order)]
 
 
-def _agreements(part: _Part, parts: Sequence[_Part]) -> list[Agreement]:
+def _agreements(part: Part, parts: Sequence[Part]) -> list[Agreement]:
     """Agreement of a part with each of the other ``parts``."""
-    return [_agreement(part, other) for other in parts if other is not part]
+    return [agreement_of(part, other) for other in parts if other is not part]
 
 
 def _confirmed(agreements: Sequence[Agreement]) -> int:
@@ -463,7 +291,7 @@ def _refuted(agreements: Sequence[Agreement]) -> int:
     return max((one.common for one in agreements if one.contradicts), default=0)
 
 
-def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | None, _Part | None]:
+def _best_agreement(part: Part, parts: Sequence[Part]) -> tuple[Agreement | None, Part | None]:
     """Agreement with the other part that agrees best, and that part; both None if there is no other."""
     others = [other for other in parts if other is not part]
     if not others:
@@ -473,38 +301,7 @@ def _best_agreement(part: _Part, parts: Sequence[_Part]) -> tuple[Agreement | No
     return found[k], others[k]
 
 
-def _adjusted(
-    walk: Pictured,
-    whole: Observations,
-    start: Start,
-    progress: AdjustmentProgress,
-    span: tuple[float, float],
-    fixes: tuple[Fix, ...] = (),
-) -> _Part:
-    """Adjust some pictures from their first poses ``start`` to those of the ``whole`` sightings they see, and to
-    ``fixes``. Also to depths or odometry steps, in metres, if these fix the scale. Raises MappingFailed.
-    """
-    sights, (state, members) = walk.sights, start
-    number = np.full(len(sights.rows), -1)
-    number[members] = np.arange(len(members))
-    numbered = replace(whole, keyframes=number[whole.keyframes])
-    observations = numbered.take(numbered.keyframes >= 0)
-    sigmas = camera_sigmas(sights.camera, ANY)
-    problem = Problem(sights.times[members], observations, fixes=fixes, camera_sigmas=sigmas, camera_mean=walk.camera)
-    problem, adjusted = adjusted_in_rounds(problem, state, progress, span, _ROUNDS_OF_PICTURES)
-    scaled = scaled_by_depth(problem, adjusted)
-    if scaled is not None:
-        problem = replace(problem, depth_sigma=DEPTH_SIGMA)
-        adjusted = adjust(problem, scaled, LAST_ITERATIONS, progress)
-    steps = sights.take(members).steps
-    scaled = scaled_by_steps(steps, adjusted)
-    if scaled is not None:
-        problem = replace(problem, steps=steps)
-        adjusted = adjust(problem, scaled, LAST_ITERATIONS, progress)
-    return _Part(members, problem, adjusted)
-
-
-def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reconstruction:
+def _finished(walk: Pictured, part: Part, progress: AdjustmentProgress) -> Reconstruction:
     """The part in the map frame, as a reconstruction of all pictures. Raises MappingFailed if it misses the
     waypoints.
     """
@@ -535,7 +332,7 @@ def _finished(walk: Pictured, part: _Part, progress: AdjustmentProgress) -> Reco
     return _of_all(found, part.members, len(sights.rows))
 
 
-def _doubts_about_focal(part: _Part, walk: Pictured, given: Camera) -> tuple[str, ...]:
+def _doubts_about_focal(part: Part, walk: Pictured, given: Camera) -> tuple[str, ...]:
     """One line if the pictures contradict the focal length of the camera ``given``, else empty: their pairs by a factor
     of 1.6, or the part by 7 % and 4 sigmas, with the focal length free.
     """

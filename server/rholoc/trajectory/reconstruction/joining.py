@@ -11,10 +11,12 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity, umeyama
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.frame.map_frame import frame_of_waypoints, up_by_pictures
-from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.reconstruction.outcome import moved
 from rholoc.trajectory.reconstruction.pair_fit import pair_error, without_contradicted
+from rholoc.trajectory.reconstruction.part import Part, Pictured, Start, adjusted_part, agreement_of, extended
 from rholoc.trajectory.reconstruction.resection import known_points
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
+from rholoc.trajectory.reconstruction.waypoints import fixes_of
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations
 
@@ -24,10 +26,69 @@ _TOLERANCE_PX = 8.0  # reprojection error of one part's point in the other part'
 _MIN_POINTS = 15
 _MIN_INLIER_SHARE = 0.4
 _MIN_DISTANCES, _MAX_DISTANCE_ERROR = 6, 0.05  # from a common picture; relative
+_FEWEST_OF_PIECE = 3  # pictures that a further piece adds
 _MAX_PAIR_ERROR = 5e-3  # median epipolar error of a pair that fits, as a share of the focal length
 
-Start = tuple[State, IntArray]
-"""State of some pictures, and their numbers (N,), increasing."""
+
+def with_pieces_joined(
+    part: Part, pieces: Sequence[Start], walk: Pictured, whole: Observations, progress: AdjustmentProgress
+) -> Part:
+    """The part with the ``pieces`` that share points with it; then with those taken at enough waypoints, if these have
+    times. Each piece is adjusted alone first. A join that fails or moves the part is not made.
+    """
+    others = _adjusted_pieces(pieces, part.members, walk, whole, progress)
+    if not others:
+        return part
+    start, apart = joined_by_points(part.start, others, whole, walk.evidence.sequential, walk.rays())
+    part = _adjusted_whole(part, start, (), walk, whole, progress)
+    if not apart or len(walk.waypoints) != 1:
+        return part
+    (waypoints,), times = walk.waypoints, walk.sights.times
+    try:
+        start, used = joined_by_waypoints(part.start, apart, times, waypoints)
+    except MappingFailed:
+        return part
+    found = _adjusted_whole(part, start, waypoints, walk, whole, progress)
+    return part if found is part else replace(found, by_waypoints=tuple(len(one[1]) for one in (part.start, *used)))
+
+
+def _adjusted_whole(
+    part: Part,
+    start: Start,
+    waypoints: tuple[Waypoint, ...],
+    walk: Pictured,
+    whole: Observations,
+    progress: AdjustmentProgress,
+) -> Part:
+    """The ``start``, of the part and other pieces, with the pictures that it places, adjusted to the ``whole``
+    sightings and the waypoints. The ``part`` itself if the start adds nothing, the adjustment fails or moves the part.
+    """
+    if len(start[1]) == len(part.members):
+        return part
+    state, members = extended(start, walk, whole)
+    fixes = tuple(fixes_of(walk.sights.times[members], waypoints).values())
+    try:
+        found = adjusted_part(walk, whole, (state, members), progress, (0.85, 0.85), fixes)
+    except (MappingFailed, RuntimeError):
+        return part
+    return found if agreement_of(found, part).same else part
+
+
+def _adjusted_pieces(
+    pieces: Sequence[Start], placed: IntArray, walk: Pictured, whole: Observations, progress: AdjustmentProgress
+) -> list[Start]:
+    """The pieces, each adjusted alone to the ``whole`` sightings. Those that fail, or have fewer than three pictures
+    that are not ``placed`` (N,) already, are left out.
+    """
+    found = []
+    for piece in pieces:
+        if len(np.setdiff1d(piece[1], placed)) < _FEWEST_OF_PIECE:
+            continue
+        try:
+            found.append(adjusted_part(walk, whole, piece, progress, (0.85, 0.85)).start)
+        except (MappingFailed, RuntimeError):
+            continue
+    return found
 
 
 def joined_by_points(
