@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity, umeyama
@@ -21,9 +23,9 @@ from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations
 
 _SAMPLES, _SEED = 300, 1  # of three shared points
-_REFINEMENTS = 3
-_TOLERANCE_PX = 8.0  # reprojection error of one part's point in the other part's pictures, before adjustment
-_MIN_POINTS = 15
+_TOLERANCE_PX = 16.0  # error of one part's point in the other's pictures: each part has its own small bends and focal
+_USUAL_ERROR = 0.3  # in tolerances, where errors begin to count less
+_MIN_POINTS, _MIN_KNOWN_TWICE = 15, 4
 _MIN_INLIER_SHARE = 0.4
 _MIN_DISTANCES, _MAX_DISTANCE_ERROR = 6, 0.05  # from a common picture; relative
 _FEWEST_OF_PIECE = 3  # pictures that a further piece adds
@@ -100,9 +102,9 @@ def joined_by_points(
 ) -> tuple[Start, tuple[Start, ...]]:
     """Join to a start the others that share points with it, or with one joined before.
 
-    By a picture that both have and six points on whose distances from it they agree; else by 15 shared points and two
-    pairs of pictures, without a common one, that fit. Of the matches that link further pictures to the start, at most a
-    third may contradict their poses.
+    By a picture that both have and six points on whose distances from it they agree; else by 15 points that both see,
+    and two pairs of pictures, without a common one, that fit. Of the matches that link further pictures to the start,
+    at most a third may contradict their poses.
 
     Args:
         start: its frame remains.
@@ -214,10 +216,10 @@ def _by_common_picture(one: Start, other: Start, observations: Observations) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Shared:
-    """M shared points as a part knows them, in one frame.
+    """M points that two parts see, as one of them knows them.
 
     Attributes:
-        points: (M, 3).
+        points: (M, 3), NaN where the part does not know the point well.
         centres: (M, 3) positions of a picture of the part that shows each.
         rays: (M, 3) unit, from there to the point as it was seen.
     """
@@ -226,53 +228,85 @@ class _Shared:
     centres: FloatArray
     rays: FloatArray
 
+    @property
+    def known(self) -> BoolArray:
+        """Mask (M,) of the points that the part knows."""
+        return np.isfinite(self.points[:, 0])
+
     def moved(self, similarity: Similarity) -> _Shared:
         """The same in the frame that ``similarity`` leads to."""
         points, centres = similarity.points(self.points), similarity.points(self.centres)
         return _Shared(points, centres, self.rays @ similarity.rotation.T)
 
-    def fits(self, points: FloatArray, tolerance: float) -> BoolArray:
-        """Mask (M,) of the other positions (M, 3) of its points that are within ``tolerance`` [rad] of its rays."""
-        away = points - self.centres
+    def off(self, other: _Shared) -> FloatArray:
+        """Difference (M, 3) of the directions to the points as the other part knows them from these rays [rad]; 0 where
+        it does not know them.
+        """
+        away = other.points - self.centres
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        return np.asarray(np.linalg.norm(away - self.rays, axis=1) < tolerance)
+        return np.where(other.known[:, None], away - self.rays, 0.0)
 
 
 def _by_shared_points(one: Start, other: Start, observations: Observations) -> Similarity | None:
-    """Similarity from the other's frame to the one's by RANSAC over the points that both know; None if too few fit."""
-    found = [known_points(observations, members, state) for state, members in (one, other)]
-    shared = np.flatnonzero(found[0][1] & found[1][1])
-    if len(shared) < _MIN_POINTS:
+    """Similarity from the other's frame to the one's by the points that both see and one knows; None if too few fit.
+
+    RANSAC: hypotheses by three points that both know.
+    """
+    a, b = _shared(one, other, observations)
+    both = np.flatnonzero(a.known & b.known)
+    if len(both) < _MIN_KNOWN_TWICE or len(a.points) < _MIN_POINTS:
         return None
-    a, b = (_shared(some, points, shared, observations) for some, (points, _) in zip((one, other), found, strict=True))
     tolerance = _TOLERANCE_PX / one[0].camera.focal
 
-    def inliers(similarity: Similarity) -> BoolArray:
+    def off(similarity: Similarity) -> FloatArray:
         there = b.moved(similarity)
-        return np.asarray(a.fits(there.points, tolerance) & there.fits(a.points, tolerance))
+        return np.hstack([a.off(there), there.off(a)]) / tolerance
 
-    def fitted(rows: IntArray | BoolArray) -> Similarity:
-        return umeyama(b.points[rows], a.points[rows])
+    def inliers(similarity: Similarity) -> BoolArray:
+        return np.asarray(np.linalg.norm(off(similarity), axis=1) < 1)
 
     rng = np.random.default_rng(_SEED)
-    samples = [rng.choice(len(shared), 3, replace=False) for _ in range(_SAMPLES)]
-    best = max((inliers(fitted(sample)) for sample in samples), key=np.sum)
-    for _ in range(_REFINEMENTS):
-        if best.sum() < _MIN_POINTS:
-            return None
-        similarity = fitted(best)
-        best = inliers(similarity)
-    return similarity if best.sum() >= max(_MIN_POINTS, _MIN_INLIER_SHARE * len(shared)) else None
+    samples = [rng.choice(both, 3, replace=False) for _ in range(_SAMPLES)]
+    best = max((umeyama(b.points[rows], a.points[rows]) for rows in samples), key=lambda one: inliers(one).sum())
+    best = _refined(best, off)
+    return best if inliers(best).sum() >= max(_MIN_POINTS, _MIN_INLIER_SHARE * len(a.points)) else None
 
 
-def _shared(part: Start, points: FloatArray, shared: IntArray, observations: Observations) -> _Shared:
-    """The points ``shared`` (M,) of all ``points``, with the first sighting of each by the part."""
+def _refined(similarity: Similarity, off: Callable[[Similarity], FloatArray]) -> Similarity:
+    """The similarity near ``similarity`` with the least robust errors ``off``, in tolerances."""
+
+    def near(x: FloatArray) -> Similarity:
+        R = Rotation.from_rotvec(x[:3]).as_matrix() @ similarity.rotation
+        return Similarity(similarity.scale * float(np.exp(x[6])), R, similarity.translation + x[3:6])
+
+    def errors(x: FloatArray) -> FloatArray:
+        return off(near(x)).ravel()
+
+    return near(least_squares(errors, np.zeros(7), loss="cauchy", f_scale=_USUAL_ERROR).x)
+
+
+def _shared(one: Start, other: Start, observations: Observations) -> tuple[_Shared, _Shared]:
+    """The points that both parts see and at least one knows, as each of the two does."""
+    first = [_first_sightings(observations, members) for _, members in (one, other)]
+    known = [known_points(observations, members, state) for state, members in (one, other)]
+    tracks = np.intersect1d(first[0].tracks, first[1].tracks)
+    tracks = tracks[known[0][1][tracks] | known[1][1][tracks]]
+    return _known(one, tracks, first[0], *known[0]), _known(other, tracks, first[1], *known[1])
+
+
+def _first_sightings(observations: Observations, members: IntArray) -> Observations:
+    """The first sighting of each point by the pictures ``members`` (N,), in the points' order."""
+    seen = observations.at(np.isin(observations.keyframes, members))
+    return seen.at(np.unique(seen.tracks, return_index=True)[1])
+
+
+def _known(part: Start, tracks: IntArray, first: Observations, points: FloatArray, known: BoolArray) -> _Shared:
+    """The points ``tracks`` (M,) of all ``points``, which a part knows or not, by its first sightings."""
     state, members = part
-    seen = observations.at(np.isin(observations.keyframes, members) & np.isin(observations.tracks, shared))
-    first = seen.at(np.unique(seen.tracks, return_index=True)[1])
-    k = np.searchsorted(members, first.keyframes)
-    rays = np.einsum("nij,nj->ni", state.R_map_camera[k], state.camera.rays(first.pixels))
-    return _Shared(points[shared], state.positions[k], rays)
+    seen = first.at(np.searchsorted(first.tracks, tracks))
+    k = np.searchsorted(members, seen.keyframes)
+    rays = np.einsum("nij,nj->ni", state.R_map_camera[k], state.camera.rays(seen.pixels))
+    return _Shared(np.where(known[tracks, None], points[tracks], np.nan), state.positions[k], rays)
 
 
 def _several_fit(whole: Start, members: IntArray, pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray]) -> bool:
