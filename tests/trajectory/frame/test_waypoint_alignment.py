@@ -18,6 +18,7 @@ from rholoc.trajectory.frame.waypoint_alignment import (
     UpMeasurement,
     WaypointAlignment,
     align_to_waypoints,
+    fix_frame,
     positions_at,
 )
 from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
@@ -138,6 +139,8 @@ def test_waypoints_far_from_any_posed_frame_are_left_out() -> None:
     assert np.isnan(found.residuals_m[3])
     with pytest.raises(MappingFailed, match="late"):
         align_to_waypoints(_TIMES, path, [waypoints[0], waypoints[1], waypoints[3]])
+    assert fix_frame(_TIMES, waypoints)
+    assert not fix_frame(_TIMES, [waypoints[0], waypoints[1], waypoints[3]])
 
 
 def _moved(waypoints: list[Waypoint], offs: dict[int, tuple[float, float, float]]) -> list[Waypoint]:

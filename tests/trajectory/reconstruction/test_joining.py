@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, Similarity
+from rholoc.progress import silent
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.optimization.adjustment import State
-from rholoc.trajectory.reconstruction.joining import Start, joined_by_points, joined_by_waypoints
+from rholoc.trajectory.reconstruction.joining import joined_by_points, joined_by_waypoints, with_pieces_joined
+from rholoc.trajectory.reconstruction.part import Pictured, Start, adjusted_part
+from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations
 
@@ -148,3 +152,31 @@ def test_a_piece_with_two_waypoints_does_not_join() -> None:
 def test_a_start_without_waypoints_is_an_error() -> None:
     with pytest.raises(MappingFailed, match="do not fix a frame"):
         joined_by_waypoints(_start(_FIRST), [_start(_LAST)], np.arange(12.0), _waypoints([0, 6, 8, 9, 11]))
+
+
+def _walk(waypoints: tuple[Waypoint, ...], pixels: FloatArray) -> Pictured:
+    """Pictures at seconds 0 to 11 without pairs between the first six and the last six."""
+    features = [type("Features", (), {"pixels": some})() for some in pixels]
+    taken = type("Sights", (), {"steps": ()})()
+    things = {"rows": np.arange(_COUNT), "times": np.arange(float(_COUNT)), "camera": CAMERA, "features": features}
+    sights: Any = type("Sights", (), things | {"take": lambda *_: taken})()
+    evidence: Any = type("Evidence", (), {"sequential": _pairs([(0, 3), (2, 5), (6, 9), (8, 11)])})()
+    return Pictured(sights, CAMERA, evidence, [waypoints])
+
+
+@pytest.mark.parametrize(("pictures", "sizes"), [([0, 2, 5, 6, 9, 11], (6, 6)), ([0, 2, 5, 6, 11], ())])
+def test_pieces_that_share_nothing_are_adjusted_to_the_waypoints_together(
+    pictures: list[int], sizes: tuple[int, ...]
+) -> None:
+    """A second mapper's version of a piece is not a further piece."""
+    pixels, progress = _pixels(), AdjustmentProgress(silent)
+    seen = _observations(pixels)
+    apart = replace(seen, tracks=seen.tracks + _POINTS * (seen.keyframes > 5))
+    walk = _walk(_waypoints(pictures), pixels)
+    part = adjusted_part(walk, apart, _start(_FIRST, _AWAY), progress, (0.0, 0.5))
+    found = with_pieces_joined(part, [_start(_LAST), _start(_LAST, _AWAY)], walk, apart, progress)
+    assert found.by_waypoints == sizes
+    if sizes:
+        np.testing.assert_allclose(found.adjusted.state.positions, arc(_COUNT)[:, :3, 3], atol=0.02)
+    else:
+        assert found is part

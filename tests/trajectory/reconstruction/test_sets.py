@@ -205,3 +205,10 @@ def test_pictures_that_fit_each_other_alone_may_be_of_another_place(linked: int,
     found = from_pictures._elsewhere(placed, [*first, *others])
     assert found.startswith(said)
     assert bool(found) is bool(said)
+
+
+def test_a_map_says_that_the_waypoints_alone_join_it() -> None:
+    assert from_pictures._by_waypoints((76, 40, 6)) == (
+        "Its pictures fall into pieces of 76, 40 and 6, which the waypoints alone join."
+    )
+    assert from_pictures._by_waypoints(()) == ""

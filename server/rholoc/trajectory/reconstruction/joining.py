@@ -80,9 +80,9 @@ def _adjusted_pieces(
     pieces: Sequence[Start], placed: IntArray, walk: Pictured, whole: Observations, progress: AdjustmentProgress
 ) -> list[Start]:
     """The pieces, each adjusted alone to the ``whole`` sightings. Those that fail, or have fewer than three pictures
-    that are not ``placed`` (N,) already, are left out.
+    that are neither ``placed`` (N,) nor in a piece before, are left out.
     """
-    found = []
+    found: list[Start] = []
     for piece in pieces:
         if len(np.setdiff1d(piece[1], placed)) < _FEWEST_OF_PIECE:
             continue
@@ -90,6 +90,7 @@ def _adjusted_pieces(
             found.append(adjusted_part(walk, whole, piece, progress, (0.85, 0.85)).start)
         except (MappingFailed, RuntimeError):
             continue
+        placed = np.union1d(placed, piece[1])
     return found
 
 
