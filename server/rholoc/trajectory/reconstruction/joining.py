@@ -41,7 +41,7 @@ def with_pieces_joined(
     others = _adjusted_pieces(pieces, part.members, walk, whole, progress)
     if not others:
         return part
-    start, apart = joined_by_points(part.start, others, whole, walk.evidence.sequential, walk.rays())
+    start, *apart = _groups([part.start, *others], walk, whole)
     part = _adjusted_whole(part, start, (), walk, whole, progress)
     if not apart or len(walk.waypoints) != 1:
         return part
@@ -52,6 +52,15 @@ def with_pieces_joined(
         return part
     found = _adjusted_whole(part, start, waypoints, walk, whole, progress)
     return part if found is part else replace(found, by_waypoints=tuple(len(one[1]) for one in (part.start, *used)))
+
+
+def _groups(pieces: Sequence[Start], walk: Pictured, whole: Observations) -> list[Start]:
+    """The pieces, joined where they share points; each group is in the frame of its first piece."""
+    found: list[Start] = []
+    while pieces:
+        group, pieces = joined_by_points(pieces[0], pieces[1:], whole, walk.evidence.sequential, walk.rays())
+        found.append(group)
+    return found
 
 
 def _adjusted_whole(
