@@ -156,6 +156,18 @@ def test_what_nothing_confirms_and_little_ties_together_is_no_map(
         taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 8}, lambda one, other: apart, monkeypatch, sigma_m, held)
 
 
+@pytest.mark.parametrize(("confirmed", "pictures"), [(True, 20), (False, 12)])
+def test_pieces_are_joined_to_what_another_reconstruction_confirms(
+    confirmed: bool, pictures: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(from_pictures, "with_pieces_joined", lambda *_: Part(np.arange(20)))
+
+    def compared(one: Part, other: Part) -> Agreement:
+        return agreeing(one, other) if confirmed else NOT_COMPARED
+
+    assert len(taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 12}, compared, monkeypatch).part.members) == pictures
+
+
 def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:
     """A picture of one door was placed at another like it, 25 m off, by pairs that were weak beside its own door's."""
     pixels = np.random.default_rng(0).uniform(0, 400, (8, 2)).astype(np.float32)

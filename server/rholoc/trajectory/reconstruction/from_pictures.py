@@ -78,7 +78,8 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     """Reconstruct a set of pictures by up to four mappers, which check each other.
 
     Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
-    they see enough points. The reconstruction of which another one confirms most pictures is taken.
+    they see enough points. The reconstruction of which another one confirms most pictures is taken. If it is confirmed,
+    further pieces are joined to it.
 
     Raises:
         MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
@@ -106,7 +107,8 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
     part, walk, whole = _refined(best, walk, progress)
-    part = with_pieces_joined(part, [piece for one in parts for piece in one.apart], walk, whole, progress)
+    if agreement is not None and agreement.same:  # else a wrong part would grow
+        part = with_pieces_joined(part, [piece for one in parts for piece in one.apart], walk, whole, progress)
     part = _unzoomed(part, walk, whole, progress)
     reached = [some for some in walk.waypoints if fix_frame(walk.sights.times[part.members], some)]
     found = _finished(replace(walk, waypoints=reached), part, progress)
