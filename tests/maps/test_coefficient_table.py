@@ -16,6 +16,7 @@ from rholoc.features import get_extractor
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.maps import DensityKind, Map, read_coefficient_table, write_coefficient_table
 from rholoc_lab.paper.equations import polynomial_values, squared_ray_distance
+from synthetic_map import synthetic_map
 
 _COLUMNS = (
     ("landmarks", "channels"),
@@ -39,8 +40,8 @@ def _tensor_map(map_: Map, degree: int = 2) -> Map:
 
 
 @pytest.fixture(scope="module")
-def small_tensor_map(room_map: Map) -> Map:
-    return _tensor_map(room_map)
+def small_tensor_map() -> Map:
+    return _tensor_map(synthetic_map(features=11))
 
 
 @pytest.fixture(scope="module", params=["tensor", "ray"])
