@@ -13,7 +13,17 @@ from rholoc.geometry import FloatArray, Pose, Similarity, pose_distances, pose_m
 from rholoc.mapping.edit.moving import move_map
 from rholoc.mapping.sites.linking import find_link
 from rholoc.mapping.sites.poses import pose_in_site, solve_site, with_link
-from rholoc.maps import FramePose, LinkOrigin, MapNames, MapWaypoint, NamedPoint, Site, SiteLink, SiteMap, without_memory
+from rholoc.maps import (
+    FramePose,
+    LinkOrigin,
+    MapNames,
+    MapWaypoint,
+    NamedPoint,
+    Site,
+    SiteLink,
+    SiteMap,
+    without_memory,
+)
 
 
 def random_pose(rng: np.random.Generator) -> FloatArray:
