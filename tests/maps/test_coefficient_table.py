@@ -169,7 +169,7 @@ def _add_column(cells: list[list[str]]) -> None:
 
 def _other_degree(cells: list[list[str]]) -> None:
     last = max(i for i, name in enumerate(cells[0]) if name.startswith("a_"))
-    cells[0][last] = cells[0][last].replace("2", "3")
+    cells[0][last] = cells[0][last].replace("2", "5")
 
 
 def _repeat(cells: list[list[str]]) -> None:
@@ -200,7 +200,7 @@ def _cut_within_a_row(cells: list[list[str]]) -> None:
     [
         (_drop_column, "has no a_"),
         (_add_column, "has the unexpected mood"),
-        (_other_degree, "has no a_|degree 3"),
+        (_other_degree, "of degree 5"),
         (_swap_columns, "out of order"),
         (_repeat, "row 2 repeats a descriptor"),
         (_drop_row, "rows are missing"),
