@@ -155,7 +155,7 @@ def test_recorded_depth_becomes_a_room_in_the_maps_scale(walked_map: Map, record
     assert recording.depth is not None
     in_feet = replace(recording, depth=replace(recording.depth, unit_m=1e-3 / 0.3048))
     for room in (drawn, draw_room(named(walked_map, in_feet), [in_feet]).room):
-        assert len(room) > 2000
+        assert 2000 < len(room) <= drawing.MAX_VERTICES
         above_the_floor = room.vertices.positions[room.vertices.positions[:, 2] > 0.6]  # which nobody looked at
         assert np.percentile(off_the_box(above_the_floor), 90) < 0.06
         assert {tuple(colour) for colour in room.vertices.colours.tolist()} == {(255, 128, 0)}

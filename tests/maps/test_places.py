@@ -255,6 +255,8 @@ def test_archives_that_are_damaged_or_too_large_are_refused():
     crowd = imdf(**{f"part{i}": [] for i in range(1001)})
     broken = bytearray(BUILDING)
     broken[60:200] = b"\0" * 140
-    for content in (b"PK", b"no archive", bytes(broken), bomb.getvalue(), crowd, imdf(unit=[])):
+    for content in (b"PK", b"no archive", bytes(broken), crowd, imdf(unit=[])):
         with pytest.raises(InvalidInput):
             plan_of_archive(content, "G")
+    with pytest.raises(InvalidInput, match="more than 64 MB"):
+        plan_of_archive(bomb.getvalue(), "G")

@@ -230,9 +230,7 @@ def test_cameras_that_do_not_turn_do_not_tell_up() -> None:
     assert not up_without_roll(_cameras(3, 0.0)).holds
 
 
-@pytest.mark.parametrize(
-    "up", [[0.3, -0.2, 0.8], [0.0, 5.0, 0.0], [0.1, -3.0, 0.2], [2.0, 0, 0]]
-)
+@pytest.mark.parametrize("up", [[0.3, -0.2, 0.8], [0.0, 5.0, 0.0], [0.1, -3.0, 0.2], [2.0, 0, 0]])
 def test_up_of_any_length_is_turned_to_the_z_axis(up: list[float]) -> None:
     R = rotation_to_upright(np.array(up))
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
