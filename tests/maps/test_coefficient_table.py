@@ -200,7 +200,7 @@ def _cut_within_a_row(cells: list[list[str]]) -> None:
     [
         (_drop_column, "has no a_"),
         (_add_column, "has the unexpected mood"),
-        (_other_degree, "of degree 5"),
+        (_other_degree, "has coefficients of degree 5"),
         (_swap_columns, "out of order"),
         (_repeat, "row 2 repeats a descriptor"),
         (_drop_row, "rows are missing"),
