@@ -34,6 +34,7 @@ from rholoc.trajectory.reconstruction.pair_fit import pair_error, without_contra
 from rholoc.trajectory.reconstruction.resection import with_missing_placed
 from rholoc.trajectory.reconstruction.rounds import (
     LAST_ITERATIONS,
+    ROUNDS,
     AdjustmentProgress,
     adjusted_in_rounds,
     camera_sigmas,
@@ -52,7 +53,7 @@ from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS, Observations, pieces_of
 
 _FEWEST_OF_SET = 2  # sightings of a point: pictures far apart share few points with two others
-_ROUNDS_OF_PICTURES = 3  # … without an IMU, from a start that is less near
+_ROUNDS_OF_STARTS = 3  # of adjustment from a mapper's poses, which are less near: two left wrong ones uncontradicted
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
@@ -124,7 +125,7 @@ def solve_from_pictures(walk: Pictured, progress: AdjustmentProgress) -> Reconst
         MappingFailed: no two pictures overlap, or the waypoints contradict them.
     """
     whole = walk.observations()
-    part = _adjusted(walk, whole, _own_start(walk, whole), progress, (0.45, 0.75))
+    part = _adjusted(walk, whole, _own_start(walk, whole), progress, (0.45, 0.75), _ROUNDS_OF_STARTS)
     return _finished(walk, part, progress)
 
 
@@ -228,10 +229,10 @@ def _placed_by(
             members, T, found = piece
             start = State(T, np.zeros((0, 3)), found), members
         middle = sum(span) / 2
-        part = _adjusted(walk, whole, start, progress, (span[0], middle))
+        part = _adjusted(walk, whole, start, progress, (span[0], middle), _ROUNDS_OF_STARTS)
         more = _extended(part, walk, whole)
         if len(more[1]) > len(part.members):
-            part = _adjusted(walk, whole, more, progress, (middle, span[1]))
+            part = _adjusted(walk, whole, more, progress, (middle, span[1]), _ROUNDS_OF_STARTS)
     except (MappingFailed, RuntimeError):  # gtsam's word for a system that cannot be solved
         return None
     return replace(part, in_metres=mapper is Mapper.DEPTH)
@@ -389,6 +390,7 @@ def _adjusted(
     start: tuple[State, IntArray],
     progress: AdjustmentProgress,
     span: tuple[float, float],
+    rounds: int = ROUNDS,
 ) -> _Part:
     """Adjust some pictures from their first poses ``start`` (state, members) to those of the ``whole`` sightings they
     see. Also to depths or odometry steps, in metres, if these fix the scale. Raises MappingFailed.
@@ -400,7 +402,7 @@ def _adjusted(
     observations = numbered.take(numbered.keyframes >= 0)
     sigmas = camera_sigmas(sights.camera, ANY)
     problem = Problem(sights.times[members], observations, camera_sigmas=sigmas, camera_mean=walk.camera)
-    problem, adjusted = adjusted_in_rounds(problem, state, progress, span, _ROUNDS_OF_PICTURES)
+    problem, adjusted = adjusted_in_rounds(problem, state, progress, span, rounds)
     scaled = scaled_by_depth(problem, adjusted)
     if scaled is not None:
         problem = replace(problem, depth_sigma=DEPTH_SIGMA)
