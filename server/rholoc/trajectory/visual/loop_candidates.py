@@ -16,13 +16,14 @@ from rholoc.trajectory.visual.two_view import ratio_matches, unit_descriptors
 Pair = tuple[int, int]
 
 _THREADS = 2
-_MAX_EXHAUSTIVE = 300  # pictures, up to which all pairs are compared
+MAX_EXHAUSTIVE = 100  # pictures, up to which all pairs are matched …
+_MAX_COMPARED = 300  # … and up to which all are compared by their largest features
 _ALIKE_EACH = 60  # most similar pictures to compare each picture of a larger set with
 _BESIDE = (1, 2, 3, 4, 6, 8)  # offsets of neighbours in a larger set, which may be in the order of a walk
 _LARGEST = 200  # features of a picture, by which pictures are compared
 _MIN_LARGEST = 2  # matches of these, of a pair that may overlap
 # Ranks of the pairs to match of each picture: all would be of one place where many pictures show it.
-_RANKS = (*range(20), *np.geomspace(20, _MAX_EXHAUSTIVE, 12).astype(int).tolist())
+_RANKS = (*range(20), *np.geomspace(20, _MAX_COMPARED, 12).astype(int).tolist())
 
 
 def sequential_pairs(count: int, distances: Sequence[int]) -> list[Pair]:
@@ -54,7 +55,8 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
 
 
 def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
-    """Sorted pairs of unordered pictures that probably overlap: the 20 best of each picture, and some of the others.
+    """Sorted pairs of unordered pictures to match: all of up to ``MAX_EXHAUSTIVE``; of more, each picture's 20 best and
+    some of the others.
 
     Pairs are ranked by the matches of their 200 largest features, two or more (Wu, *Towards linear-time incremental
     structure from motion*, 3DV 2013): all pairs of up to 300 pictures; of more, neighbours by number and each one's 60
@@ -62,9 +64,11 @@ def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
     """
     count = len(features)
     pairs = list(itertools.combinations(range(count), 2))
-    if count > _MAX_EXHAUSTIVE:
+    if count <= MAX_EXHAUSTIVE:
+        return pairs
+    if count > _MAX_COMPARED:
         pairs = sorted({*sequential_pairs(count, _BESIDE), *most_alike(features, _ALIKE_EACH)})
-    first, second = np.array(pairs, np.int64).reshape(-1, 2).T
+    first, second = np.array(pairs).T
     matches = np.zeros((count, count), np.int64)
     matches[first, second] = matches[second, first] = _matches_of_largest(features, pairs)
     return _best_pairs(matches)
