@@ -392,9 +392,9 @@ def point_room() -> PointRoom:
 
 
 @pytest.fixture(scope="session")
-def site() -> Scene:
+def site(made_once: MadeOnce) -> Scene:
     """The demo's room by seed 0."""
-    return make_test_site(0)
+    return made_once("site", lambda: make_test_site(0))
 
 
 @dataclass(frozen=True, eq=False)

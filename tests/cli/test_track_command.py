@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -156,14 +157,15 @@ sys.meta_path.insert(0, Absent())
 socket.socket.connect = socket.socket.bind = refuse
 from rholoc.cli import main
 
+failed = False
 for arguments in json.loads(sys.argv[1]):
     sys.argv = ["rholoc", *arguments]
     print(sys.argv, file=sys.stderr)
     try:
         main()
     except SystemExit as ended:
-        if ended.code:
-            raise
+        failed |= bool(ended.code)
+sys.exit(failed)
 """
 
 
@@ -180,9 +182,7 @@ def of_extras() -> set[str]:
 
 
 def on_board(folder, *commands):
-    """Run commands, one after the other, where no extra is installed and there is no network; the first that fails ends
-    it.
-    """
+    """Run commands, one after the other, where no extra is installed and there is no network."""
     program = [sys.executable, "-c", ON_BOARD, ",".join(of_extras()), json.dumps(commands)]
     return subprocess.run(program, cwd=folder, capture_output=True, text=True, check=False)
 
@@ -204,21 +204,11 @@ def test_localizing_needs_no_network_and_no_extra(walk):
         assert (walk / name).stat().st_size > 1000
 
 
-@pytest.mark.parametrize(
-    ("arguments", "extra"),
-    [
-        (("map", "build", "frames"), "mapping"),
-        (("serve",), "server"),
-        (("doctor",), "server"),
-        (("demo",), "server"),
-        (("key", "list"), "server"),
-    ],
-    ids=str,
-)
-def test_what_needs_an_extra_says_which(walk, arguments, extra):
-    run = on_board(walk, arguments)
+def test_what_needs_an_extra_says_which(walk):
+    run = on_board(walk, ["map", "build", "frames"], ["serve"], ["doctor"], ["demo"], ["key", "list"])
     assert run.returncode == 1
-    assert run.stderr.strip().endswith(f"which is not installed. pip install 'rholoc[{extra}]'.")
+    said = re.findall(r"which is not installed\. pip install 'rholoc\[(\w+)\]'\.$", run.stderr, re.MULTILINE)
+    assert said == ["mapping", "server", "server", "server", "server"]
 
 
 PATIENCE_S = 60.0

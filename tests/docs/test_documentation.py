@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +176,12 @@ METHOD = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
 
+@cache
+def sources(folder: Path) -> dict[Path, str]:
+    """The text of each module in a folder."""
+    return {file: file.read_text(encoding="utf-8") for file in folder.rglob("*.py")}
+
+
 @pytest.mark.parametrize("module", sorted(set(re.findall(r"`([a-z_0-9]+(?:/[a-z_0-9]+)+\.py)`", METHOD))))
 def test_modules_of_the_method_exist(module: str) -> None:
     assert (PACKAGE / module).is_file()
@@ -196,8 +203,7 @@ def test_every_package_is_in_the_table_for_contributors() -> None:
 
 
 def test_nothing_cites_a_design_that_is_not_here() -> None:
-    citing = [path for path in PACKAGE.rglob("*.py") if "DESIGN" in path.read_text(encoding="utf-8")]
-    assert citing == []
+    assert [path for path, text in sources(PACKAGE).items() if "DESIGN" in text] == []
 
 
 FORMATS = (ROOT / "maps" / "README.md").read_text(encoding="utf-8")
@@ -235,17 +241,12 @@ OPENING_VIDEOS = {"recordings/frames/live_camera.py", "recordings/frames/video.p
     ],
 )
 def test_it_has_one_home(what: str, pattern: str, homes: set[str]) -> None:
-    found = {
-        str(file.relative_to(PACKAGE))
-        for file in PACKAGE.rglob("*.py")
-        if any(re.search(pattern, line) for line in file.read_text(encoding="utf-8").splitlines())
-    }
+    found = {str(file.relative_to(PACKAGE)) for file, text in sources(PACKAGE).items() if re.search(pattern, text)}
     assert found == homes, what
 
 
 @pytest.mark.parametrize("folder", ["server", "client", "tests", "benchmarks"])
 def test_no_angle_is_the_arccos_of_a_rounded_cosine(folder: str) -> None:
     """It is NaN just above 1 and off by 1e-8 rad just below it; :mod:`rholoc.geometry.vectors` uses atan2."""
-    files = (file for file in (PACKAGE.parents[1] / folder).rglob("*.py") if file != Path(__file__))
-    found = [str(file) for file in files if re.search(r"\ba(rc)?cos\(", file.read_text(encoding="utf-8"))]
-    assert not found
+    found = {file for file, text in sources(ROOT / folder).items() if re.search(r"\ba(rc)?cos\(", text)}
+    assert found <= {Path(__file__)}

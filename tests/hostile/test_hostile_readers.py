@@ -23,7 +23,7 @@ from rholoc.maps import read_coefficient_table, write_coefficient_table
 from rholoc.maps.formats.trajectory_table import PAPER_COLUMNS, read_trajectory_csv
 from rholoc.recordings import RecordingFormat, read_imu_csv, read_recording
 
-CASES = 30  # of each reader
+CASES = 15  # of each reader
 LONGEST_COMPLAINT = fuzz_readers.MOST_CHARACTERS
 READERS = {reader.name: reader for reader in fuzz_readers.readers()}
 

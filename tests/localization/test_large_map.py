@@ -80,7 +80,7 @@ def large(room_map: Map) -> LargeMapLocalizer:
 
 
 def test_poses_are_those_of_the_room_alone(large: LargeMapLocalizer, localizer: Localizer, point_room: Any) -> None:
-    for seed, truth in enumerate(point_room.walk(8, sideways_m=0.1)):
+    for seed, truth in enumerate(point_room.walk(8, sideways_m=0.1)[::2]):
         query = Query(point_room.see(truth, 500 + seed), point_room.camera, Dof.FREE)
         answer, alone = large.localize(query), localizer.localize(query)
         assert answer.localized

@@ -37,8 +37,8 @@ def covariance(sigma_m: float, seed: int) -> np.ndarray:
     return sigma_m**2 * A @ A.T
 
 
-@pytest.mark.parametrize("sigma_m", [0.005, 0.02, 0.05, 0.1, 0.3])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sigma_m", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize("seed", range(2))
 def test_the_probability_is_the_share_of_samples(sigma_m: float, seed: int) -> None:
     spread = covariance(sigma_m, seed)
     errors = np.random.default_rng(1).multivariate_normal(np.zeros(6), spread, 100_000)

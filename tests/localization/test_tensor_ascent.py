@@ -50,7 +50,7 @@ def _value(densities: TensorDensities, evidence: Evidence, T: FloatArray, tolera
 @pytest.mark.parametrize("dof", list(Dof))
 def test_frames_between_the_views_are_localized(tensor_localizer: Localizer, point_room: Any, dof: Dof) -> None:
     distances, angles = [], []
-    for seed, truth in enumerate(point_room.walk(12, sideways_m=0.12)):
+    for seed, truth in enumerate(point_room.walk(12, sideways_m=0.12)[::2]):
         answer = tensor_localizer.localize(Query(point_room.see(truth, 1000 + seed), point_room.camera, dof))
         assert answer.pose is not None, answer.reason
         distances.append(np.linalg.norm(answer.pose.position - truth.position))

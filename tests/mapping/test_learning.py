@@ -97,8 +97,8 @@ class Walks:
 @pytest.fixture(scope="module")
 def walks(point_room: Any) -> Walks:
     whole = point_room.walk(80)
-    further = point_room.walk(80, sideways_m=0.15)[25:65]
-    return Walks(point_room, point_room.map_of(whole[:45], "first"), further, walk_of(point_room, 2, further))
+    further = point_room.walk(80, sideways_m=0.15)[25:65:2]
+    return Walks(point_room, point_room.map_of(whole[:45:2], "first"), further, walk_of(point_room, 2, further))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -192,7 +192,7 @@ def test_colours_and_patches_grow_with_the_map(walks: Walks, localized: Map) -> 
 def test_a_trajectory_of_its_own_reaches_beyond_the_map(walks: Walks, aligned: Map) -> None:
     views = aligned.views.positions[len(walks.map_.views) :]
     true = np.array([pose.position for pose in walks.poses])
-    assert len(views) > 20
+    assert len(views) > 15
     assert cKDTree(true).query(views)[0].max() < 0.03
     assert off_the_points(aligned, walks.room) < 0.03
     beyond = walks.room.walk(80, sideways_m=0.1)[54:62:2]
@@ -261,7 +261,7 @@ def test_a_tensor_map_goes_on_learning_and_forgets(walks: Walks) -> None:
 def test_a_recording_of_another_room_is_refused(walks: Walks, another_room: Any, monkeypatch: Any) -> None:
     monkeypatch.setattr(learning, "get_extractor", lambda _name: SeesPoints(another_room, {2: walks.poses}))
     before = deepcopy(walks.map_)
-    with pytest.raises(MappingFailed, match=r"0 of 12 frames were found"):
+    with pytest.raises(MappingFailed, match=r"0 of \d+ frames were found"):
         update_map(walks.map_, walks.recording)
     assert_untouched(walks.map_, before)
 
@@ -349,7 +349,7 @@ def merged_with_third(walks: Walks, other: Map) -> Map:
 
 def test_merging_refuses_what_does_not_fit(walks: Walks, another_room: Any, second: Map) -> None:
     elsewhere = another_room.map_of(walks.poses[::2], "elsewhere")
-    with pytest.raises(MappingFailed, match="0 of 12 frames"):
+    with pytest.raises(MappingFailed, match=r"0 of \d+ frames"):
         merge_maps(walks.map_, elsewhere)
     with pytest.raises(MappingFailed, match=r"disagree: \d+ cm"):
         merge_maps(walks.map_, move_map(second, Similarity(1.5, np.eye(3), np.zeros(3))))

@@ -13,7 +13,17 @@ from rholoc.geometry import FloatArray, Pose, Similarity, pose_distances, pose_m
 from rholoc.mapping.edit.moving import move_map
 from rholoc.mapping.sites.linking import find_link
 from rholoc.mapping.sites.poses import pose_in_site, solve_site, with_link
-from rholoc.maps import FramePose, LinkOrigin, MapNames, MapWaypoint, NamedPoint, Site, SiteLink, SiteMap
+from rholoc.maps import (
+    FramePose,
+    LinkOrigin,
+    MapNames,
+    MapWaypoint,
+    NamedPoint,
+    Site,
+    SiteLink,
+    SiteMap,
+    without_memory,
+)
 
 
 def random_pose(rng: np.random.Generator) -> FloatArray:
@@ -129,7 +139,7 @@ def test_a_link_that_contradicts_given_poses_is_refused() -> None:
 def halves(point_room):
     """Two maps of one room that overlap, the second in a frame of its own; and T_first_second."""
     walk = point_room.walk(80)
-    first, second = point_room.map_of(walk[:45], "west"), point_room.map_of(walk[25:65], "east")
+    first, second = point_room.map_of(walk[:45:2], "west"), point_room.map_of(walk[25:65:3], "east")
     turn = Rotation.from_euler("z", 40, degrees=True).as_matrix()
     T = pose_matrix(turn, np.array([3.0, -2.0, 0.5]))
     inverse = np.linalg.inv(T)
@@ -177,8 +187,9 @@ def test_points_on_a_line_leave_it_to_the_overlap(halves) -> None:
     first, second, T = halves
     there = {f"p{k}": np.array([k, 0.0, 1.0]) for k in range(4)}
     here = {name: (np.linalg.inv(T) @ [*at, 1])[:3] for name, at in there.items()}
-    found = find_link("west", with_points(first, there, True), "east", with_points(second, here, True))
-    assert found.origin is LinkOrigin.OVERLAP
+    forgetful = without_memory(with_points(second, here, True))
+    with pytest.raises(InvalidInput, match="does not keep what it was built from"):  # which the overlap needs
+        find_link("west", with_points(first, there, True), "east", forgetful)
 
 
 def test_a_map_without_a_scale_is_refused(halves) -> None:

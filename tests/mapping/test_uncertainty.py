@@ -34,7 +34,7 @@ def first(point_room: Any) -> Map:
 
 @pytest.fixture(scope="module")
 def second(point_room: Any) -> Map:
-    return point_room.map_of(point_room.walk(20, sideways_m=0.1), "second")
+    return point_room.map_of(point_room.walk(20, sideways_m=0.1)[:10], "second")
 
 
 def test_views_keep_theirs_when_maps_are_joined_and_parted(first: Map, second: Map) -> None:
@@ -46,9 +46,17 @@ def test_views_keep_theirs_when_maps_are_joined_and_parted(first: Map, second: M
     assert without_source(join(second, second, np.arange(len(second))), 1).views.covariances is None
 
 
-def test_a_merged_map_is_as_uncertain_as_both(first: Map, second: Map) -> None:
-    uncertain = replace(second, views=replace(second.views, covariances=spreads(20, 0.02, seed=1)))
-    merged = merge_maps(first, uncertain)
+@pytest.fixture(scope="module")
+def uncertain(second: Map) -> Map:
+    return replace(second, views=replace(second.views, covariances=spreads(10, 0.02, seed=1)))
+
+
+@pytest.fixture(scope="module")
+def merged(first: Map, uncertain: Map) -> Map:
+    return merge_maps(first, uncertain)
+
+
+def test_a_merged_map_is_as_uncertain_as_both(first: Map, uncertain: Map, merged: Map) -> None:
     np.testing.assert_array_equal(merged.views.covariances[:30], first.views.covariances)
     own = uncertain.views.expected_errors_m
     assert (merged.views.expected_errors_m[30:] > own).all()
@@ -56,8 +64,7 @@ def test_a_merged_map_is_as_uncertain_as_both(first: Map, second: Map) -> None:
     assert merged.info.report.expected_error.rms_m > first.views.expected_errors_m.mean()
 
 
-def test_what_is_forgotten_is_not_expected_to_err(first: Map, second: Map) -> None:
-    merged = merge_maps(first, replace(second, views=replace(second.views, covariances=spreads(20, 0.02, seed=1))))
+def test_what_is_forgotten_is_not_expected_to_err(first: Map, second: Map, merged: Map) -> None:
     report = forget_recording(merged, "second").info.report
     assert len(report.expected_error.views_m) == 30
     assert forget_recording(merge_maps(first, second), "first").info.report.expected_error is None

@@ -255,7 +255,7 @@ def test_a_map_that_would_be_worse_is_not_made(
     monkeypatch.setattr(user_learning, "_lesson", teach_badly)
     monkeypatch.setattr(user_learning, "_ROUNDS", 0)
     with pytest.raises(MappingFailed, match="would be worse"):
-        learn_from_queries(room_map, queries[:40])
+        learn_from_queries(room_map, queries[:36])
 
 
 def test_a_pose_that_is_a_little_off_is_neither_right_nor_wrong(point_room: Any) -> None:

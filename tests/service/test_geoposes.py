@@ -240,8 +240,13 @@ def descriptor_set(world):
     }
 
 
-def test_the_landscape_is_highest_at_the_pose(service, picture_world):
-    seen = send_picture(service, picture_world).json()
+@pytest.fixture(scope="module")
+def seen(service, picture_world):
+    """The landscape of the picture."""
+    return send_picture(service, picture_world).json()
+
+
+def test_the_landscape_is_highest_at_the_pose(seen, picture_world):
     assert seen["localized"]
     np.testing.assert_allclose(seen["pose"]["position"], picture_world.pose.position, atol=0.02)
     values = np.array(seen["values"])
@@ -252,8 +257,7 @@ def test_the_landscape_is_highest_at_the_pose(service, picture_world):
     assert values.max() > 3 * np.median(values)
 
 
-def test_ascents_lead_to_the_pose(service, picture_world):
-    seen = send_picture(service, picture_world).json()
+def test_ascents_lead_to_the_pose(seen):
     gains = [way["gain_nats"] for way in seen["ways"]]
     assert gains == sorted(gains)
     best = seen["ways"][-1]["positions"]
@@ -261,12 +265,11 @@ def test_ascents_lead_to_the_pose(service, picture_world):
     assert len(best) > 3
 
 
-def test_a_descriptor_set_has_the_same_landscape(service, picture_world):
+def test_a_descriptor_set_has_the_same_landscape(service, picture_world, seen):
     camera = {"width": 640, "height": 480, **CAMERA}
     query = {"camera": camera, "features": descriptor_set(picture_world), "dof": 6}
-    seen = httpx.post(service.url + LANDSCAPE, json=query, timeout=30).json()
-    picture = send_picture(service, picture_world).json()
-    np.testing.assert_allclose(seen["pose"]["position"], picture["pose"]["position"], atol=0.01)
+    described = httpx.post(service.url + LANDSCAPE, json=query, timeout=30).json()
+    np.testing.assert_allclose(described["pose"]["position"], seen["pose"]["position"], atol=0.01)
 
 
 def test_a_blank_picture_has_none(service, picture_world):

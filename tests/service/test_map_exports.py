@@ -105,35 +105,12 @@ def test_a_table_can_be_uploaded_again(hall, params):
     assert [source["name"] for source in again.json()["sources"]] == ["again.csv"]
 
 
-def _lose_column(cells):
-    for row in cells:
-        del row[5]
-
-
-def _gain_column(cells):
-    for row in cells:
-        row.append("1")
-
-
-def _change_degree(cells):
-    cells[0] = [name.replace("2_2_2_2_2_2", "5_5_5_5_5_5") for name in cells[0]]
-
-
-def _put_nan(cells):
-    cells[2][1] = "nan"
-
-
-def _repeat_descriptor(cells):
-    cells[2] = [*cells[1][:-1], cells[2][-1]]
-
-
-@pytest.mark.parametrize("damage", [_lose_column, _gain_column, _change_degree, _put_nan, _repeat_descriptor])
-def test_bad_tables_replace_nothing(hall, damage):
+def test_bad_tables_replace_nothing(hall):
     url, map_ = hall
-    cells = [line.split(b",") for line in httpx.get(f"{url}/download?format=csv", timeout=60).content.splitlines()]
-    texts = [[cell.decode() for cell in row] for row in cells]
-    damage(texts)
-    answer = httpx.put(url, content="\n".join(",".join(row) for row in texts).encode(), timeout=60)
+    header, first, *others = httpx.get(f"{url}/download?format=csv", timeout=60).content.splitlines()
+    descriptor, _, *rest = first.split(b",")
+    damaged = b"\n".join([header, b",".join([descriptor, b"nan", *rest]), *others])
+    answer = httpx.put(url, content=damaged, timeout=60)
     assert (answer.status_code, answer.json()["code"]) == (422, "invalid_map")
     assert "hall.csv" in answer.json()["message"]
     assert httpx.get(url).json()["id"] == map_.info.id

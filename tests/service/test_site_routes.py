@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 
 import httpx
@@ -12,7 +11,7 @@ import pytest
 from rholoc.maps import Cloud, MapNames, NamedArea, NamedPoint, Room, map_to_bytes, save_map
 from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.settings import KeyPolicy
-from rholoc_client import AsyncClient, Client, Conflict, NearPlace, OfSite, UnknownMap, UnknownSite
+from rholoc_client import Client, Conflict, NearPlace, OfSite, UnknownMap, UnknownSite
 
 PATIENCE_S = 60
 PNG = {"content-type": "image/png"}
@@ -204,22 +203,6 @@ def test_a_broken_file_is_named_apart(campus, client) -> None:
     assert [site["name"] for site in listed["sites"]] == ["campus"]
     assert "broken" in listed["unreadable"]
     broken.unlink()
-
-
-def test_the_async_client_does_the_same(campus, client) -> None:
-    async def ask() -> None:
-        async with AsyncClient(campus.url) as other:
-            put = await other.put_site("campus", {"maps": [{"map": "west"}, {"map": "east"}]})
-            assert await other.site("campus") == put
-            assert (await other.find_site_link("campus", "west", "east")).version == 2
-            job = await other.place_site("campus")
-            assert (job.site, (await other.cancel_job(job.id)).state) == ("campus", "cancelled")
-            assert len(await other.sites()) == 1
-            await other.delete_site("campus")
-            with pytest.raises(UnknownSite):
-                await other.site("campus")
-
-    asyncio.run(ask())
 
 
 NAMES = MapNames((NamedPoint("door", (3.0, 2.0, 1.0)),), (NamedArea("lounge", ((0, 0), (2, 0), (2, 2), (0, 2))),))

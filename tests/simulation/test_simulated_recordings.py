@@ -33,9 +33,9 @@ SECONDS = 0.7
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(sparse_site: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("simulated") / "walk"
-    simulate_recording(folder, seconds=SECONDS, camera=CAMERA)
+    simulate_recording(folder, scene=sparse_site, seconds=SECONDS, camera=CAMERA)
     return folder
 
 
@@ -74,8 +74,8 @@ def test_the_truth_is_table_6(folder: Path) -> None:
     assert last["frame"] == 20
 
 
-def test_the_same_arguments_give_the_same_recording(folder: Path, tmp_path: Path) -> None:
-    simulate_recording(tmp_path / "again", seconds=SECONDS, camera=CAMERA)
+def test_the_same_arguments_give_the_same_recording(sparse_site: Scene, folder: Path, tmp_path: Path) -> None:
+    simulate_recording(tmp_path / "again", scene=sparse_site, seconds=SECONDS, camera=CAMERA)
     for name in ("video.mp4", "frames.csv", "imu.csv", "camera.json", "truth.csv"):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes(), name
 
@@ -96,11 +96,11 @@ def test_progress_is_reported_and_may_stop_the_work(tmp_path: Path) -> None:
     assert len(heard) == 4
 
 
-def test_a_rolling_shutter_reads_one_row_after_the_other(tmp_path: Path) -> None:
+def test_a_rolling_shutter_reads_one_row_after_the_other(sparse_site: Scene, tmp_path: Path) -> None:
     """The middle rows are what a global shutter sees; those above and below are as they were before, or are after."""
     readout_s = 0.03
     for name, shutter in (("rolling", readout_s), ("global", 0.0)):
-        simulate_recording(tmp_path / name, seconds=3.4, fps=5.0, camera=CAMERA, readout_s=shutter)
+        simulate_recording(tmp_path / name, scene=sparse_site, seconds=3.4, fps=5.0, camera=CAMERA, readout_s=shutter)
     rolling, instant = (read_recording(tmp_path / name) for name in ("rolling", "global"))
     assert rolling.readout_s == pytest.approx(readout_s)
     assert instant.readout_s is None

@@ -142,7 +142,12 @@ class SyntheticWalk:
         return replace(whole, **changes)  # type: ignore[arg-type]
 
     def track_corners(
-        self, frames: Frames, progress: ProgressListener = silent, show: object = None, camera: object = None
+        self,
+        frames: Frames,
+        progress: ProgressListener = silent,
+        show: object = None,
+        camera: object = None,
+        may_be_film: bool = True,
     ) -> Flow:
         """Stands in for :func:`rholoc.trajectory.visual.flow.track_corners`."""
         return self.flow

@@ -60,7 +60,7 @@ def test_given_poses_that_are_absent_are_refused_with_a_hint() -> None:
 
 def test_a_blank_wall_fails_and_says_why() -> None:
     with pytest.raises(MappingFailed, match=r"nothing that could be followed.*keep more texture in view"):
-        estimate_trajectory(_recording(_wall()), PoseMethod.VISUAL)
+        estimate_trajectory(_recording(_wall(12)), PoseMethod.VISUAL)
 
 
 @pytest.mark.parametrize("method", [PoseMethod.VISUAL, PoseMethod.ODOMETRY])
@@ -92,7 +92,7 @@ def test_a_rolling_shutter_is_corrected_before_the_reconstruction(monkeypatch: p
     """The image moves left by 180 px/s: rows above the middle were read earlier, further to the right than they are."""
     noise = np.random.default_rng(0).integers(0, 255, (240, 560, 3), dtype=np.uint8)
     wall = cv2.GaussianBlur(noise, (0, 0), 2)
-    recording = _recording([wall[:, 6 * k : 6 * k + 320].copy() for k in range(40)])
+    recording = _recording([wall[:, 6 * k : 6 * k + 320].copy() for k in range(24)])
     handed_over: list[FloatArray] = []
 
     def stop(function: object, sights: Sights, *_: object, **__: object) -> None:

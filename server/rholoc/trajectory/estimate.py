@@ -36,7 +36,7 @@ from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.visual.calibration_report import calibration_report
 from rholoc.trajectory.visual.flow import Flow, track_corners
 from rholoc.trajectory.visual.keyframe_features import ImageListener, KeyframeFeatures
-from rholoc.trajectory.visual.keyframes import MAX_PICTURES, choose_keyframes, is_film
+from rholoc.trajectory.visual.keyframes import MAX_PICTURES, choose_keyframes, is_film, may_be_film
 from rholoc.trajectory.visual.loop_candidates import least_alike
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
 
@@ -282,7 +282,8 @@ def _visual(
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL and recording.frames.timed else None
     stops = _rows_at(recording.frames.times, recording.waypoints).union(*_rows_of(recording, recording.lengths))
     with KeyframeFeatures(recording.frames, stops, show, recording.camera) as features:
-        flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
+        frames = recording.frames
+        flow = track_corners(frames, progress, features.foresee, recording.camera, may_be_film(frames))
         rows, choices = _keyframes(recording, imu, flow, features)
         sights = _sights(recording, flow, rows, features.of(rows, progress))
     return _placed(recording, method, sights, imu, choices, progress)

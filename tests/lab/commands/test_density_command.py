@@ -16,7 +16,7 @@ import pytest
 from rholoc.density import DensityKind
 from rholoc.mapping.build.density_fitting import fit_densities
 from rholoc.maps import Map, load_map, observations_csv, read_trajectory_csv, save_map
-from rholoc.paper.landscape import Grid, Look, over_headings, over_picture, over_positions, seen_from
+from rholoc.paper.landscape import Grid, Look, over_headings, over_picture, over_positions
 from rholoc.paper.observation_table import observation_table
 from rholoc.recordings import CameraFile, write_camera_json
 from rholoc.simulation import Light, simulate_recording
@@ -65,24 +65,7 @@ def test_every_form_peaks_where_its_feature_appears(hall: Map, kind: DensityKind
     assert headings[4, 4] > 0.9 > 0.5 > headings[0, 0]
 
 
-def test_a_feature_may_be_seen_from_where_it_was(hall: Map) -> None:
-    feature = _most_seen(hall)
-    view = int(hall.observations.views[hall.observations.features == feature][0])
-    grid = Grid.about(hall.views.positions[view], (0.1, 0.1, 0.0), 0.1)
-    assert seen_from(hall, feature, grid)[0, 1, 1]
-    behind = 2 * hall.landmarks.positions[feature] - hall.views.positions[view]
-    assert not seen_from(hall, feature, Grid.about(behind, (0.0, 0.0, 0.0), 0.1)).any()
-
-
-def test_a_grid_counts_x_fastest() -> None:
-    grid = Grid.about(np.array([1.0, 2.0, 3.0]), (0.5, 1.0, 0.5), 0.5)
-    assert grid.shape == (3, 5, 3)
-    assert grid.points[0].tolist() == [0.5, 1.0, 2.5]
-    assert grid.points[1].tolist() == [1.0, 1.0, 2.5]
-    assert grid.folded(grid.points[:, 2])[2].max() == grid.folded(grid.points[:, 2])[2].min() == 3.5
-
-
-@pytest.mark.parametrize("more", [(), ("--pixel", "300,200", "--tolerance", "20"), ("--sharpening",)])
+@pytest.mark.parametrize("more", [("--pixel", "300,200", "--tolerance", "20"), ("--sharpening",)])
 def test_a_picture(rholoc: Run, file: Path, hall: Map, more: tuple[str, ...]) -> None:
     out = file.with_name("density.png")
     status, _, errors = rholoc("density", file, "--feature", _most_seen(hall), "-o", out, *more)

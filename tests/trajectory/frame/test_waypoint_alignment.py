@@ -320,12 +320,8 @@ def test_pictures_are_judged_by_a_moment_and_outside_of_its_table_the_imu_does_n
     np.testing.assert_allclose(find_pauses(times, np.zeros(200), half), [[5.0, 12.0]], atol=0.11)
 
 
-@pytest.mark.parametrize(("pauses", "choices"), [(14, 1001), (16, 1820), (17, 1820), (30, 1820)])
+@pytest.mark.parametrize(("pauses", "choices"), [(16, 1820), (17, 1820), (30, 1820)])
 def test_no_more_than_two_thousand_choices_are_tried(pauses: int, choices: int) -> None:
     """Four of sixteen can be taken in 1820 ways, four of seventeen in 2380."""
     spans = np.column_stack([10.0 * np.arange(pauses), 10.0 * np.arange(pauses) + 2])
     assert len(list(choices_of_pauses(_unnamed(0, 1, 2, 3), spans))) == choices
-
-
-def test_two_pauses_are_too_few_for_three_waypoints_and_three_are_not() -> None:
-    assert len(list(choices_of_pauses(_unnamed(0, 1, 2), _RESTS[:3]))) == 1

@@ -36,7 +36,7 @@ def test_the_gyroscope_is_calibrated(known_mounting: bool) -> None:
     assert found.residual_deg < 0.2
 
 
-@pytest.mark.parametrize("delay_s", [-1.4, -0.3, 0.3, 0.8])
+@pytest.mark.parametrize("delay_s", [-1.4, 0.3])
 def test_clocks_that_are_far_apart_are_brought_together(delay_s: float) -> None:
     walk = hand_held_walk()
     late = replace(walk.imu, times=walk.imu.times + delay_s)

@@ -107,3 +107,10 @@ def test_what_is_measured_of_a_picture() -> None:
     assert flow.contrast[0] == pytest.approx(gray.std(), abs=0.5)
     large = np.repeat(np.repeat(gray, 5, axis=0), 5, axis=1)
     assert track_corners(MemoryFrames([large])).contrast[0] == pytest.approx(gray.std(), abs=0.5)
+
+
+def test_no_corners_are_tracked_through_a_set_of_pictures() -> None:
+    flow = track_corners(MemoryFrames(_moving(4)), may_be_film=False)
+    assert len(flow.tracks) == 0
+    assert flow.sharpness.tolist() == track_corners(MemoryFrames(_moving(4))).sharpness.tolist()
+    np.testing.assert_array_equal(flow.motion, [0.0, *[flow.motion[1]] * 3])

@@ -24,8 +24,8 @@ from rholoc.trajectory.visual.focal_guess import (
 
 @pytest.fixture(scope="module")
 def walk() -> SyntheticWalk:
-    """Twelve seconds of a walk."""
-    return SyntheticWalk(seed=2, times=np.arange(4.0, 16.0, 0.2))
+    """Eight seconds of a walk."""
+    return SyntheticWalk(seed=2, times=np.arange(4.0, 12.0, 0.2))
 
 
 def test_the_principal_point_is_in_the_middle() -> None:
@@ -86,10 +86,9 @@ def _matched(camera: Camera, noise_px: float = 0.3) -> list[tuple[FloatArray, Fl
     return [(a, b) for k, a in enumerate(seen) for b in seen[:k]]
 
 
-@pytest.mark.parametrize("share", [0.65, 1.2])
-def test_pairs_of_a_set_give_the_focal_length_that_they_agree_on(share: float) -> None:
-    found = camera_by_matches(_matched(centred_camera((640, 480), share * 640)), (640, 480))
-    assert found.focal == pytest.approx(share * 640, rel=0.08)
+def test_pairs_of_a_set_give_the_focal_length_that_they_agree_on() -> None:
+    found = camera_by_matches(_matched(centred_camera((640, 480), 420.0)), (640, 480))
+    assert found.focal == pytest.approx(420.0, rel=0.08)
 
 
 def test_pairs_of_a_set_show_barrel_distortion() -> None:
@@ -124,7 +123,7 @@ def _pairs_of_two_lenses(zoom: float, flat: bool, apart: float = 0.4) -> list[tu
     return pairs
 
 
-@pytest.mark.parametrize(("zoom", "apart"), [(0.6, 0.1), (0.85, 0.4), (1.0, 0.1), (1.7, 0.4)])
+@pytest.mark.parametrize(("zoom", "apart"), [(0.6, 0.1), (1.7, 0.4)])
 def test_a_second_lens_is_measured_by_what_both_saw(zoom: float, apart: float) -> None:
     found = zoom_by_matches(centred_camera((640, 480), 500.0), _pairs_of_two_lenses(zoom, flat=False, apart=apart))
     assert found == pytest.approx(zoom, rel=0.03)

@@ -14,7 +14,7 @@ from rholoc.geometry import ByteArray, FloatArray
 from rholoc.recordings import MemoryFrames
 from rholoc.trajectory.visual.flow import track_corners
 from rholoc.trajectory.visual.keyframe_features import KeyframeFeatures
-from rholoc.trajectory.visual.keyframes import KeyframeSteps, choose_keyframes, is_film
+from rholoc.trajectory.visual.keyframes import MAX_PICTURES, KeyframeSteps, choose_keyframes, is_film, may_be_film
 
 
 def _times(count: int) -> FloatArray:
@@ -166,8 +166,8 @@ def _foreseen(walk: Walk, certain: Sequence[int] = ()) -> tuple[list[int], list[
 
 
 def test_of_a_walk_of_some_length_every_frame_is_decoded_once_and_certain_keyframes_are_extracted() -> None:
-    certain = {0, 7, 133, 399}
-    rows, again = _foreseen(Walk(400), sorted(certain))
+    certain = {0, 7, 133, 219}
+    rows, again = _foreseen(Walk(220), sorted(certain))
     assert certain <= set(rows)
     assert len(set(rows) - certain) >= 60
     assert again == []
@@ -211,3 +211,14 @@ def test_pictures_that_show_little_are_searched_at_twice_the_size() -> None:
         found, reduced = whole.of(rows)[0], half.of(rows)[0]
     assert len(found) > 1.5 * len(reduced)
     assert found.pixels.max() > 1000
+
+
+@pytest.mark.parametrize(
+    ("count", "timed", "film"), [(MAX_PICTURES, False, False), (MAX_PICTURES + 1, False, True), (10, True, True)]
+)
+def test_up_to_three_hundred_pictures_without_times_are_no_film(
+    count: int, timed: bool, film: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walk = Walk(count)
+    monkeypatch.setattr(walk, "timed", timed)
+    assert may_be_film(walk) is film

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scene import CAMERA, arc, cloud, descriptors_of, in_pixels, sift_like
@@ -10,8 +12,15 @@ from scipy.spatial.transform import Rotation
 from rholoc.features import FeatureSet
 from rholoc.geometry import FloatArray, rotation_angles
 from rholoc.progress import Stage
-from rholoc.trajectory.visual.loop_candidates import least_alike, loop_candidates, sequential_pairs
-from rholoc.trajectory.visual.matching import VerifiedPair, clear_pairs, match_keyframes, supported_loops
+from rholoc.trajectory.visual import loop_candidates as candidates
+from rholoc.trajectory.visual.loop_candidates import least_alike, loop_candidates, picture_pairs, sequential_pairs
+from rholoc.trajectory.visual.matching import (
+    VerifiedPair,
+    clear_pairs,
+    match_keyframes,
+    match_pictures,
+    supported_loops,
+)
 
 
 def _seen(T_world_camera: FloatArray, points: FloatArray, descriptors: FloatArray) -> list[FeatureSet]:
@@ -159,3 +168,69 @@ def test_candidates_beside_one_another_are_passed_over(monkeypatch: pytest.Monke
 
 def test_neighbours_end_with_the_walk() -> None:
     assert sequential_pairs(5, (1, 4)) == [(0, 1), (0, 4), (1, 2), (2, 3), (3, 4)]
+
+
+@pytest.fixture
+def many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However few pictures there are, they are too many to match all pairs."""
+    monkeypatch.setattr(candidates, "MAX_EXHAUSTIVE", 1)
+
+
+def test_all_pairs_of_few_pictures_are_matched() -> None:
+    features = _seen(arc(3), cloud(60), descriptors_of(60)) + _seen(arc(1), cloud(60), descriptors_of(60, 1))
+    assert picture_pairs(features) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+
+
+def test_pictures_of_two_rooms_are_matched_within_each(many: None) -> None:
+    T, places = arc(4), [(cloud(120, seed), descriptors_of(120, seed)) for seed in (0, 1)]
+    features = [one for points, descriptors in places for one in _seen(T, points, descriptors)]
+    within = [(i, j) for i in range(8) for j in range(i + 1, 8) if i // 4 == j // 4]
+    assert picture_pairs(features) == within
+    clear, weak = match_pictures(features, _rays(features), CAMERA.focal)
+    assert [(pair.first, pair.second) for pair in clear] == within
+    assert not weak
+
+
+def test_many_pictures_are_compared_by_their_largest_features(many: None) -> None:
+    """Pictures 0 and 1 share their large features, 0 and 2 their small ones."""
+    large, small, others = (descriptors_of(200, seed) for seed in range(3))
+
+    def picture(big: FloatArray, little: FloatArray) -> FeatureSet:
+        found = sift_like(np.zeros((400, 2)), np.concatenate([little, big]))
+        return replace(found, sizes=np.repeat([2.0, 9.0], 200).astype(np.float32))
+
+    features = [picture(large, small), picture(large, others), picture(others[::-1], small)]
+    assert (0, 1) in picture_pairs(features)
+    assert (0, 2) not in picture_pairs(features)
+
+
+def test_of_many_pictures_of_one_place_some_of_the_less_alike_are_matched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All are more alike to one another than to picture 0, which has fewer matches with each later one."""
+    count = 300
+    alike = {(0, j): count + 1 - j for j in range(1, count)}
+    monkeypatch.setattr(candidates, "_matches_of_largest", lambda _, pairs: [alike.get(pair, 500) for pair in pairs])
+    chosen = [j for i, j in picture_pairs([FeatureSet.empty(128)] * count) if i == 0]
+    assert set(range(1, 21)) <= set(chosen)
+    assert 5 <= sum(j > 20 for j in chosen) <= 12
+    assert 100 < max(chosen) < count
+
+
+def test_of_a_large_set_only_those_alike_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[tuple[int, int]] = []
+    monkeypatch.setattr(candidates, "MAX_EXHAUSTIVE", 1)
+    monkeypatch.setattr(candidates, "_MAX_COMPARED", 4)
+    monkeypatch.setattr(candidates, "_ALIKE_EACH", 1)
+    monkeypatch.setattr(candidates, "_matches_of_largest", lambda _, pairs: compared.extend(pairs) or [9] * len(pairs))
+    places = [descriptors_of(60, seed) for seed in range(12)]
+    features = [sift_like(np.zeros((60, 2)), descriptors) for descriptors in (*places, places[0])]
+    found = picture_pairs(features)
+    assert (0, 12) in compared
+    assert (0, 7) not in compared
+    assert (0, 12) in found
+    assert set(found) <= set(compared)
+
+
+def test_of_many_pictures_one_without_features_has_no_pairs(many: None) -> None:
+    features = [*_seen(arc(2), cloud(60), descriptors_of(60)), FeatureSet.empty(128)]
+    assert picture_pairs(features) == [(0, 1)]
+    assert picture_pairs([]) == []

@@ -28,8 +28,8 @@ class Up:
 
     @property
     def holds(self) -> bool:
-        """Whether the prior holds (roll up to 3°) and fixes the direction (turn of at least 15° and 4 × the roll)."""
-        return self.roll_deg <= _MAX_ROLL_DEG and self.turn_deg >= _MIN_TURN_DEG and self.roll_deg < self.turn_deg / 4
+        """Whether the prior holds (roll up to 3°) and fixes the direction (turn of at least 15°)."""
+        return self.roll_deg <= _MAX_ROLL_DEG and self.turn_deg >= _MIN_TURN_DEG
 
 
 def up_without_roll(R_world_camera: FloatArray) -> Up:

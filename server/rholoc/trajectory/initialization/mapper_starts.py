@@ -21,6 +21,7 @@ _MIN_PIECE = 3  # pictures
 _SEED = 1
 _THREADS = 2
 _CAMERA = 1
+_DATABASE = "pictures.db"
 _TRACKS_PER_PICTURE = 300  # more take the global mapper's time, and place no more pictures
 _PAIRS_PER_PICTURE = 10
 _SECONDS = 20  # and one more a picture: the incremental mapper once tried first pairs of 28 pictures for five minutes
@@ -44,9 +45,9 @@ Piece = tuple[IntArray, FloatArray, Camera]
 
 
 class PycolmapStarts:
-    """pycolmap's mappers on the verified matches of K pictures, which are written to a database once.
+    """pycolmap's mappers on the verified matches of K pictures.
 
-    A context manager: the database exists, and threads compute, within it.
+    A context manager: their databases exist, and a thread computes, within it.
     """
 
     def __init__(
@@ -64,7 +65,6 @@ class PycolmapStarts:
         self._pixels, self._pairs = pixels, _best_pairs(pairs, len(pixels))
         self._folder = tempfile.TemporaryDirectory(prefix="rholoc-mapper-")
         self._pool = ThreadPoolExecutor(1)
-        self._is_written = False
         self._begun: dict[Mapper, Future[list[Piece]]] = {}
 
     def __enter__(self) -> Self:
@@ -75,7 +75,7 @@ class PycolmapStarts:
         self._folder.cleanup()
 
     def begin(self, mapper: Mapper) -> None:
-        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread. The first one also writes the database."""
+        """Start a mapper, ``GLOBAL`` or ``INCREMENTAL``, in a thread. Each writes a database of its own."""
         self._begun[mapper] = self._pool.submit(self._pieces, mapper)
 
     def pieces(self, mapper: Mapper) -> list[Piece]:
@@ -87,38 +87,39 @@ class PycolmapStarts:
             self.begin(mapper)
         return self._begun[mapper].result()
 
-    @property
-    def _database(self) -> Path:
-        return Path(self._folder.name) / "pictures.db"
-
     def _pieces(self, mapper: Mapper) -> list[Piece]:
         pycolmap.logging.minloglevel = 3  # a failure shows in the result
-        if not self._is_written:
-            self._write()
-            self._is_written = True
-        models = _run(mapper, self._database, self._is_known, len(self._pixels))
+        output = Path(self._folder.name) / mapper
+        output.mkdir()
+        self._write(output / _DATABASE, mapper)
+        models = _run(mapper, output, self._is_known, len(self._pixels))
         found = [_piece(model, self._camera, self._is_known) for model in models]
         kept = (piece for piece in found if piece is not None and len(piece[0]) >= _MIN_PIECE)
         return sorted(kept, key=lambda piece: -len(piece[0]))
 
-    def _write(self) -> None:
-        """Write pictures, features and verified matches to a new pycolmap database; estimates each pair's two-view
-        geometry.
+    def _write(self, path: Path, mapper: Mapper) -> None:
+        """Write pictures, features and verified matches to a new pycolmap database; for the global mapper, which needs
+        them, with an estimate of each pair's relative pose.
         """
         kind = _model if self._is_known else _guessed_model
         model, places = kind(self._camera, self._pixels)
-        self._database.unlink(missing_ok=True)
-        database = pycolmap.Database.open(str(self._database))
+        options = pycolmap.TwoViewGeometryOptions()
+        options.compute_relative_pose = True
+        options.ransac.random_seed = _SEED
+
+        def geometry(pair: VerifiedPair) -> pycolmap.TwoViewGeometry:
+            matches = pair.matches.astype(np.uint32)
+            if mapper is Mapper.GLOBAL:
+                return pycolmap.estimate_two_view_geometry(
+                    model, places[pair.first], model, places[pair.second], matches, options
+                )
+            found = pycolmap.TwoViewGeometry()
+            found.config, found.inlier_matches = pycolmap.TwoViewGeometryConfiguration.CALIBRATED, matches
+            return found
+
+        database = pycolmap.Database.open(str(path))
         try:
             ids = _write_pictures(database, model, places)
-            options = pycolmap.TwoViewGeometryOptions()
-            options.compute_relative_pose = True
-            options.ransac.random_seed = _SEED
-
-            def geometry(pair: VerifiedPair) -> pycolmap.TwoViewGeometry:
-                seen = places[pair.first], model, places[pair.second], pair.matches.astype(np.uint32)
-                return pycolmap.estimate_two_view_geometry(model, *seen, options)
-
             with ThreadPoolExecutor(_THREADS) as pool:
                 for pair, found in zip(self._pairs, pool.map(geometry, self._pairs), strict=True):
                     first, second = ids[pair.first], ids[pair.second]
@@ -183,10 +184,9 @@ def _write_pictures(database: pycolmap.Database, model: pycolmap.Camera, places:
     return ids
 
 
-def _run(mapper: Mapper, database: Path, is_known: bool, pictures: int) -> list[pycolmap.Reconstruction]:
-    output = database.parent / mapper
-    output.mkdir()
-    arguments = str(database), str(database.parent), str(output)
+def _run(mapper: Mapper, folder: Path, is_known: bool, pictures: int) -> list[pycolmap.Reconstruction]:
+    """Models by a mapper of the database in ``folder``; empty if it fails."""
+    arguments = str(folder / _DATABASE), str(folder), str(folder)
     try:
         if mapper is Mapper.GLOBAL:
             return list(pycolmap.global_mapping(*arguments, _global_options(is_known)).values())

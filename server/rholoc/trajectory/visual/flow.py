@@ -97,17 +97,19 @@ def track_corners(
     progress: ProgressListener = silent,
     show: FrameListener | None = None,
     camera: Camera | None = None,
+    may_be_film: bool = True,
 ) -> Flow:
     """Track corners through all frames; each is decoded once and passed to ``show``.
 
-    ``camera`` is needed for wide lenses, to express motion in longer sides of an ordinary picture.
+    ``camera`` is needed for wide lenses, to express motion in longer sides of an ordinary picture. Without
+    ``may_be_film`` no corners are tracked, and every frame counts as moved by a keyframe's step.
 
     Raises:
         InvalidRecording: a frame cannot be decoded.
         Cancelled: ``progress`` asked to stop.
     """
     count, breadth = len(frames.times), 1.0 if camera is None else camera.breadth
-    most_corners = round(_CORNERS * breadth)
+    most_corners = round(_CORNERS * breadth) if may_be_film else 0
     motion, sharpness, brightness, contrast = np.zeros((4, count))
     tracks: list[IntArray] = []
     pixels: list[FloatArray] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rholoc.geometry import FloatArray, IntArray
+from rholoc.recordings import FrameSource
 from rholoc.trajectory.visual.flow import Flow
 
 _STEP = 0.05  # image motion between keyframes, as a share of the longer side …
@@ -16,6 +17,11 @@ MAX_PICTURES = 300  # of a set that are all used; of larger ones those least ali
 _SPARSE_S = 0.4  # between frames, from which each of up to MAX_PICTURES is used, however little the camera moves
 _FILM_SHARE, _FILM_CORNERS = 0.2, 40  # maximum share of a film's frames with fewer shared corners
 _FILM_MOTION = 0.02  # from frame to frame in the mean, as a share of the image's longer side
+
+
+def may_be_film(frames: FrameSource) -> bool:
+    """Whether the frames have times, or are more than ``MAX_PICTURES``. Others are a set of pictures."""
+    return frames.timed or len(frames.times) > MAX_PICTURES
 
 
 def is_film(flow: Flow) -> bool:

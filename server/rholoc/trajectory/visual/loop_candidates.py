@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import itertools
-from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from rholoc.features import FeatureSet
 from rholoc.features.picture_vectors import Vlad
 from rholoc.geometry import FloatArray, IntArray
+from rholoc.trajectory.visual.two_view import ratio_matches, unit_descriptors
 
 Pair = tuple[int, int]
 
-MAX_EXHAUSTIVE = 100  # pictures, up to which all pairs are matched
-_ALIKE_EACH = 20  # most similar pictures to match each picture of a larger set with
+_THREADS = 2
+MAX_EXHAUSTIVE = 100  # pictures, up to which all pairs are matched …
+_MAX_COMPARED = 300  # … and up to which all are compared by their largest features
+_ALIKE_EACH = 60  # most similar pictures to compare each picture of a larger set with
 _BESIDE = (1, 2, 3, 4, 6, 8)  # offsets of neighbours in a larger set, which may be in the order of a walk
+_LARGEST = 200  # features of a picture, by which pictures are compared
+_MIN_LARGEST = 2  # matches of these, of a pair that may overlap
+# Ranks of the pairs to match of each picture: all would be of one place where many pictures show it.
+_RANKS = (*range(20), *np.geomspace(20, _MAX_COMPARED, 12).astype(int).tolist())
 
 
 def sequential_pairs(count: int, distances: Sequence[int]) -> list[Pair]:
@@ -48,14 +55,38 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
 
 
 def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
-    """Sorted pairs of unordered pictures that may overlap.
+    """Sorted pairs of unordered pictures to match: all of up to ``MAX_EXHAUSTIVE``; of more, each picture's 20 best and
+    some of the others.
 
-    All pairs of up to ``MAX_EXHAUSTIVE`` pictures; else neighbours by number and each one's 20 most similar by VLAD.
+    Pairs are ranked by the matches of their 200 largest features, two or more (Wu, *Towards linear-time incremental
+    structure from motion*, 3DV 2013): all pairs of up to 300 pictures; of more, neighbours by number and each one's 60
+    most similar by VLAD.
     """
     count = len(features)
+    pairs = list(itertools.combinations(range(count), 2))
     if count <= MAX_EXHAUSTIVE:
-        return list(itertools.combinations(range(count), 2))
-    return sorted({*sequential_pairs(count, _BESIDE), *most_alike(features, _ALIKE_EACH)})
+        return pairs
+    if count > _MAX_COMPARED:
+        pairs = sorted({*sequential_pairs(count, _BESIDE), *most_alike(features, _ALIKE_EACH)})
+    first, second = np.array(pairs).T
+    matches = np.zeros((count, count), np.int64)
+    matches[first, second] = matches[second, first] = _matches_of_largest(features, pairs)
+    return _best_pairs(matches)
+
+
+def _best_pairs(matches: IntArray) -> list[Pair]:
+    """Sorted pairs of each picture at ``_RANKS`` by ``matches`` (N, N), symmetric, of at least ``_MIN_LARGEST``."""
+    ranked = np.argsort(-matches, axis=1, kind="stable")[:, [rank for rank in _RANKS if rank < len(matches)]]
+    is_chosen = np.zeros(matches.shape, np.bool_)
+    np.put_along_axis(is_chosen, ranked, True, axis=1)
+    return [(i, j) for i, j in np.argwhere(np.triu((is_chosen | is_chosen.T) & (matches >= _MIN_LARGEST))).tolist()]
+
+
+def _matches_of_largest(features: Sequence[FeatureSet], pairs: Sequence[Pair]) -> list[int]:
+    """Number of matches of each pair among the ``_LARGEST`` largest features of either picture."""
+    descriptors = [unit_descriptors(found)[np.argsort(-found.sizes, kind="stable")[:_LARGEST]] for found in features]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(lambda pair: len(ratio_matches(*(descriptors[k] for k in pair))), pairs))
 
 
 def most_alike(features: Sequence[FeatureSet], each: int) -> list[Pair]:
@@ -98,13 +129,3 @@ def _vectors(features: Sequence[FeatureSet]) -> FloatArray:
         return np.zeros((len(features), 1))
     descriptors = [found.descriptors for found in features]
     return Vlad(descriptors).vectors(descriptors)
-
-
-def transitive_pairs(pairs: Sequence[Pair], tried: Collection[Pair]) -> list[Pair]:
-    """Sorted pairs of pictures that both overlap a third one by ``pairs`` and have not been ``tried``."""
-    beside: dict[int, set[int]] = defaultdict(set)
-    for a, b in pairs:
-        beside[a].add(b)
-        beside[b].add(a)
-    both = {pair for others in beside.values() for pair in itertools.combinations(sorted(others), 2)}
-    return sorted(both.difference(tried))

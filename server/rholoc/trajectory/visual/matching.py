@@ -20,7 +20,6 @@ from rholoc.trajectory.visual.loop_candidates import (
     loop_candidates,
     picture_pairs,
     sequential_pairs,
-    transitive_pairs,
 )
 from rholoc.trajectory.visual.two_view import (
     PairRotation,
@@ -38,7 +37,6 @@ _MIN_LOOP = 30
 _STRONG_LOOP = 80  # inliers, from which a loop needs no support
 _BESIDE = 2  # keyframes, within which another loop supports one
 _LOOPS_EACH = 3
-_TRANSITIVE_EACH = 8  # mean number of transitive pairs to try per picture
 _FAIR_SHARE = 0.33  # of the matches of its pictures' best pairs, above which a pair is clear
 _BEST = 2  # the second best pair counts, because a picture may have a duplicate
 _EXPLAINED = 0.8  # minimum share of the image rotation's inliers that the gyroscope's rotation explains
@@ -117,8 +115,6 @@ def match_pictures(
 ) -> tuple[list[VerifiedPair], list[VerifiedPair]]:
     """Match unordered pictures; returns the verified pairs that are clear, and the others, see :func:`clear_pairs`.
 
-    Pairs that both overlap a third picture are tried as well, if not all pairs were.
-
     Args:
         features: of K pictures.
         rays: of these features in the camera frame, (N, 3) each.
@@ -126,23 +122,18 @@ def match_pictures(
         progress: listener for :data:`Stage.POSES`, up to the fraction 0.4.
     """
     descriptors = [unit_descriptors(found) for found in features]
-    nowhen, found, tried = np.zeros(len(features)), list[VerifiedPair](), set[Pair]()
+    nowhen, found = np.zeros(len(features)), list[VerifiedPair]()
 
     def verified(pair: Pair) -> VerifiedPair | None:
         tolerance = _TOLERANCE_PX / focal_px
         return _verify(pair, descriptors.__getitem__, rays, tolerance, nowhen, None, _MIN_SEQUENTIAL)
 
+    pairs = picture_pairs(features)
     with ThreadPoolExecutor(_THREADS) as pool:
-        pairs = picture_pairs(features)
-        for start in (0.0, 0.3):
-            for done, one in enumerate(pool.map(verified, pairs)):
-                fraction = start + (0.3 if start == 0 else 0.1) * (done + 1) / len(pairs)
-                progress(Stage.POSES, fraction, f"{done + 1} of {len(pairs)} pairs of pictures matched")
-                if one is not None:
-                    found.append(one)
-            tried.update(pairs)
-            strong = [(one.first, one.second) for one in found if len(one.matches) >= _MIN_LOOP]
-            pairs = transitive_pairs(strong, tried)[: _TRANSITIVE_EACH * len(features)]
+        for done, one in enumerate(pool.map(verified, pairs), 1):
+            progress(Stage.POSES, 0.4 * done / len(pairs), f"{done} of {len(pairs)} pairs of pictures matched")
+            if one is not None:
+                found.append(one)
     return clear_pairs(found, len(features))
 
 
