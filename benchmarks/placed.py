@@ -53,7 +53,6 @@ from rholoc.recordings import CameraFile, Recording, read_recording, write_camer
 from rholoc.recordings.frame_slice import SelectedFrames
 from rholoc.trajectory import PoseMethod
 from rholoc.trajectory.estimate import estimate_trajectory
-from rholoc.trajectory.visual.loop_candidates import MAX_EXHAUSTIVE
 from rholoc_lab.simulation.sites import Site, simulate_site
 
 KITCHEN_CAMERA = "525.505,525.505,320,240"
@@ -77,6 +76,7 @@ COLUMNS = {
     "failed": "failed",
 }
 _SET_HZ = 2.0
+_MAX_EXHAUSTIVE = 100  # pictures of which pycolmap matches all pairs
 _FILM_HZ, _FILM = 30.0, 300  # pictures without times, from which they count as a film
 _FEWEST = 8  # pictures of a set that is worth comparing
 _RIGHT = 0.05  # of the walk's extent, by which a pose may be off to count as right
@@ -188,7 +188,7 @@ def _match(recording: Recording, pictures: Sequence[ByteArray], folder: Path, da
     mode = pycolmap.CameraMode.SINGLE if len({one.shape for one in pictures}) == 1 else pycolmap.CameraMode.AUTO
     database.unlink(missing_ok=True)
     pycolmap.extract_features(database, folder, camera_mode=mode, reader_options=reader)
-    if len(pictures) > MAX_EXHAUSTIVE:
+    if len(pictures) > _MAX_EXHAUSTIVE:
         pycolmap.match_sequential(database)
     else:
         pycolmap.match_exhaustive(database)

@@ -17,12 +17,12 @@ from rholoc.geometry import ByteArray, Camera, IntArray
 from rholoc.progress import ProgressListener, Stage, silent
 from rholoc.recordings import FrameSource
 from rholoc.trajectory.visual.keyframes import KeyframeSteps
-from rholoc.trajectory.visual.loop_candidates import MAX_EXHAUSTIVE
 
 _LONGER_SIDE_PX = 960  # larger images are reduced: more pixels cost time and place no more frames
 _FEW = 600  # features of a picture, such as of white walls, below which twice the size is searched
 _THREADS = 2
 _FEATURES, _MAX_FEATURES = 1000, 1500  # of a keyframe, and of one in a small set, where more cost little
+_SMALL_SET = 100  # pictures
 
 _MAX_WAITING = 2 * _THREADS  # images in memory at a time
 
@@ -119,8 +119,8 @@ class KeyframeFeatures:
 
 
 def _features_each(pictures: int) -> int:
-    """Number of features per keyframe, 1000 to 1500: matching all pairs of fewer pictures takes no longer with more."""
-    return round(float(np.clip(_FEATURES * np.sqrt(MAX_EXHAUSTIVE / pictures), _FEATURES, _MAX_FEATURES)))
+    """Number of features per keyframe, 1000 to 1500: fewer pictures take no longer with more."""
+    return round(float(np.clip(_FEATURES * np.sqrt(_SMALL_SET / pictures), _FEATURES, _MAX_FEATURES)))
 
 
 def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:

@@ -16,7 +16,7 @@ from rholoc.trajectory.visual.two_view import ratio_matches, unit_descriptors
 Pair = tuple[int, int]
 
 _THREADS = 2
-MAX_EXHAUSTIVE = 100  # pictures, up to which all pairs are matched …
+MAX_EXHAUSTIVE = 50  # pictures, up to which all pairs are matched …
 _MAX_COMPARED = 300  # … and up to which all are compared by their largest features
 _ALIKE_EACH = 60  # most similar pictures to compare each picture of a larger set with
 _BESIDE = (1, 2, 3, 4, 6, 8)  # offsets of neighbours in a larger set, which may be in the order of a walk
