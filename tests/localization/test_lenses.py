@@ -40,6 +40,15 @@ def maps(rooms: dict[str, Any]) -> dict[str, Map]:
         ("equirectangular", "pinhole"),
         ("pinhole", "fisheye"),
         ("fisheye", "equirectangular"),
+        *(
+            pytest.param(*lenses, marks=pytest.mark.slow)
+            for lenses in (
+                ("pinhole", "pinhole"),
+                ("pinhole", "equirectangular"),
+                ("fisheye", "pinhole"),
+                ("equirectangular", "fisheye"),
+            )
+        ),
     ],
 )
 def test_any_lens_localizes_in_the_map_of_any(

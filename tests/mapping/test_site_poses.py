@@ -183,7 +183,7 @@ def test_maps_that_share_points_are_linked_by_them(halves, measured: bool) -> No
         find_link("west", with_points(first, there, True), "east", with_points(second, here, measured))
 
 
-def test_points_on_a_line_leave_it_to_the_overlap(halves) -> None:
+def test_points_on_a_line_do_not_make_a_link(halves) -> None:
     first, second, T = halves
     there = {f"p{k}": np.array([k, 0.0, 1.0]) for k in range(4)}
     here = {name: (np.linalg.inv(T) @ [*at, 1])[:3] for name, at in there.items()}

@@ -78,7 +78,15 @@ def test_a_common_picture_joins_by_six_points(shared: int, apart: int) -> None:
     seen = _observations(pixels)
     few = seen.at((seen.tracks < shared) | (seen.keyframes < 6))
     starts = _start(_FIRST), [_start(overlapping, _AWAY)]
-    assert len(joined_by_points(*starts, few, _pairs(_LINKS), _rays(pixels))[1]) == apart
+    assert len(joined_by_points(*starts, few, _pairs(_LINKS[:1]), _rays(pixels))[1]) == apart
+
+
+def test_where_a_common_picture_shows_too_few_points_pairs_of_other_pictures_may_join() -> None:
+    pixels = _pixels()
+    seen = _observations(pixels)
+    few = seen.at((seen.tracks < 5) | (seen.keyframes < 6))
+    _, apart = joined_by_points(_start(_FIRST), [_start(np.arange(5, 12), _AWAY)], few, _pairs(_LINKS), _rays(pixels))
+    assert apart == ()
 
 
 def test_a_piece_may_join_by_another_one() -> None:

@@ -91,7 +91,7 @@ def taken(
     monkeypatch.setattr(
         from_pictures, "comparison_with", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3])
     )
-    monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, _: (part, walk, None))
+    monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, whole, _: (part, walk, whole))
     monkeypatch.setattr(from_pictures, "_unzoomed", lambda part, *_: part)
     monkeypatch.setattr(from_pictures, "_finished", lambda walk, part, _: Result(part, covariances, placed))
     found: Any = from_pictures.solve_from_set(Pictured(sights, CAMERA, evidence), AdjustmentProgress(silent))
@@ -168,6 +168,18 @@ def test_pieces_are_joined_to_what_another_reconstruction_confirms(
     assert len(taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 12}, compared, monkeypatch).part.members) == pictures
 
 
+@pytest.mark.parametrize(("confirmed", "checked"), [(18, True), (16, False)])
+def test_pieces_that_nothing_confirms_are_no_reason_to_trust_a_map(
+    confirmed: int, checked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sixteen of twenty pictures alone are too few to be trusted; joined, they hid that nothing confirms the others."""
+    monkeypatch.setattr(from_pictures, "with_pieces_joined", lambda *_: Part(np.arange(20)))
+    found = taken({Mapper.OWN: confirmed, Mapper.INCREMENTAL: confirmed}, agreeing, monkeypatch)
+    assert found.agreement is not None
+    assert found.agreement.same is checked
+    assert found.agreement.common == confirmed
+
+
 def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:
     """A picture of one door was placed at another like it, 25 m off, by pairs that were weak beside its own door's."""
     pixels = np.random.default_rng(0).uniform(0, 400, (8, 2)).astype(np.float32)
@@ -221,6 +233,6 @@ def test_pictures_that_fit_each_other_alone_may_be_of_another_place(linked: int,
 
 def test_a_map_says_that_the_waypoints_alone_join_it() -> None:
     assert from_pictures._by_waypoints((76, 40, 6)) == (
-        "Its pictures fall into pieces of 76, 40 and 6, which the waypoints alone join."
+        "Only the waypoints connect its pieces of 76, 40 and 6 pictures."
     )
     assert from_pictures._by_waypoints(()) == ""

@@ -173,7 +173,7 @@ def test_neighbours_end_with_the_walk() -> None:
 @pytest.fixture
 def many(monkeypatch: pytest.MonkeyPatch) -> None:
     """However few pictures there are, they are too many to match all pairs."""
-    monkeypatch.setattr(candidates, "MAX_EXHAUSTIVE", 1)
+    monkeypatch.setattr(candidates, "_MAX_EXHAUSTIVE", 1)
 
 
 def test_all_pairs_of_few_pictures_are_matched() -> None:
@@ -217,7 +217,7 @@ def test_of_many_pictures_of_one_place_some_of_the_less_alike_are_matched(monkey
 
 def test_of_a_large_set_only_those_alike_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     compared: list[tuple[int, int]] = []
-    monkeypatch.setattr(candidates, "MAX_EXHAUSTIVE", 1)
+    monkeypatch.setattr(candidates, "_MAX_EXHAUSTIVE", 1)
     monkeypatch.setattr(candidates, "_MAX_COMPARED", 4)
     monkeypatch.setattr(candidates, "_ALIKE_EACH", 1)
     monkeypatch.setattr(candidates, "_matches_of_largest", lambda _, pairs: compared.extend(pairs) or [9] * len(pairs))

@@ -94,7 +94,7 @@ def align_to_waypoints(
 
 
 def fix_frame(times: FloatArray, waypoints: Sequence[Waypoint]) -> bool:
-    """Whether those of the waypoints that have one of ``times`` (N,) [s] within ``MAX_GAP_S`` fix a frame."""
+    """Whether the waypoints within ``MAX_GAP_S`` of one of ``times`` (N,) [s] fix a frame."""
     try:
         check_waypoints_fix_frame([waypoints[k] for k in np.flatnonzero(_near(times, waypoints)).tolist()])
     except InvalidWaypoints:

@@ -79,7 +79,7 @@ class PycolmapStarts:
         self._begun[mapper] = self._pool.submit(self._pieces, mapper)
 
     def pieces(self, mapper: Mapper) -> list[Piece]:
-        """Models of a mapper, the largest first; each has three pictures or more, which another one may have, too.
+        """Models of a mapper, largest first, each of at least three pictures; models may share pictures.
 
         Waits for a mapper that was begun, runs another one.
         """
@@ -93,9 +93,9 @@ class PycolmapStarts:
         output.mkdir()
         self._write(output / _DATABASE, mapper)
         models = _run(mapper, output, self._is_known, len(self._pixels))
-        found = [_piece(model, self._camera, self._is_known) for model in models]
-        kept = (piece for piece in found if piece is not None and len(piece[0]) >= _MIN_PIECE)
-        return sorted(kept, key=lambda piece: -len(piece[0]))
+        large = [model for model in models if model.num_reg_images() >= _MIN_PIECE]
+        found = [_piece(model, self._camera, self._is_known) for model in large]
+        return sorted((piece for piece in found if piece is not None), key=lambda piece: -len(piece[0]))
 
     def _write(self, path: Path, mapper: Mapper) -> None:
         """Write pictures, features and verified matches to a new pycolmap database; for the global mapper, which needs
@@ -107,21 +107,16 @@ class PycolmapStarts:
         options.compute_relative_pose = True
         options.ransac.random_seed = _SEED
 
-        def geometry(pair: VerifiedPair) -> pycolmap.TwoViewGeometry:
-            matches = pair.matches.astype(np.uint32)
-            if mapper is Mapper.GLOBAL:
-                return pycolmap.estimate_two_view_geometry(
-                    model, places[pair.first], model, places[pair.second], matches, options
-                )
-            found = pycolmap.TwoViewGeometry()
-            found.config, found.inlier_matches = pycolmap.TwoViewGeometryConfiguration.CALIBRATED, matches
-            return found
+        def estimated(pair: VerifiedPair) -> pycolmap.TwoViewGeometry:
+            seen = places[pair.first], model, places[pair.second], pair.matches.astype(np.uint32)
+            return pycolmap.estimate_two_view_geometry(model, *seen, options)
 
         database = pycolmap.Database.open(str(path))
         try:
             ids = _write_pictures(database, model, places)
             with ThreadPoolExecutor(_THREADS) as pool:
-                for pair, found in zip(self._pairs, pool.map(geometry, self._pairs), strict=True):
+                found_by = pool.map(estimated if mapper is Mapper.GLOBAL else _as_verified, self._pairs)
+                for pair, found in zip(self._pairs, found_by, strict=True):
                     first, second = ids[pair.first], ids[pair.second]
                     database.write_matches(first, second, pair.matches.astype(np.uint32))
                     database.write_two_view_geometry(first, second, found)
@@ -182,6 +177,14 @@ def _write_pictures(database: pycolmap.Database, model: pycolmap.Camera, places:
         database.write_frame(frame)
         database.write_keypoints(ids[-1], some.astype(np.float32))
     return ids
+
+
+def _as_verified(pair: VerifiedPair) -> pycolmap.TwoViewGeometry:
+    """All of a pair's matches as inliers, without a relative pose."""
+    found = pycolmap.TwoViewGeometry()
+    found.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+    found.inlier_matches = pair.matches.astype(np.uint32)
+    return found
 
 
 def _run(mapper: Mapper, folder: Path, is_known: bool, pictures: int) -> list[pycolmap.Reconstruction]:

@@ -55,11 +55,14 @@ _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictu
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
 _FOCAL_FACTOR = 1.6  # by which the focal length of pairs contradicts a given one: correct ones differ by up to 1.25
 _ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures that show them
-_MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked
+_MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked …
+_MOST_OF_JOINED = 0.9  # … if pieces were joined to it, which no other one confirms
 _FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
 _ANOTHER_PLACE = 4  # minimum pictures of a separate component that may show another place
-_WAYPOINTS_MISSED = "The waypoints are not used: too few of the pictures at them could be placed."
+_WAYPOINTS_MISSED = (
+    "The waypoints were not used: too few pictures at them could be placed. Take more pictures around each waypoint."
+)
 _LOOSE = 0.1  # pose uncertainty as a share of the extent, above which a reconstruction is useless
 
 
@@ -106,9 +109,14 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     agreement, other = _best_agreement(best, parts)
     if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
-    part, walk, whole = _refined(best, walk, progress)
+    part, walk, whole = _refined(best, walk, whole, progress)
+    least = _MOST
     if agreement is not None and agreement.same:  # else a wrong part would grow
-        part = with_pieces_joined(part, [piece for one in parts for piece in one.apart], walk, whole, progress)
+        alone, part = (
+            part,
+            with_pieces_joined(part, [one for some in parts for one in some.apart], walk, whole, progress),
+        )
+        least = _MOST if part is alone else _MOST_OF_JOINED
     part = _unzoomed(part, walk, whole, progress)
     reached = [some for some in walk.waypoints if fix_frame(walk.sights.times[part.members], some)]
     found = _finished(replace(walk, waypoints=reached), part, progress)
@@ -120,7 +128,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     found = replace(found, note=" ".join(note for note in notes if note))
     if agreement is None or other is None:
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, count))
-    if agreement.common < _MOST * len(part.members):
+    if agreement.common < least * len(part.members):
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
     in_map_frame = comparison_with(found.T_map_camera, found.placed, found.median_depth, other)
     return replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
@@ -131,7 +139,7 @@ def _by_waypoints(pictures: Sequence[int]) -> str:
     if not pictures:
         return ""
     sizes = ", ".join(str(one) for one in pictures[:-1])
-    return f"Its pictures fall into pieces of {sizes} and {pictures[-1]}, which the waypoints alone join."
+    return f"Only the waypoints connect its pieces of {sizes} and {pictures[-1]} pictures."
 
 
 def _elsewhere(placed: BoolArray, pairs: Sequence[VerifiedPair]) -> str:
@@ -183,22 +191,24 @@ def _starts_by(mapper: Mapper, walk: Pictured, whole: Observations, starts: Pyco
     return [(State(T, np.zeros((0, 3)), found), members) for members, T, found in starts.pieces(mapper)]
 
 
-def _refined(part: Part, walk: Pictured, progress: AdjustmentProgress) -> tuple[Part, Pictured, Observations]:
+def _refined(
+    part: Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress
+) -> tuple[Part, Pictured, Observations]:
     """Adjust a part to more features and to the weak pairs that fit it, and add the pictures that these place.
 
     Returns the new part, the walk with the weak pairs used, and its sightings. If the adjustment fails or disagrees
-    with ``part``, this and ``walk`` unchanged.
+    with ``part``, all three unchanged.
     """
     evidence = walk.evidence
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
-    whole = walk.observed(richer, MANY_FEATURES)
+    more = walk.observed(richer, MANY_FEATURES)
     try:
-        found = adjusted_part(walk, whole, extended(part.start, walk, whole), progress, (0.75, 0.85))
+        found = adjusted_part(walk, more, extended(part.start, walk, more), progress, (0.75, 0.85))
     except (MappingFailed, RuntimeError):
         return part, walk, whole
     if not agreement_of(found, part).same:
         return part, walk, whole
-    return found, replace(walk, evidence=richer), whole
+    return found, replace(walk, evidence=richer), more
 
 
 def _unzoomed(part: Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> Part:

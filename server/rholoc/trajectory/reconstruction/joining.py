@@ -28,15 +28,16 @@ _USUAL_ERROR = 0.3  # in tolerances, where errors begin to count less
 _MIN_POINTS, _MIN_KNOWN_TWICE = 15, 4
 _MIN_INLIER_SHARE = 0.4
 _MIN_DISTANCES, _MAX_DISTANCE_ERROR = 6, 0.05  # from a common picture; relative
-_FEWEST_OF_PIECE = 3  # pictures that a further piece adds
+_MIN_NEW_PICTURES = 3  # that a further piece adds
 _MAX_PAIR_ERROR = 5e-3  # median epipolar error of a pair that fits, as a share of the focal length
 
 
 def with_pieces_joined(
     part: Part, pieces: Sequence[Start], walk: Pictured, whole: Observations, progress: AdjustmentProgress
 ) -> Part:
-    """The part with the ``pieces`` that share points with it; then with those taken at enough waypoints, if these have
-    times. Each piece is adjusted alone first. A join that fails or moves the part is not made.
+    """Join the ``pieces`` that share points with the part, then those with enough waypoints of known times.
+
+    Each is first adjusted alone. Joins that fail or move the part are discarded, all pieces together.
     """
     others = _adjusted_pieces(pieces, part.members, walk, whole, progress)
     if not others:
@@ -88,12 +89,12 @@ def _adjusted_whole(
 def _adjusted_pieces(
     pieces: Sequence[Start], placed: IntArray, walk: Pictured, whole: Observations, progress: AdjustmentProgress
 ) -> list[Start]:
-    """The pieces, each adjusted alone to the ``whole`` sightings. Those that fail, or have fewer than three pictures
-    that are neither ``placed`` (N,) nor in a piece before, are left out.
+    """The pieces, largest first, each adjusted alone to the ``whole`` sightings. Left out are those that fail, or have
+    fewer than three pictures that are neither ``placed`` (N,) nor in a piece before.
     """
     found: list[Start] = []
-    for piece in pieces:
-        if len(np.setdiff1d(piece[1], placed)) < _FEWEST_OF_PIECE:
+    for piece in sorted(pieces, key=lambda start: -len(start[1])):
+        if len(np.setdiff1d(piece[1], placed)) < _MIN_NEW_PICTURES:
             continue
         try:
             found.append(adjusted_part(walk, whole, piece, progress, (0.85, 0.85)).start)
@@ -129,7 +130,7 @@ def joined_by_points(
     apart = list(others)
     k = 0
     while k < len(apart):
-        found = _joined(start, apart[k], observations, pairs, rays)
+        found = _try_join(start, apart[k], observations, pairs, rays)
         if found is None:
             k += 1
         else:
@@ -158,8 +159,10 @@ def joined_by_waypoints(
     whole = _at_waypoints(start, times, waypoints)
     found: list[Start] = []
     for other in others:
+        if np.isin(other[1], whole[1]).all():
+            continue
         try:
-            whole = joined(whole, _at_waypoints(other, times, waypoints), Similarity.identity())
+            whole = _merged(whole, _at_waypoints(other, times, waypoints), Similarity.identity())
         except MappingFailed:
             continue
         found.append(other)
@@ -173,7 +176,7 @@ def _at_waypoints(start: Start, times: FloatArray, waypoints: tuple[Waypoint, ..
     return moved(state, frame.similarity), members
 
 
-def joined(one: Start, other: Start, similarity: Similarity) -> Start:
+def _merged(one: Start, other: Start, similarity: Similarity) -> Start:
     """The pictures of both in the first one's frame, without points. ``similarity`` leads there from the other's frame;
     pictures of both keep their pose in the first.
     """
@@ -184,27 +187,30 @@ def joined(one: Start, other: Start, similarity: Similarity) -> Start:
     return replace(state, T_map_camera=T[order], points=np.zeros((0, 3))), numbers[order]
 
 
-def _joined(
+def _try_join(
     one: Start,
     other: Start,
     observations: Observations,
     pairs: Sequence[VerifiedPair],
     rays: Sequence[FloatArray],
 ) -> Start | None:
-    have_common = bool(np.isin(other[1], one[1]).any())
-    similarity = (_by_common_picture if have_common else _by_shared_points)(one, other, observations)
+    similarity = _by_common_picture(one, other, observations)
+    has_common = similarity is not None
+    if similarity is None:
+        similarity = _by_shared_points(one, other, observations)
     if similarity is None:
         return None
-    found = joined(one, other, similarity)
-    if not (have_common or _several_fit(found, one[1], pairs, rays)):
+    found = _merged(one, other, similarity)
+    if not (has_common or _several_fit(found, one[1], pairs, rays)):
         return None
     kept = without_contradicted(found, one[1], pairs, rays)
     return found if len(kept[1]) == len(found[1]) else None
 
 
 def _by_common_picture(one: Start, other: Start, observations: Observations) -> Similarity | None:
-    """Similarity from the other's frame to the one's by the common picture that shows most points on whose distances
-    the two agree, up to a factor. None with fewer than six such points, or less than half of its points.
+    """Similarity from the other's frame to the one's by the common picture with the most agreeing points: known to
+    both, at distances that agree up to one factor. None if fewer than six, or less than half of those known to both,
+    agree.
     """
     points, known = zip(*(known_points(observations, members, state) for state, members in (one, other)), strict=True)
     best, most = None, 0
@@ -277,7 +283,7 @@ def _by_shared_points(one: Start, other: Start, observations: Observations) -> S
 
     rng = np.random.default_rng(_SEED)
     samples = [rng.choice(both, 3, replace=False) for _ in range(_SAMPLES)]
-    best = max((umeyama(b.points[rows], a.points[rows]) for rows in samples), key=lambda one: inliers(one).sum())
+    best = max((umeyama(b.points[rows], a.points[rows]) for rows in samples), key=lambda some: inliers(some).sum())
     best = _refined(best, off)
     return best if inliers(best).sum() >= max(_MIN_POINTS, _MIN_INLIER_SHARE * len(a.points)) else None
 

@@ -26,7 +26,7 @@ from rholoc.trajectory.reconstruction.sights import FEATURES_PER_KEYFRAME, Evide
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS, Observations
 
 _FEWEST_OF_SET = 2  # sightings of a point: pictures far apart share few points with two others
-_ROUNDS = 3  # without an IMU, from a start that is less near
+_ROUNDS = 3  # two left wrong reconstructions uncontradicted
 
 Start = tuple[State, IntArray]
 """State of some pictures, and their numbers (N,), increasing."""

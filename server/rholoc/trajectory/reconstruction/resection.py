@@ -51,8 +51,8 @@ def with_missing_placed(
 
 
 def known_points(observations: Observations, members: IntArray, state: State) -> tuple[FloatArray, BoolArray]:
-    """Points (M, 3) of all sightings, NaN if untriangulated, by the pictures ``members`` (N,), whose poses are the
-    state's; and a mask (M,) of the reliable ones. These have 1.5° of parallax and all errors below 4 px.
+    """Points (M, 3) triangulated from the pictures ``members`` (N,), increasing, at the poses of ``state``; NaN if not
+    triangulated. And a mask (M,) of the reliable ones, which have 1.5° of parallax and all errors below 4 px.
     """
     seen = observations.at(np.isin(observations.keyframes, members))
     seen = replace(seen, keyframes=np.searchsorted(members, seen.keyframes))

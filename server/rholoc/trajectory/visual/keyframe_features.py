@@ -119,7 +119,7 @@ class KeyframeFeatures:
 
 
 def _features_each(pictures: int) -> int:
-    """Number of features per keyframe, 1000 to 1500: fewer pictures take no longer with more."""
+    """Number of features per keyframe, 1000 to 1500: in a small set, more of them cost little time."""
     return round(float(np.clip(_FEATURES * np.sqrt(_SMALL_SET / pictures), _FEATURES, _MAX_FEATURES)))
 
 

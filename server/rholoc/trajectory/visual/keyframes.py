@@ -20,7 +20,7 @@ _FILM_MOTION = 0.02  # from frame to frame in the mean, as a share of the image'
 
 
 def may_be_film(frames: FrameSource) -> bool:
-    """Whether the frames have times, or are more than ``MAX_PICTURES``. Others are a set of pictures."""
+    """Whether the frames may be a continuous video: they have times, or are more than ``MAX_PICTURES``."""
     return frames.timed or len(frames.times) > MAX_PICTURES
 
 

@@ -16,7 +16,7 @@ from rholoc.trajectory.visual.two_view import ratio_matches, unit_descriptors
 Pair = tuple[int, int]
 
 _THREADS = 2
-MAX_EXHAUSTIVE = 50  # pictures, up to which all pairs are matched …
+_MAX_EXHAUSTIVE = 50  # pictures, up to which all pairs are matched …
 _MAX_COMPARED = 300  # … and up to which all are compared by their largest features
 _ALIKE_EACH = 60  # most similar pictures to compare each picture of a larger set with
 _BESIDE = (1, 2, 3, 4, 6, 8)  # offsets of neighbours in a larger set, which may be in the order of a walk
@@ -55,8 +55,7 @@ def loop_candidates(features: Sequence[FeatureSet], apart: int, each: int) -> li
 
 
 def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
-    """Sorted pairs of unordered pictures to match: all of up to ``MAX_EXHAUSTIVE``; of more, each picture's 20 best and
-    some of the others.
+    """Sorted pairs of unordered pictures to match: all of up to 50; of more, each picture's 20 best and some others.
 
     Pairs are ranked by the matches of their 200 largest features, two or more (Wu, *Towards linear-time incremental
     structure from motion*, 3DV 2013): all pairs of up to 300 pictures; of more, neighbours by number and each one's 60
@@ -64,7 +63,7 @@ def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
     """
     count = len(features)
     pairs = list(itertools.combinations(range(count), 2))
-    if count <= MAX_EXHAUSTIVE:
+    if count <= _MAX_EXHAUSTIVE:
         return pairs
     if count > _MAX_COMPARED:
         pairs = sorted({*sequential_pairs(count, _BESIDE), *most_alike(features, _ALIKE_EACH)})
