@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from unittest.mock import MagicMock
@@ -14,6 +14,7 @@ from scene import CAMERA, arc, cloud, on_plane
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, FloatArray, IntArray
 from rholoc.progress import silent
+from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.initialization.mapper_starts import Mapper
 from rholoc.trajectory.optimization.adjustment import GIVEN, Problem, State
@@ -48,6 +49,13 @@ class Part:
     by_waypoints: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True)
+class Frame:
+    """Its map frame."""
+
+    doubts: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """What becomes of it."""
@@ -57,6 +65,7 @@ class Result:
     placed: BoolArray
     agreement: Agreement | None = None
     note: str = ""
+    frame: Frame = Frame()
 
     @property
     def median_depth(self) -> float:
@@ -77,13 +86,21 @@ def taken(
     monkeypatch: pytest.MonkeyPatch,
     sigma_m: float = 0.01,
     held: bool = True,
+    waypoints: Sequence[tuple[Waypoint, ...]] = (),
 ) -> Result:
     """The result of a set whose mappers place so many pictures each, which sightings hold or do not."""
     placed = np.full(COUNT, held)
     covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
     evidence: Any = type("Evidence", (), {"observations": lambda *_: None, "sequential": []})()
-    seen = {"depth": None, "rows": np.arange(COUNT), "is_film": False, "camera": None, "features": []}
+    seen = {
+        "depth": None,
+        "rows": np.arange(COUNT),
+        "times": np.arange(COUNT),
+        "is_film": False,
+        "camera": None,
+        "features": [],
+    }
     sights: Any = type("Sights", (), seen)()
     monkeypatch.setattr(from_pictures, "PycolmapStarts", MagicMock())
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
@@ -94,7 +111,7 @@ def taken(
     monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, whole, _: (part, walk, whole))
     monkeypatch.setattr(from_pictures, "_unzoomed", lambda part, *_: part)
     monkeypatch.setattr(from_pictures, "_finished", lambda walk, part, _: Result(part, covariances, placed))
-    found: Any = from_pictures.solve_from_set(Pictured(sights, CAMERA, evidence), AdjustmentProgress(silent))
+    found: Any = from_pictures.solve_from_set(Pictured(sights, CAMERA, evidence, waypoints), AdjustmentProgress(silent))
     assert isinstance(found, Result)
     return found
 
@@ -178,6 +195,17 @@ def test_pieces_that_nothing_confirms_are_no_reason_to_trust_a_map(
     assert found.agreement is not None
     assert found.agreement.same is checked
     assert found.agreement.common == confirmed
+
+
+@pytest.mark.parametrize(("pictures", "reached"), [(18, True), (12, False)])
+def test_waypoints_whose_pictures_are_missing_are_not_used_and_the_map_says_so(
+    pictures: int, reached: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places = ((0, (0.0, 0.0, 1.0)), (5, (5.0, 0.0, 1.0)), (15, (9.0, 7.0, 1.0)))
+    waypoints = tuple(Waypoint(f"W{at}", float(at), place) for at, place in places)
+    sizes = {Mapper.OWN: pictures, Mapper.INCREMENTAL: pictures}
+    doubts = taken(sizes, agreeing, monkeypatch, waypoints=[waypoints]).frame.doubts
+    assert doubts == (() if reached else (from_pictures._WAYPOINTS_MISSED,))
 
 
 def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:
