@@ -109,15 +109,13 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     agreement, other = _best_agreement(best, parts)
     if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
-    part, walk, whole = _refined(best, walk, whole, progress)
-    least = _MOST
+    refined, walk, whole = _refined(best, walk, whole, progress)
+    part, least = refined, _MOST
     if agreement is not None and agreement.same:  # else a wrong part would grow
-        alone, part = (
-            part,
-            with_pieces_joined(part, [one for some in parts for one in some.apart], walk, whole, progress),
-        )
-        least = _MOST if part is alone else _MOST_OF_JOINED
-    part = _unzoomed(part, walk, whole, progress)
+        part = with_pieces_joined(refined, [one for some in parts for one in some.apart], walk, whole, progress)
+        least = _MOST if part is refined else _MOST_OF_JOINED
+    if refined is not best:  # zooms of one that more features bend would be as wrong
+        part = _unzoomed(part, walk, whole, progress)
     reached = [some for some in walk.waypoints if fix_frame(walk.sights.times[part.members], some)]
     found = _finished(replace(walk, waypoints=reached), part, progress)
     if walk.waypoints and not reached:
