@@ -147,11 +147,19 @@ def rig_of(recording: Recording) -> Recording:
     return of_rig(pictures, poses.T_map_camera, T_rig_cameras, narrow)
 
 
+def pixel_rays(camera: Camera) -> FloatArray:
+    """Rays (H · W, 3) of all pixels, row by row."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    return camera.rays(np.column_stack([u.ravel(), v.ravel()]))
+
+
 def rig_places(camera: Camera, turned: Camera, R_camera_turned: FloatArray) -> FloatArray:
     """Where in the image of ``camera`` (H, W, 2) a camera turned at the same place sees each of its pixels."""
-    u, v = np.meshgrid(np.arange(turned.width), np.arange(turned.height))
-    rays = turned.rays(np.column_stack([u.ravel(), v.ravel()])) @ R_camera_turned.T
-    return camera.project(rays).reshape(turned.height, turned.width, 2).astype(np.float32)
+    return (
+        camera.project(pixel_rays(turned) @ R_camera_turned.T)
+        .reshape(turned.height, turned.width, 2)
+        .astype(np.float32)
+    )
 
 
 def euroc(seen_by: SeenBy, seed: int) -> tuple[Recording, Recording]:
@@ -206,8 +214,7 @@ def seen_through(camera: Camera, renderer: Renderer, T_map_camera: FloatArray) -
 @lru_cache
 def divided(camera: Camera) -> tuple[IntArray, FloatArray]:
     """The face of a cube (H, W) that shows what a camera's pixels do, and where on it (H, W, 2)."""
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    rays = camera.rays(np.column_stack([u.ravel(), v.ravel()]))
+    rays = pixel_rays(camera)
     face_of = np.argmax(rays @ R_CAMERA_FACES[:, :, 2].T, axis=1)
     places = FACE.project(np.einsum("nji,nj->ni", R_CAMERA_FACES[face_of], rays))
     shape = camera.height, camera.width

@@ -20,13 +20,9 @@ from rholoc.trajectory.optimization.adjustment import GUESSED, State, adjust
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.joining import with_pieces_joined
-from rholoc.trajectory.reconstruction.measured_scale import (
-    scale_by_depth,
-    scale_by_steps,
-    scales_by_lengths,
-)
+from rholoc.trajectory.reconstruction.measured_scale import scale_by_depth, scale_by_steps, scales_by_lengths
 from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished
-from rholoc.trajectory.reconstruction.pair_fit import pair_error
+from rholoc.trajectory.reconstruction.pair_fit import MAX_PAIR_ERROR, pair_error
 from rholoc.trajectory.reconstruction.part import (
     Part,
     Pictured,
@@ -36,15 +32,8 @@ from rholoc.trajectory.reconstruction.part import (
     comparison_with,
     extended,
 )
-from rholoc.trajectory.reconstruction.rounds import (
-    LAST_ITERATIONS,
-    AdjustmentProgress,
-)
-from rholoc.trajectory.reconstruction.sights import (
-    ADVICE,
-    DENSER,
-    MANY_FEATURES,
-)
+from rholoc.trajectory.reconstruction.rounds import LAST_ITERATIONS, AdjustmentProgress
+from rholoc.trajectory.reconstruction.sights import ADVICE, DENSER, MANY_FEATURES
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.focal_guess import focal_by_matches
 from rholoc.trajectory.visual.matching import VerifiedPair
@@ -57,7 +46,6 @@ _FOCAL_FACTOR = 1.6  # by which the focal length of pairs contradicts a given on
 _ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures that show them
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked …
 _MOST_OF_JOINED = 0.9  # … if pieces were joined to it, which no other one confirms
-_FITTING = 5e-3  # median epipolar error of a weak pair that fits, as a share of the focal length
 _MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
 _ANOTHER_PLACE = 4  # minimum pictures of a separate component that may show another place
 _WAYPOINTS_MISSED = (
@@ -253,7 +241,7 @@ def _fitting(part: Part, walk: Pictured) -> list[VerifiedPair]:
         apart = np.linalg.norm(T[pair.first, :3, 3] - T[pair.second, :3, 3])
         if np.isnan(apart):
             found += [pair] if beside[pair.first] and beside[pair.second] else []
-        elif apart <= max(reach[pair.first], reach[pair.second]) and pair_error(pair, rays, T) <= _FITTING:
+        elif apart <= max(reach[pair.first], reach[pair.second]) and pair_error(pair, rays, T) <= MAX_PAIR_ERROR:
             found.append(pair)
     return found
 

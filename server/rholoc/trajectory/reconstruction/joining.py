@@ -14,7 +14,7 @@ from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity, umeyama
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.frame.map_frame import frame_of_waypoints, up_by_pictures
 from rholoc.trajectory.reconstruction.outcome import moved
-from rholoc.trajectory.reconstruction.pair_fit import pair_error, without_contradicted
+from rholoc.trajectory.reconstruction.pair_fit import MAX_PAIR_ERROR, pair_error, without_contradicted
 from rholoc.trajectory.reconstruction.part import Part, Pictured, Start, adjusted_part, agreement_of, extended
 from rholoc.trajectory.reconstruction.resection import known_points
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
@@ -29,7 +29,8 @@ _MIN_POINTS, _MIN_KNOWN_TWICE = 15, 4
 _MIN_INLIER_SHARE = 0.4
 _MIN_DISTANCES, _MAX_DISTANCE_ERROR = 6, 0.05  # from a common picture; relative
 _MIN_NEW_PICTURES = 3  # that a further piece adds
-_MAX_PAIR_ERROR = 5e-3  # median epipolar error of a pair that fits, as a share of the focal length
+
+Known = tuple[FloatArray, BoolArray]  # all points as a part knows them, see known_points
 
 
 def with_pieces_joined(
@@ -194,10 +195,11 @@ def _try_join(
     pairs: Sequence[VerifiedPair],
     rays: Sequence[FloatArray],
 ) -> Start | None:
-    similarity = _by_common_picture(one, other, observations)
+    known = [known_points(observations, members, state) for state, members in (one, other)]
+    similarity = _by_common_picture(one, other, observations, known)
     has_common = similarity is not None
     if similarity is None:
-        similarity = _by_shared_points(one, other, observations)
+        similarity = _by_shared_points(one, other, observations, known)
     if similarity is None:
         return None
     found = _merged(one, other, similarity)
@@ -207,12 +209,14 @@ def _try_join(
     return found if len(kept[1]) == len(found[1]) else None
 
 
-def _by_common_picture(one: Start, other: Start, observations: Observations) -> Similarity | None:
+def _by_common_picture(
+    one: Start, other: Start, observations: Observations, of_each: Sequence[Known]
+) -> Similarity | None:
     """Similarity from the other's frame to the one's by the common picture with the most agreeing points: known to
     both, at distances that agree up to one factor. None if fewer than six, or less than half of those known to both,
     agree.
     """
-    points, known = zip(*(known_points(observations, members, state) for state, members in (one, other)), strict=True)
+    points, known = zip(*of_each, strict=True)
     best, most = None, 0
     for picture in np.intersect1d(one[1], other[1]).tolist():
         tracks = observations.tracks[observations.keyframes == picture]
@@ -263,12 +267,14 @@ class _Shared:
         return np.where(other.known[:, None], away - self.rays, 0.0)
 
 
-def _by_shared_points(one: Start, other: Start, observations: Observations) -> Similarity | None:
+def _by_shared_points(
+    one: Start, other: Start, observations: Observations, of_each: Sequence[Known]
+) -> Similarity | None:
     """Similarity from the other's frame to the one's by the points that both see and one knows; None if too few fit.
 
     RANSAC: hypotheses by three points that both know.
     """
-    a, b = _shared(one, other, observations)
+    a, b = _shared(one, other, observations, of_each)
     both = np.flatnonzero(a.known & b.known)
     if len(both) < _MIN_KNOWN_TWICE or len(a.points) < _MIN_POINTS:
         return None
@@ -301,10 +307,9 @@ def _refined(similarity: Similarity, off: Callable[[Similarity], FloatArray]) ->
     return near(least_squares(errors, np.zeros(7), loss="cauchy", f_scale=_USUAL_ERROR).x)
 
 
-def _shared(one: Start, other: Start, observations: Observations) -> tuple[_Shared, _Shared]:
+def _shared(one: Start, other: Start, observations: Observations, known: Sequence[Known]) -> tuple[_Shared, _Shared]:
     """The points that both parts see and at least one knows, as each of the two does."""
     first = [_first_sightings(observations, members) for _, members in (one, other)]
-    known = [known_points(observations, members, state) for state, members in (one, other)]
     tracks = np.intersect1d(first[0].tracks, first[1].tracks)
     tracks = tracks[known[0][1][tracks] | known[1][1][tracks]]
     return _known(one, tracks, first[0], *known[0]), _known(other, tracks, first[1], *known[1])
@@ -337,6 +342,6 @@ def _several_fit(whole: Start, members: IntArray, pairs: Sequence[VerifiedPair],
         for pair in pairs
         if placed[[pair.first, pair.second]].all()
         and inside[pair.first] != inside[pair.second]
-        and pair_error(pair, rays, T) <= _MAX_PAIR_ERROR
+        and pair_error(pair, rays, T) <= MAX_PAIR_ERROR
     ]
     return any(a.isdisjoint(b) for a in fitting for b in fitting)

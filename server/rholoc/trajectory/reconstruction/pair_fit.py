@@ -13,7 +13,8 @@ from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.optimization.adjustment import State
 from rholoc.trajectory.visual.matching import VerifiedPair
 
-_CONTRADICTING = 15e-3  # median epipolar error of a pair that contradicts two poses, as a share of the focal length
+MAX_PAIR_ERROR = 5e-3  # median epipolar error of a pair that fits, as a share of the focal length …
+_CONTRADICTING = 15e-3  # … and of one that contradicts two poses
 _MAX_CONTRADICTED = 1 / 3  # of the matches that link added pictures to a reconstruction
 
 
