@@ -95,7 +95,7 @@ def _inertial_problem(imu: Imu, times: FloatArray) -> tuple[Problem, State]:
     gyro = GyroCalibration(_DELAY_S, 0.0, _BIAS[3:], 0.0, _MOUNTED[:3, :3].T, False, 0.0, 0.0)
     count = len(times)
     inertial = InertialState(speed, np.tile(_BIAS, (count, 1)), _MOUNTED, _CLOCK_S, np.array([0.0, 0.0, -GRAVITY]))
-    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+    nothing = Observations.none()
     return Problem(times, nothing, imu, gyro), State(T @ _MOUNTED, np.zeros((0, 3)), _PINHOLE, inertial)
 
 

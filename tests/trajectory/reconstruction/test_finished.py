@@ -156,7 +156,7 @@ def _held(
     state = State(T, np.zeros((0, 3)), CAMERA)
     named = tuple(Waypoint(f"W{i}", 2.0 * i + (late_s if i == 1 else 0.0), (0.0, 0.0, 0.0)) for i in range(count))
     frame = MapFrame(Similarity.identity(), Scale.METRIC, True, "", "", named)
-    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+    nothing = Observations.none()
 
     class Progress:
         def step(self, start: float, end: float, what: str) -> None:

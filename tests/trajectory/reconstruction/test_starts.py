@@ -25,7 +25,7 @@ from rholoc.trajectory.reconstruction import dispatch, from_imu
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.part import Pictured
 from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
-from rholoc.trajectory.reconstruction.sights import Evidence, Sights
+from rholoc.trajectory.reconstruction.sights import Evidence, Sights, gather_evidence
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations
 from rholoc.trajectory.visual.two_view import PairRotation
@@ -35,7 +35,7 @@ _GYRO = GyroCalibration(
 )
 _IMU = Imu(np.arange(2.0), np.full((2, 3), 2.0), np.zeros((2, 3)), True, None)
 _FRAME = MapFrame(Similarity.identity(), Scale.ARBITRARY, False, "", "")
-_NOTHING = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+_NOTHING = Observations.none()
 
 
 def _sights(count: int = 12, corners: int = 20) -> Sights:
@@ -131,6 +131,13 @@ def test_rotations_are_of_corners_neighbours_and_loops() -> None:
     assert [(one.first, one.second, one.support) for one in found] == [(0, 1, 5), (3, 9, 7), (3, 9, 7)]
 
 
+@pytest.mark.parametrize(("is_film", "corners"), [(True, 20), (False, 0)])
+def test_corners_are_followed_through_films_only(is_film: bool, corners: int) -> None:
+    """Corners followed over half a second made poses of a desk a quarter less exact than matches alone."""
+    found = gather_evidence(replace(_sights(), is_film=is_film), CAMERA, None, silent)
+    assert found.corners.points == corners
+
+
 class _Route:
     """Which parts a reconstruction went through."""
 
@@ -146,9 +153,9 @@ class _Route:
         monkeypatch.setattr(dispatch, "solve_from_pictures", self._solve)
         monkeypatch.setattr(dispatch, "solve_from_set", self._solve_set)
 
-    def _gather(self, sights: Sights, camera: object, by_gyroscope: object, progress: object) -> str:
+    def _gather(self, sights: Sights, camera: object, by_gyroscope: object, progress: object) -> Evidence:
         self.by_gyroscope.append(by_gyroscope)
-        return "evidence"
+        return Evidence(_NOTHING, [], [], [])
 
     def _solve(self, walk: Pictured, steps: object) -> Any:
         self.reasons.append(walk.reason)

@@ -161,7 +161,7 @@ def test_features_are_numbered_through_all_keyframes() -> None:
 
 
 def test_no_sightings_are_of_no_points() -> None:
-    nothing = Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+    nothing = Observations.none()
     assert nothing.points == len(nothing) == 0
     assert len(nothing.thinned(3)) == len(nothing.joined(nothing)) == 0
     some = Observations(np.arange(3), np.zeros(3, np.int64), np.zeros((3, 2)))

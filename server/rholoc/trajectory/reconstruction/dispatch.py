@@ -141,6 +141,7 @@ def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
     as_set = replace(walk.sights, is_film=False)
     try:
         evidence = gather_evidence(as_set, walk.camera, None, silent)
+        evidence = replace(evidence, corners=walk.evidence.corners, turned=walk.evidence.turned)
         other = solve_from_set(replace(walk, sights=as_set, evidence=evidence), steps)
     except MappingFailed as error:
         if found is None or contradicted:

@@ -15,7 +15,6 @@ from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.trajectory.optimization.adjustment import Step
-from rholoc.trajectory.optimization.zooms import zoomed
 from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, match_pictures
 from rholoc.trajectory.visual.parallax import only_turned
@@ -139,23 +138,23 @@ def gather_evidence(
 ) -> Evidence:
     """Match features, track corners and collect relative rotations of the keyframes.
 
+    A set of pictures gets no corners without ``by_gyroscope``: over its steps they are less exact than matches.
+
     ``by_gyroscope`` (K) are the cameras' rotations by the gyroscope, or None. Pairs that contradict it are left out.
 
     Raises:
         MappingFailed: the camera stayed in one place.
         Cancelled: ``progress`` asked to stop.
     """
-    corners, rotations = followed_corners(sights.flow, sights.rows, camera, by_gyroscope, sights.shutter)
-    if sights.zooms is not None:  # rotations were measured without the zooms: matches have better ones
-        corners, rotations = zoomed(corners, sights.zooms, camera), []
     rays = [camera.rays(features.pixels) for features in sights.features]
-    weak: list[VerifiedPair] = []
+    corners, rotations = Observations.none(), list[PairRotation]()
+    loops, weak = list[VerifiedPair](), list[VerifiedPair]()
     if sights.is_film or by_gyroscope is not None:
+        corners, rotations = followed_corners(sights.flow, sights.rows, camera, by_gyroscope, sights.shutter)
         sequential, loops = match_keyframes(
             sights.features, rays, camera.focal, sights.times, by_gyroscope, _is_followed(sights), progress
         )
     else:
-        loops = []
         sequential, weak = match_pictures(sights.features, rays, camera.focal, progress)
     if only_turned(sequential, rays):
         raise MappingFailed(

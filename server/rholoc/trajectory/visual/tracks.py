@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -44,6 +45,11 @@ class Observations:
     pixels: FloatArray
     depths: FloatArray | None = None
     fewest: int = MIN_SIGHTINGS
+
+    @classmethod
+    def none(cls) -> Self:
+        """No sightings."""
+        return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
 
     def __len__(self) -> int:
         return len(self.keyframes)
@@ -184,7 +190,7 @@ def matched_features(
     """
     offsets = np.concatenate([[0], np.cumsum([len(some) for some in places])])
     if not pairs:
-        return Observations(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 2)))
+        return Observations.none()
     links, label = linked_features(offsets, pairs)
     keyframe = np.repeat(np.arange(len(places)), np.diff(offsets))
     seen = np.unique(links)
