@@ -51,7 +51,9 @@ def _found(count: int, placed: int, **changes: Any) -> Reconstruction:
     return replace(whole, **changes)
 
 
-def _placed(monkeypatch: pytest.MonkeyPatch, found: Reconstruction, method: PoseMethod, **changes: Any) -> Any:
+def _placed(
+    monkeypatch: pytest.MonkeyPatch, found: Reconstruction, method: PoseMethod, is_film: bool = True, **changes: Any
+) -> Any:
     asked: list[Any] = []
 
     def run(function: object, sights: Sights, imu: object, choices: object, **_: object) -> Reconstruction:
@@ -61,7 +63,7 @@ def _placed(monkeypatch: pytest.MonkeyPatch, found: Reconstruction, method: Pose
     monkeypatch.setattr(estimate, "run_in_child", run)
     count = len(found.placed)
     flow = _flow(2 * count)
-    sights = Sights(flow, np.arange(0, 2 * count, 2), [FeatureSet.empty(0)] * count, _CAMERA)
+    sights = Sights(flow, np.arange(0, 2 * count, 2), [FeatureSet.empty(0)] * count, _CAMERA, is_film)
     recording = _recording(flow, **changes)
     heard: list[tuple[Stage, float, str]] = []
     trajectory = estimate._placed(
@@ -95,6 +97,19 @@ def test_nine_in_ten_keyframes_must_be_placed_for_a_map_to_be_trusted(
 def test_half_of_the_keyframes_must_be_placed(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(MappingFailed, match=r"Only 9 of 20 keyframes could be placed\. 0:02–0:04 shows"):
         _placed(monkeypatch, _found(20, 9), PoseMethod.VISUAL)
+
+
+@pytest.mark.parametrize(("count", "placed"), [(37, 8), (300, 8), (20, 5)])
+def test_of_a_set_eight_pictures_or_a_quarter_make_a_map_that_names_what_is_missing(
+    count: int, placed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eight of 37 pictures of a corridor fit each other: the job failed, and showed none of them."""
+    trajectory, *_ = _placed(monkeypatch, _found(count, placed), PoseMethod.VISUAL, is_film=False)
+    assert len(trajectory.rows) == placed
+    assert trajectory.report.missing
+    assert not trajectory.report.trusted
+    with pytest.raises(MappingFailed, match=f"Only {placed - 1} of {count} pictures could be placed"):
+        _placed(monkeypatch, _found(count, placed - 1), PoseMethod.VISUAL, is_film=False)
 
 
 def test_the_imu_is_reported_where_it_might_have_been_used(monkeypatch: pytest.MonkeyPatch) -> None:

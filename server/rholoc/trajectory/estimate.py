@@ -46,7 +46,7 @@ _MAX_COMPARED = 1200  # pictures of a set, of which those least alike are used
 _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
 _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD = 0.002, 0.002  # of cameras on a rig
 _MIN_PLACED = 0.5  # the share of a walk's keyframes that a map must have …
-_MIN_OF_SET = 0.25  # … and of a set of pictures, of which some may show another place
+_MIN_OF_SET, _ENOUGH_OF_SET = 0.25, 8  # … or share of a set, whose pictures may show several places, or number
 _WELL_PLACED = 0.9  # … and minimum share for a trajectory to be trusted
 _MAX_EXPECTED_ERROR_M = 0.10  # of a trajectory that is trusted
 _MAX_EXPECTED_ERROR_DEG = 2.0
@@ -315,20 +315,19 @@ def _placed(
 def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, progress: ProgressListener) -> Trajectory:
     """Trajectory of the placed keyframes with its report.
 
-    Raises MappingFailed if less than half of the keyframes are placed (a quarter of a set of pictures).
+    Raises MappingFailed if less than half of the keyframes are placed (of a set of pictures, less than a quarter and
+    fewer than eight).
     """
-    flow, rows = sights.flow, sights.rows
+    flow, rows, kept = sights.flow, sights.rows, np.flatnonzero(found.placed)
     missing = missing_spans(flow, rows, found.placed)
-    share = float(found.placed.mean())
-    what, fewest, advice = ("keyframes", _MIN_PLACED, _SLOWER) if sights.is_film else ("pictures", _MIN_OF_SET, DENSER)
-    if share < fewest:
-        raise MappingFailed(
-            f"Only {found.placed.sum()} of {len(rows)} {what} could be placed. {describe(missing)}".strip(), advice
-        )
-    kept = np.flatnonzero(found.placed)
+    count, share = len(rows), len(kept) / len(rows)
+    fewest = _MIN_PLACED * count if sights.is_film else min(_MIN_OF_SET * count, _ENOUGH_OF_SET)
+    if len(kept) < fewest:
+        what, advice = ("keyframes", _SLOWER) if sights.is_film else ("pictures", DENSER)
+        raise MappingFailed(f"Only {len(kept)} of {count} {what} could be placed. {describe(missing)}".strip(), advice)
     second = None if found.agreement is None else found.agreement.second_positions
     doubts = _doubts(found, share, describe(missing))
-    progress(Stage.POSES, 1.0, f"{len(kept)} of {len(rows)} keyframes placed")
+    progress(Stage.POSES, 1.0, f"{len(kept)} of {count} keyframes placed")
     return Trajectory(
         rows[kept],
         flow.times[rows[kept]],
@@ -336,7 +335,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
         found.camera,
         found.frame.scale,
         found.frame.upright,
-        replace(_report(found, method, len(rows), kept, doubts), missing=missing),
+        replace(_report(found, method, count, kept, doubts), missing=missing),
         None if sights.shutter is None else sights.shutter.take(kept),
         found.covariances[kept],
         None if second is None else second[kept],
