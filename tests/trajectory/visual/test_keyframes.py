@@ -213,6 +213,14 @@ def test_pictures_that_show_little_are_searched_at_twice_the_size() -> None:
     assert found.pixels.max() > 1000
 
 
+def test_dim_pictures_show_features_too() -> None:
+    """A wooden door in a dim bedroom showed sixty features, too few to link the pictures before it and after it."""
+    texture = cv2.GaussianBlur(np.random.default_rng(0).normal(0, 1, (480, 640)).astype(np.float32), (0, 0), 2.0)
+    dim = np.repeat((40 + 20 * texture).round()[..., None], 3, axis=2).astype(np.uint8)
+    with KeyframeFeatures(MemoryFrames([dim], 1.0)) as features:
+        assert len(features.of(np.array([0]))[0]) > 1000
+
+
 @pytest.mark.parametrize(
     ("count", "timed", "film"), [(MAX_PICTURES, False, False), (MAX_PICTURES + 1, False, True), (10, True, True)]
 )

@@ -21,6 +21,7 @@ from rholoc.trajectory.visual.keyframes import KeyframeSteps
 _LONGER_SIDE_PX = 960  # larger images are reduced: more pixels cost time and place no more frames
 _FEW = 600  # features of a picture, such as of white walls, below which twice the size is searched
 _THREADS = 2
+_CONTRAST = 0.007  # of the weakest feature, a third of the usual one: dim rooms and walls show few others
 _FEATURES, _MAX_FEATURES = 1000, 1500  # of a keyframe, and of one in a small set, where more cost little
 _SMALL_SET = 100  # pictures
 
@@ -53,7 +54,8 @@ class KeyframeFeatures:
             camera: of the frames; needed for wide lenses.
         """
         self._frames = frames
-        self._extractor = widened(SiftExtractor(features=_features_each(len(frames.times))), camera)
+        extractor = SiftExtractor(features=_features_each(len(frames.times)), contrast_threshold=_CONTRAST)
+        self._extractor = widened(extractor, camera)
         self._longest_px = round(_LONGER_SIDE_PX * (1.0 if camera is None else camera.breadth))
         self._certain = certain
         self._show = show
