@@ -45,7 +45,7 @@ _SIGMAS = 4.0  # … and as many standard deviations of theirs
 _FOCAL_FACTOR = 1.6  # by which the focal length of pairs contradicts a given one: correct ones differ by up to 1.25
 _ZOOM_ROUNDS, _ZOOM_HASTE = 4, 1.5  # points follow the zooms of the pictures that show them
 _MOST = 0.7  # share of a reconstruction's pictures that another one must confirm for it to be checked …
-_MOST_OF_JOINED = 0.9  # … if pieces were joined to it, which no other one confirms
+_MOST_OF_JOINED = 0.9  # … and of all pictures if pieces were joined to it, which no other one confirms
 _MAX_ZOOM_SPREAD = 5.0  # per cent, of pictures by one lens: autofocus changes zooms by about 2
 _ANOTHER_PLACE = 4  # minimum pictures of a separate component that may show another place
 _WAYPOINTS_MISSED = (
@@ -70,7 +70,8 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
 
     Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
     they see enough points. The reconstruction of which another one confirms most pictures is taken. If it is confirmed,
-    further pieces are joined to it.
+    further pieces are joined to it. So are the pictures that a larger reconstruction adds, if fewer than 90 % are
+    confirmed and the map is therefore not trusted.
 
     Raises:
         MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
@@ -98,10 +99,13 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if agreement is not None and agreement.contradicts:
         raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
     refined, walk, whole = _refined(best, walk, whole, progress)
-    part, least = refined, _MOST
+    part = refined
     if agreement is not None and agreement.same:  # else a wrong part would grow
-        part = with_pieces_joined(refined, [one for some in parts for one in some.apart], walk, whole, progress)
-        least = _MOST if part is refined else _MOST_OF_JOINED
+        pieces = [one for some in parts for one in some.apart]
+        if agreement.common < _MOST_OF_JOINED * count:  # the map is not trusted, whatever is added
+            pieces = [*_agreeing(best, parts), *pieces]
+        part = with_pieces_joined(refined, pieces, walk, whole, progress)
+    least = _MOST * len(part.members) if part is refined else _MOST_OF_JOINED * count
     if refined is not best:  # zooms of one that more features bend would be as wrong
         part = _unzoomed(part, walk, whole, progress)
     reached = [some for some in walk.waypoints if fix_frame(walk.sights.times[part.members], some)]
@@ -114,10 +118,20 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     found = replace(found, note=" ".join(note for note in notes if note))
     if agreement is None or other is None:
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, count))
-    if agreement.common < least * len(part.members):
+    if agreement.common < least:
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
     in_map_frame = comparison_with(found.T_map_camera, found.placed, found.median_depth, other)
     return replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
+
+
+def _agreeing(best: Part, parts: Sequence[Part]) -> list[Start]:
+    """The other parts that agree with the ``best`` and that no part contradicts, those with most inliers first."""
+    found = [
+        part
+        for part in parts
+        if part is not best and agreement_of(best, part).same and not _refuted(_agreements(part, parts))
+    ]
+    return [part.start for part in sorted(found, key=lambda part: -part.inliers)]
 
 
 def _by_waypoints(pictures: Sequence[int]) -> str:

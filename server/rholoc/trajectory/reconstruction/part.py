@@ -13,7 +13,7 @@ from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.optimization.adjustment import ANY, Adjusted, Fix, Problem, State, adjust
 from rholoc.trajectory.reconstruction.figures import median_depth_of
 from rholoc.trajectory.reconstruction.measured_scale import DEPTH_SIGMA, scaled_by_depth, scaled_by_steps, with_depths
-from rholoc.trajectory.reconstruction.outcome import held_keyframes
+from rholoc.trajectory.reconstruction.outcome import held_keyframes, right_sightings
 from rholoc.trajectory.reconstruction.pair_fit import without_contradicted
 from rholoc.trajectory.reconstruction.resection import with_missing_placed
 from rholoc.trajectory.reconstruction.rounds import (
@@ -109,6 +109,11 @@ class Part:
     def start(self) -> Start:
         """Its pictures and their poses, without points."""
         return replace(self.adjusted.state, points=np.zeros((0, 3))), self.members
+
+    @property
+    def inliers(self) -> int:
+        """Number of sightings that its poses explain."""
+        return int(right_sightings(self.problem, self.adjusted).sum())
 
 
 def adjusted_part(
