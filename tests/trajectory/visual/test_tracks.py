@@ -18,6 +18,7 @@ from rholoc.trajectory.visual.tracks import (
     linked_features,
     matched_features,
     pieces_of,
+    thinned_matches,
 )
 
 
@@ -131,6 +132,22 @@ def test_matches_link_features_to_points_and_doubles_are_dropped() -> None:
         [(1.0, 1.0), (2.0, 1.0), (3.0, 1.0)],
     ]
     assert len(matched_features(planes, [])) == 0
+
+
+def test_thinned_matches_are_of_the_points_with_most_sightings() -> None:
+    everywhere = [(i, i) for i in range(60)]
+    in_two = [(i, i) for i in range(60, 100)]
+    pairs = [_pair(0, 1, everywhere + in_two), _pair(1, 2, everywhere), _pair(0, 2, everywhere)]
+    found = thinned_matches(pairs, [100, 100, 100], 60)
+    assert [pair.matches.tolist() for pair in found] == [[list(match) for match in everywhere]] * 3
+
+
+def test_a_pair_with_few_matches_keeps_all_of_them() -> None:
+    everywhere = [(i, i) for i in range(60)]
+    alone = [(i, i) for i in range(60, 100)]
+    pairs = [_pair(0, 1, everywhere), _pair(1, 2, everywhere), _pair(2, 3, alone)]
+    found = thinned_matches(pairs, [100, 100, 100, 100], 10)
+    assert [len(pair.matches) for pair in found] == [60, 60, 40]
 
 
 def test_pieces_share_points() -> None:

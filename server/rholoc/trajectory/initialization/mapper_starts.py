@@ -16,13 +16,14 @@ from rholoc.errors import InvalidCamera
 from rholoc.geometry import Camera, FloatArray, IntArray, Lens, on_plane
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.sphere import on_sphere, sphere_camera
+from rholoc.trajectory.visual.tracks import thinned_matches
 
 _MIN_PIECE = 3  # pictures
 _SEED = 1
 _THREADS = 2
 _CAMERA = 1
 _DATABASE = "pictures.db"
-_TRACKS_PER_PICTURE = 300  # more take the global mapper's time, and place no more pictures
+_FEATURES_PER_PICTURE = 300  # matched ones; more take the mappers' time, and place no more pictures
 _PAIRS_PER_PICTURE = 10
 _SECONDS = 20  # and one more a picture: the incremental mapper once tried first pairs of 28 pictures for five minutes
 _FIRST_PAIR, _FIRST_ANGLE_DEG = 50, 8.0  # matches and parallax; else searched for twice in vain where steps are small
@@ -62,7 +63,8 @@ class PycolmapStarts:
             pairs: verified matches.
         """
         self._camera, self._is_known = camera, is_known
-        self._pixels, self._pairs = pixels, _best_pairs(pairs, len(pixels))
+        best = _best_pairs(pairs, len(pixels))
+        self._pixels, self._pairs = pixels, thinned_matches(best, [len(some) for some in pixels], _FEATURES_PER_PICTURE)
         self._folder = tempfile.TemporaryDirectory(prefix="rholoc-mapper-")
         self._pool = ThreadPoolExecutor(1)
         self._begun: dict[Mapper, Future[list[Piece]]] = {}
@@ -202,7 +204,7 @@ def _global_options(is_known: bool) -> pycolmap.GlobalPipelineOptions:
     options = pycolmap.GlobalPipelineOptions()
     options.mapper.bundle_adjustment.refine_focal_length = not is_known
     options.mapper.bundle_adjustment.refine_extra_params = not is_known
-    options.mapper.track_required_tracks_per_view = _TRACKS_PER_PICTURE
+    options.mapper.track_required_tracks_per_view = _FEATURES_PER_PICTURE
     options.random_seed, options.num_threads, options.min_model_size = _SEED, _THREADS, _MIN_PIECE
     return options
 

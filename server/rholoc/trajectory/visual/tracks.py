@@ -25,6 +25,8 @@ MIN_SIGHTINGS = 3
 _MAX_GYROSCOPE_APART_RAD = np.radians(1.0)  # from the image's rotation of neighbours to use the gyroscope's
 _MIN_TOGETHER = 10  # common points that connect two keyframes
 _MIN_PIECE = 3  # keyframes of a connected component that counts
+_FEWEST_MATCHED = 2  # sightings of a point that two pictures show
+_MIN_OF_THINNED = 50  # matches of a pair: it may be the only one that connects two parts
 _FURTHER = 4  # keyframes: a longer interval over which corners measure rotation more accurately
 
 
@@ -202,6 +204,27 @@ def matched_features(
     twice = np.concatenate([same, [False]]) | np.concatenate([[False], same])
     found = Observations(keyframe, label, pixels, fewest=fewest)
     return found.take(~twice)
+
+
+def thinned_matches(pairs: Sequence[VerifiedPair], features: Sequence[int], per_keyframe: int) -> list[VerifiedPair]:
+    """Pairs with the matches of some features only: about ``per_keyframe`` of each keyframe, those of the points with
+    most sightings. A pair that would keep fewer than 50 matches keeps all.
+
+    Args:
+        pairs: verified matches.
+        features: number of features of each keyframe.
+        per_keyframe: features to keep of each.
+    """
+    offsets = np.concatenate([[0], np.cumsum(features)])
+    numbers = [np.repeat(np.arange(count, dtype=np.float64)[:, None], 2, axis=1) for count in features]
+    sightings = matched_features(numbers, pairs, _FEWEST_MATCHED).thinned(per_keyframe)
+    is_kept = np.zeros(offsets[-1], dtype=np.bool_)
+    is_kept[offsets[sightings.keyframes] + sightings.pixels[:, 0].astype(np.int64)] = True
+    found = []
+    for pair in pairs:
+        kept = is_kept[pair.matches + offsets[[pair.first, pair.second]]].all(axis=1)
+        found.append(replace(pair, matches=pair.matches[kept]) if kept.sum() >= _MIN_OF_THINNED else pair)
+    return found
 
 
 def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> tuple[IntArray, IntArray]:
