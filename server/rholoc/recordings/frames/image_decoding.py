@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
 import numpy as np
 from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
@@ -69,11 +70,13 @@ def decode_image(
         _check_scans(data, image, max_pixels)
         if isinstance(image, ImageFile.ImageFile):
             image.decodermaxblock = min(max(len(data) // _PIECES, _MIN_PIECE_BYTES), _MAX_PIECE_BYTES)
-        upright = ImageOps.exif_transpose(image)
-        if upright.mode.startswith("I"):  # 16-bit grey
-            grey = (np.asarray(upright).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+        ImageOps.exif_transpose(image, in_place=True)
+        if image.mode.startswith("I"):  # 16-bit grey
+            grey = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
             return np.ascontiguousarray(np.repeat(grey[:, :, None], 3, axis=2))
-        return np.ascontiguousarray(np.asarray(upright.convert("RGB"))[:, :, ::-1])
+        colours = np.asarray(image if image.mode == "RGB" else image.convert("RGB"))
+        # A contiguous copy of colours[:, :, ::-1] takes ten times as long.
+        return np.asarray(cv2.cvtColor(colours, cv2.COLOR_RGB2BGR), dtype=np.uint8)
 
 
 def read_image(path: Path | str, max_pixels: int = DEFAULT_MAX_PIXELS) -> ByteArray:
