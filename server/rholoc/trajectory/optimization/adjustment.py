@@ -31,6 +31,7 @@ from rholoc.geometry import (
     on_plane,
     pose_matrix,
 )
+from rholoc.lazy import lazy
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, longest_interval_s
 from rholoc.trajectory.visual.tracks import Observations
@@ -65,6 +66,7 @@ _UNSEEN_SIGMA_RAD = 1.0  # of a keyframe that no measurement fixes
 _FIRST_DAMPING = 10.0
 _SETTLING_STEPS = 6
 _SHARES = (1.0, 0.5, 0.25)  # of a failed step, to retry with every point re-optimized
+_POINTS = (ord("l"),)
 _ELIMINATED = tuple(map(ord, "lxvb"))  # points and inertial states: what is left of the unknowns is small and dense
 _MAX_DENSE = 4000  # unknowns left, up to which their information is inverted as a dense matrix
 _HOLDS = (1e-2, 0.3, 10.0)  # increasing strengths of the points' prior, each used if a step fails with the one before
@@ -252,14 +254,12 @@ class Adjusted:
         """The same by one linear system: from the dense information of all but the points and the inertial states, or
         by a tree if that would be too large. Raises RuntimeError or LinAlgError if the system is singular.
         """
-        every = [self._ordering.at(i) for i in range(self._ordering.size())]
-        rest = [key for key in every if gtsam.symbolChr(key) not in _ELIMINATED]
+        gone, rest = _split(self._ordering, _ELIMINATED)
         sizes = self._values.zeroVectors()
         *starts, total = itertools.accumulate((len(sizes.at(key)) for key in rest), initial=0)
         if total > _MAX_DENSE:
             tree = system.eliminateMultifrontal(self._ordering)
             return [_marginal(tree, key, size) for key in keys]
-        gone = [key for key in every if gtsam.symbolChr(key) in _ELIMINATED]
         _, reduced = system.eliminatePartialMultifrontal(_ordered(gone))
         factor = cho_factor(reduced.hessian(_ordered(rest))[0])
         own = np.zeros((total, len(keys), size))
@@ -675,7 +675,7 @@ class _Descent:
         systems = _with_points_held(self.graph.linearize(values), self.held, weakest)
         for firmness, system in enumerate(systems, weakest):
             try:
-                step = system.optimize(self.ordering)
+                step = self._solved(system)
             except RuntimeError:  # gtsam's word for a singular system
                 continue
             for there in self._along(values, step):
@@ -693,6 +693,19 @@ class _Descent:
                 "What was measured leaves the shape of the walk open.", "Walk further, and in loops."
             ) from None
         return optimizer.values(), optimizer.error(), weakest
+
+    def _solved(self, system: gtsam.GaussianFactorGraph) -> gtsam.VectorValues:
+        """Solution of a linear system. Points are eliminated one by one: a tree of them takes up to twice as long.
+        Raises RuntimeError if the system is singular.
+        """
+        points, rest = self._points_and_rest
+        eliminated, reduced = system.eliminatePartialSequential(points)
+        return eliminated.optimize(reduced.optimize(rest))
+
+    @lazy
+    def _points_and_rest(self) -> tuple[gtsam.Ordering, gtsam.Ordering]:
+        points, rest = _split(self.ordering, _POINTS)
+        return _ordered(points), _ordered(rest)
 
     def _along(self, values: gtsam.Values, step: gtsam.VectorValues) -> Iterator[gtsam.Values]:
         yield values.retract(step)
@@ -723,6 +736,13 @@ def _ordered(keys: Sequence[int]) -> gtsam.Ordering:
     for key in keys:
         ordering.push_back(key)
     return ordering
+
+
+def _split(ordering: gtsam.Ordering, kinds: Sequence[int]) -> tuple[list[int], list[int]]:
+    """Keys of the unknowns of some ``kinds`` (the characters of their symbols) in their order, and of all others."""
+    keys = [ordering.at(i) for i in range(ordering.size())]
+    some = [key for key in keys if gtsam.symbolChr(key) in kinds]
+    return some, [key for key in keys if gtsam.symbolChr(key) not in kinds]
 
 
 def _with_points_held(
