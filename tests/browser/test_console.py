@@ -33,7 +33,7 @@ def named(service, picture_world):
     return service
 
 
-@pytest.mark.parametrize("where", ["maps", "maps/room"])
+@pytest.mark.parametrize("where", ["maps", pytest.param("maps/room", marks=pytest.mark.slow)])
 def test_nothing_moves_while_a_page_loads(desk_browser, named, where, opened, settled):
     with opened(desk_browser, named.url, where) as page:
         settled(page)
@@ -52,6 +52,7 @@ def test_names_are_text(desk_browser, named, opened, settled):
         assert page.title() == "strange – rholoc"
 
 
+@pytest.mark.slow
 def test_the_page_asks_once_for_a_key_that_is_good(desk_browser, serve, picture_world, opened, settled):
     locked = serve(keys=KeyPolicy.ALWAYS)
     (locked.settings.maps_dir / "room.rho").write_bytes(picture_world.rho())
@@ -80,6 +81,7 @@ def test_the_page_asks_once_for_a_key_that_is_good(desk_browser, serve, picture_
         expect(page.get_by_role("dialog", name="API key")).to_contain_text("revoked")
 
 
+@pytest.mark.slow
 def test_a_map_that_was_deleted_while_it_was_open(desk_browser, named, picture_world, opened, settled):
     (named.settings.maps_dir / "gone.rho").write_bytes(picture_world.rho())
     with opened(desk_browser, named.url, "maps/gone", failures=-1) as page:
@@ -94,6 +96,7 @@ def test_a_map_that_was_deleted_while_it_was_open(desk_browser, named, picture_w
         expect(page.get_by_role("link", name="room")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_map_is_renamed_and_deleted_by_keyboard(desk_browser, named, picture_world, opened, settled):
     (named.settings.maps_dir / "first.rho").write_bytes(picture_world.rho())
     with opened(
@@ -115,6 +118,7 @@ def test_a_map_is_renamed_and_deleted_by_keyboard(desk_browser, named, picture_w
     assert not (named.settings.maps_dir / "second.rho").exists()
 
 
+@pytest.mark.slow
 def test_the_map_turns_by_keyboard(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "maps/room") as page:
         canvas = settled(page).locator("canvas.scene-canvas")
@@ -145,6 +149,7 @@ def test_a_picture_is_localized_and_its_matches_are_drawn(
         expect(answer).to_contain_text("hardly anything but a bare surface")
 
 
+@pytest.mark.slow
 def test_a_trajectory_is_played(desk_browser, named, picture_world, tmp_path, opened, settled):
     T = np.repeat(picture_world.pose.T_map_camera[None], 5, axis=0)
     T[:, 0, 3] += np.arange(5)
@@ -161,6 +166,7 @@ def test_a_trajectory_is_played(desk_browser, named, picture_world, tmp_path, op
         expect(page.get_by_role("alert")).to_contain_text("no column timestamp")
 
 
+@pytest.mark.slow
 def test_the_camera_is_localized_frame_by_frame(fake_camera, named, picture_world, opened, settled):
     browser = fake_camera([picture_world.image] * 10)
     with opened(browser, named.url, "try/room", permissions=["camera"]) as page:
@@ -174,6 +180,7 @@ def test_the_camera_is_localized_frame_by_frame(fake_camera, named, picture_worl
     browser.close()
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_refused_is_reported(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "try/room") as page:
         settled(page).get_by_role("button", name="Use the camera").click()
@@ -194,6 +201,7 @@ def test_a_job_is_cancelled_and_tried_again(desk_browser, named, opened):
         assert (newest["map"], newest["priority"]) == ("hall", "high")
 
 
+@pytest.mark.slow
 def test_a_running_job_says_what_it_does_and_how_long_that_takes(desk_browser, named, opened):
     job = httpx.get(f"{named.url}/v1/jobs").json()["jobs"][0]
     running = {"state": "running", "stage": "poses", "progress": 0.4, "message": "", "started": time.time() - 70}
@@ -209,6 +217,7 @@ def test_a_running_job_says_what_it_does_and_how_long_that_takes(desk_browser, n
         expect(page.locator("main")).to_contain_text("You may close this page")
 
 
+@pytest.mark.slow
 def test_a_recording_is_uploaded(desk_browser, named, tmp_path, opened, settled):
     (tmp_path / "stairs.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"\1" * 5_000_000)
     with opened(desk_browser, named.url, "recordings") as page:
@@ -221,6 +230,7 @@ def test_a_recording_is_uploaded(desk_browser, named, tmp_path, opened, settled)
     assert [5_000_012, ["stairs.mp4"]] in [[one["size_bytes"], one["files"]] for one in listed]
 
 
+@pytest.mark.slow
 def test_a_server_that_is_gone_is_reported_and_tried_again(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "cameras", failures=-1) as page:
         settled(page)

@@ -30,6 +30,7 @@ def store(locked):
     return KeyStore(locked.settings.data_dir)
 
 
+@pytest.mark.slow
 def test_a_shared_link_shows_the_map_without_another_key(desk_browser, locked, store, opened, settled):
     mine = store.create("mine", Scope.MAP)
     with opened(desk_browser, locked.url, f"key/{mine}/maps/room") as page:

@@ -118,8 +118,10 @@ RECORD = """async ([type, milliseconds]) => {
     "kind",
     [
         "webm;codecs=vp8",
-        "mp4;codecs=avc1.42E01E",
-        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("webm;codecs=h264", "mp4;codecs=vp9")),
+        *(
+            pytest.param(kind, marks=pytest.mark.slow)
+            for kind in ("mp4;codecs=avc1.42E01E", "webm;codecs=h264", "mp4;codecs=vp9")
+        ),
     ],
 )
 def test_frame_times_are_those_that_the_reader_finds(run, page, tmp_path, kind):

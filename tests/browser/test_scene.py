@@ -107,6 +107,7 @@ def painted(page) -> int:
     return int((np.abs(shot[..., ::-1].astype(int) - MAGENTA).max(axis=2) < 30).sum())
 
 
+@pytest.mark.slow
 def test_more_points_pictures_and_a_level_room(desk_browser, leaning, opened):
     with opened(desk_browser, leaning.url, "maps/leaning", failures=1) as page:  # of the picture that is not there
         expect(page.get_by_text("Levelled for display: up is estimated")).to_be_visible()

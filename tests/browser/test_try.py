@@ -82,6 +82,7 @@ def test_a_file_that_is_no_picture_clears_the_picture_before_and_an_error_its_ci
         assert canvas.evaluate(CIRCLES) == 0
 
 
+@pytest.mark.slow
 def test_an_older_answer_does_not_take_the_place_of_a_newer(desk_browser, running, pictures, opened, settled):
     with opened(desk_browser, running.url, "try/room") as page:
         settled(page)
@@ -125,6 +126,7 @@ def test_changed_options_try_the_picture_again(desk_browser, running, pictures, 
         assert int(found[1]) == pytest.approx(520, rel=0.1)
 
 
+@pytest.mark.slow
 def test_no_answer_claims_to_be_certain_and_it_names_the_areas_the_camera_is_in(
     desk_browser, running, pictures, opened, settled
 ):
@@ -137,6 +139,7 @@ def test_no_answer_claims_to_be_certain_and_it_names_the_areas_the_camera_is_in(
             expect(page.locator(".answer")).to_contain_text(said)
 
 
+@pytest.mark.slow
 def test_all_maps_are_tried(desk_browser, running, pictures, opened, settled):
     with opened(desk_browser, running.url, "try/loose") as page:
         take(settled(page), pictures / "frame.png")
@@ -152,6 +155,7 @@ def test_all_maps_are_tried(desk_browser, running, pictures, opened, settled):
         expect(page.get_by_text("No map localizes this picture.")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_map_that_is_not_trusted_says_so_beside_its_answers(desk_browser, running, pictures, opened, settled):
     with opened(desk_browser, running.url, "try/doubtful") as page:
         take(settled(page), pictures / "frame.png")
@@ -162,13 +166,14 @@ def test_a_map_that_is_not_trusted_says_so_beside_its_answers(desk_browser, runn
 AUTOMATIC, OF_THE_MAP = "", "the camera that made the map"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("size", "name", "choice"),
     [
         ((640, 480), "room", AUTOMATIC),
         ((480, 640), "wide", OF_THE_MAP),
-        pytest.param((640, 360), "room", AUTOMATIC, marks=pytest.mark.slow),
-        pytest.param((640, 480), "wide", AUTOMATIC, marks=pytest.mark.slow),
+        ((640, 360), "room", AUTOMATIC),
+        ((640, 480), "wide", AUTOMATIC),
     ],
 )
 def test_a_camera_of_any_shape_is_taken(desk_browser, running, opened, settled, name, size, choice):
@@ -204,6 +209,7 @@ def test_a_camera_of_any_shape_is_taken(desk_browser, running, opened, settled, 
             assert query["intrinsics"] == "unknown"
 
 
+@pytest.mark.slow
 def test_trajectories_roll_and_the_frustum_has_the_pictures_shape(
     desk_browser, running, picture_world, opened, settled
 ):
@@ -239,6 +245,7 @@ def replace_roll(T_map_camera, roll):
     return T_map_camera @ turn
 
 
+@pytest.mark.slow
 def test_the_landscape_around_the_pose_is_shown_until_another_picture_is_tried(
     desk_browser, running, pictures, opened, settled
 ):
@@ -257,6 +264,7 @@ def test_the_landscape_around_the_pose_is_shown_until_another_picture_is_tried(
         expect(page.get_by_text("Too little in the picture matches")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_an_answer_is_copied_as_a_program_that_gets_it_again(
     desk_browser, running, pictures, opened, settled, tmp_path
 ):
@@ -346,6 +354,7 @@ def test_a_video_is_tracked_to_its_end(desk_browser, running, picture_world, ope
         expect(page.get_by_role("alert")).to_contain_text("not a video that the browser can play")
 
 
+@pytest.mark.slow
 def test_a_track_whose_connection_breaks_off_says_so(camera_browser, running, opened, settled):
     with opened(camera_browser, running.url, "try/room", permissions=["camera"]) as page:
         sockets = []

@@ -181,7 +181,7 @@ def _sightings(camera: Camera, count: int, rng: np.random.Generator, noise_px: f
     return found
 
 
-@pytest.mark.parametrize("camera", [NARROW, WIDE], ids=["67°", "170°"])
+@pytest.mark.parametrize("camera", [NARROW, pytest.param(WIDE, marks=pytest.mark.slow)], ids=["67°", "170°"])
 def test_the_camera_comes_back_within_its_sigmas(camera: Camera) -> None:
     for seed in range(2):
         sightings = _sightings(camera, 20, np.random.default_rng(seed))

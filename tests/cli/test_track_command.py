@@ -187,6 +187,7 @@ def on_board(folder, *commands):
     return subprocess.run(program, cwd=folder, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_localizing_needs_no_network_and_no_extra(walk):
     commands = (
         "track room.rho frames -o tracked.mcap",
@@ -228,6 +229,7 @@ def running(serve, picture_world):
     return service, store.create("robot-7", Scope.LOCALIZE), store.create("watcher", Scope.READ)
 
 
+@pytest.mark.slow
 def test_robots_are_frames_of_their_names_in_the_map(running, picture_world):
     service, robot, watcher = running
     port = free_port()

@@ -16,6 +16,7 @@ import pytest
 import rholoc_client
 from rholoc.features import get_extractor
 from rholoc.library.recordings import RecordingStore
+from rholoc.maps import map_to_bytes
 from rholoc.reports import MapReport, report_from_json
 from rholoc_client import (
     AsyncClient,
@@ -144,7 +145,7 @@ def test_several_maps(client, picture_world):
         client.localize(["loose", "attic"], picture_world.png())
 
 
-def test_maps(client, picture_world):
+def test_maps(client, picture_world, looking):
     assert [one.name for one in client.maps()] == ["loose", "room"]
     room = client.map("room")
     assert room.camera == Camera(520.0, 520.0, 319.5, 239.5, (), 640, 480)
@@ -157,8 +158,9 @@ def test_maps(client, picture_world):
     assert client.map_report_picture("room").startswith(b"\x89PNG")
     assert client.download_map("room", "ply").startswith(b"ply\n")
     assert client.download_map("room", "surfaces", features=[0, 2]).count(b"<Piece") == 2
-    table = client.download_map("room", "csv")
-    assert client.upload_map("copy", table).landmarks == room.landmarks
+    small = client.upload_map("small", map_to_bytes(looking(1)))
+    assert client.upload_map("copy", client.download_map("small", "csv")).landmarks == small.landmarks
+    client.delete_map("small")
     client.delete_map("copy")
     assert client.readiness()["maps"] == "ok"
 

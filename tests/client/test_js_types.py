@@ -42,6 +42,7 @@ def test_declarations_are_written_from_the_openapi_document(openapi):
     assert {path.name: path.read_text(encoding="utf-8") for path in script["TYPES"].iterdir()} == written
 
 
+@pytest.mark.slow
 def test_a_program_in_typescript_is_checked_by_them(tmp_path):
     said = checked(tmp_path, PROGRAM + "\n".join(WRONG)).splitlines()
     assert len(said) == len(WRONG)

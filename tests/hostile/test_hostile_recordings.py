@@ -62,6 +62,7 @@ def test_a_frame_of_another_century_is_refused(tmp_path):
         read_recording(tmp_path / "walk")
 
 
+@pytest.mark.slow
 def test_a_table_takes_the_memory_of_its_numbers(tmp_path):
     path = tmp_path / "imu.csv"
     path.write_text(imu_rows(np.arange(20_000) / 200))
@@ -279,6 +280,7 @@ class GreedyPipeline:
         return ()
 
 
+@pytest.mark.slow
 def test_a_build_that_asks_for_too_much_memory_fails_for_that_reason(tmp_path):
     task = MappingTask(tmp_path / "walk.mp4", tmp_path / "map.rho", tmp_path, "room", JobOptions())
     limits = Limits(memory_bytes=2**31)

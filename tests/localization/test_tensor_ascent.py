@@ -47,7 +47,9 @@ def _value(densities: TensorDensities, evidence: Evidence, T: FloatArray, tolera
     return float(np.log(evidence.epsilon[local.matches] + local.at(T, tolerance_px).density).sum())
 
 
-@pytest.mark.parametrize("dof", list(Dof))
+@pytest.mark.parametrize(
+    "dof", [Dof.UPRIGHT, *(pytest.param(dof, marks=pytest.mark.slow) for dof in (Dof.FREE, Dof.AUTO))]
+)
 def test_frames_between_the_views_are_localized(tensor_localizer: Localizer, point_room: Any, dof: Dof) -> None:
     distances, angles = [], []
     for seed, truth in enumerate(point_room.walk(12, sideways_m=0.12)[::2]):

@@ -179,6 +179,7 @@ def test_measured_ranges_follow_the_scale(room):
     np.testing.assert_allclose(anew.landmarks.positions, corrected.landmarks.positions, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_corrected_map_merges_and_forgets(point_room):
     walk = point_room.walk(80)
     west, east = point_room.map_of(walk[:45:2], "w"), point_room.map_of(walk[25:65:3], "e")

@@ -161,6 +161,7 @@ def test_recorded_depth_becomes_a_room_in_the_maps_scale(walked_map: Map, record
         assert {tuple(colour) for colour in room.vertices.colours.tolist()} == {(255, 128, 0)}
 
 
+@pytest.mark.slow
 def test_recorded_depth_is_of_its_recordings_camera_where_the_map_has_another(
     walked_map: Map, recording: Recording, drawn: Room
 ) -> None:
@@ -171,6 +172,7 @@ def test_recorded_depth_is_of_its_recordings_camera_where_the_map_has_another(
     np.testing.assert_array_equal(room.vertices.positions, drawn.vertices.positions)
 
 
+@pytest.mark.slow
 def test_depth_that_contradicts_the_landmarks_draws_nothing(walked_map: Map, recording: Recording) -> None:
     shuffled = replace(recording, depth=recording.depth.select(np.roll(np.arange(60), 18)))
     map_ = named(walked_map, shuffled)
@@ -181,6 +183,7 @@ def test_what_the_map_was_not_made_from_draws_nothing(walked_map: Map, recording
     assert draw_room(walked_map, [recording]) is walked_map
 
 
+@pytest.mark.slow
 def test_pairs_of_frames_measure_depth(point_room: Any) -> None:
     """Two rows of cameras look at a textured wall at y = 2.5 m; depth is right to some per cent wherever two agree."""
     rng = np.random.default_rng(3)
@@ -302,6 +305,7 @@ def test_they_are_cut_with_the_map(room: Map) -> None:
     assert len(shorter.cloud) == 100
 
 
+@pytest.mark.slow
 def test_they_are_merged_and_forgotten_with_their_recording(room: Map, point_room: Any) -> None:
     other = decorated(point_room.map_of(point_room.walk(30, 0.2), "second"), seed=1)
     merged = merge_maps(room, move_map(other, Similarity(1.0, np.eye(3), np.array([0.5, 0.0, 0.0]))))

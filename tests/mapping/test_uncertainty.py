@@ -64,12 +64,14 @@ def test_a_merged_map_is_as_uncertain_as_both(first: Map, uncertain: Map, merged
     assert merged.info.report.expected_error.rms_m > first.views.expected_errors_m.mean()
 
 
+@pytest.mark.slow
 def test_what_is_forgotten_is_not_expected_to_err(first: Map, second: Map, merged: Map) -> None:
     report = forget_recording(merged, "second").info.report
     assert len(report.expected_error.views_m) == 30
     assert forget_recording(merge_maps(first, second), "first").info.report.expected_error is None
 
 
+@pytest.mark.slow
 def test_in_the_frame_of_a_map_that_does_not_know_nothing_is_known(first: Map, second: Map) -> None:
     assert np.isnan(merge_maps(second, first).views.expected_errors_m).all()
 

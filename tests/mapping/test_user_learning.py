@@ -91,6 +91,7 @@ def learned(made_once: Any, room_map: Map, queries: list[AnsweredQuery]) -> Map:
     return made_once("learned", lambda: learn_from_queries(room_map, queries))
 
 
+@pytest.mark.slow
 def test_what_moved_is_forgotten_and_what_came_is_learned(
     room_map: Map, learned: Map, point_room: Any, changed_room: Any, is_moved: BoolArray
 ) -> None:
@@ -110,6 +111,7 @@ def test_what_moved_is_forgotten_and_what_came_is_learned(
     assert (learned.info.id, learned.info.version) == (room_map.info.id, room_map.info.version + 1)
 
 
+@pytest.mark.slow
 def test_the_report_says_what_was_learned(learned: Map, queries: list[AnsweredQuery]) -> None:
     report = learned.info.report.learned[-1]
     assert report.queries.kept == len(queries)
@@ -134,6 +136,7 @@ def test_a_report_reads_back_where_nothing_held_back_was_found(room_map: Map) ->
     assert report_from_json(QueriesReport, json.loads(json.dumps(report_to_json(report)))) == report
 
 
+@pytest.mark.slow
 def test_the_changed_room_is_found_again(room_map: Map, learned: Map, changed_room: Any) -> None:
     poses = beside(changed_room, 15, -0.1)
     found = recall(learned, changed_room, poses)
@@ -153,6 +156,7 @@ def second_lesson(learned: Map, second_night: list[user_learning._Placed]) -> us
     return user_learning._lesson(Localizer(learned), second_night, silent)
 
 
+@pytest.mark.slow
 def test_a_query_becomes_a_view_once_and_a_map_does_not_grow_without_end(
     room_map: Map, learned: Map, second_night: list[user_learning._Placed], second_lesson: user_learning._Lesson
 ) -> None:
@@ -164,6 +168,7 @@ def test_a_query_becomes_a_view_once_and_a_map_does_not_grow_without_end(
         assert len(map_to_bytes(map_)) < 1.5 * len(map_to_bytes(room_map))
 
 
+@pytest.mark.slow
 def test_a_second_night_does_not_forget_other_places(
     learned: Map, second_night: list[user_learning._Placed], second_lesson: user_learning._Lesson
 ) -> None:
@@ -182,11 +187,13 @@ def test_views_give_way_to_newer_ones_near_them(point_room: Any) -> None:
     assert user_learning._thinned(poses[:0], times[:0], 6).shape == (0,)
 
 
+@pytest.mark.slow
 def test_what_was_learned_can_be_forgotten_like_a_recording(learned: Map) -> None:
     left = forget_recording(learned, "queries")
     assert [source.name for source in left.info.sources] == ["walk"]
 
 
+@pytest.mark.slow
 def test_of_a_recording_that_is_forgotten_what_users_saw_stays(learned: Map) -> None:
     left = forget_recording(learned, "walk")
     assert [source.name for source in left.info.sources] == ["queries"]

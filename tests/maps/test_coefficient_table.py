@@ -49,6 +49,14 @@ def small_map(request: pytest.FixtureRequest, room_map: Map, small_tensor_map: M
     return small_tensor_map if request.param == "tensor" else room_map
 
 
+@pytest.fixture(scope="module")
+def small_table(small_map: Map, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The map's coefficient table."""
+    path = tmp_path_factory.mktemp("table") / "room.csv"
+    write_coefficient_table(_first(small_map, 11), path)
+    return path.read_text()
+
+
 def _first(map_: Map, count: int) -> Map:
     """The map with every so many features left out, ``count`` of them kept."""
     kept = np.linspace(0, len(map_) - 1, count).astype(int)
@@ -216,9 +224,9 @@ def _cut_within_a_row(cells: list[list[str]]) -> None:
         (_column("seen_from", lambda _: "1 2 3"), "contradicts|view"),
     ],
 )
-def test_a_damaged_table_is_refused_with_what_is_wrong(small_map: Map, tmp_path: Path, damage, says: str):
+def test_a_damaged_table_is_refused_with_what_is_wrong(small_table: str, tmp_path: Path, damage, says: str):
     path = tmp_path / "room.csv"
-    write_coefficient_table(small_map, path)
+    path.write_text(small_table)
     cells = _cells(path)
     damage(cells)
     path.write_text("\n".join(",".join(row) for row in cells) + "\n")

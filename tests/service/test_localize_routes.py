@@ -159,6 +159,7 @@ def test_a_full_queue_answers_busy(serve, picture_world, monkeypatch):
     assert send_picture(running, picture_world).status_code == 200
 
 
+@pytest.mark.slow
 def test_a_map_is_swapped_between_two_requests(serve, picture_world):
     running = serve()
     files = {version: picture_world.rho(version=version, id=f"{version:032x}") for version in (1, 2)}

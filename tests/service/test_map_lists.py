@@ -89,6 +89,7 @@ def test_a_picture_is_refused_by_its_header_before_it_is_decoded(running, pictur
     assert not decoded
 
 
+@pytest.mark.slow
 def test_a_large_site_is_stored(serve, picture_world):
     running = serve()
     running.app.state.rholoc.operation.watch.stop()  # 600 maps' views are beside the point

@@ -244,6 +244,7 @@ def written(path: Path, content: bytes) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_no_route_answers_with_a_path(serve, picture_world):
     running = serve()
     maps, library = running.settings.maps_dir, running.app.state.rholoc.maps.sync

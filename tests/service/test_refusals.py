@@ -60,6 +60,7 @@ def test_the_last_refused_pictures_are_kept_with_their_cause_and_sender(keeping,
     assert all(0 <= share <= 1 for line in likeness["lines"] for share in line)
 
 
+@pytest.mark.slow
 def test_a_large_picture_is_answered_and_kept(keeping):
     url, headers = keeping
     answer = ask(url, headers, np.zeros((3600, 4800, 3), np.uint8))

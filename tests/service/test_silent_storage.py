@@ -296,7 +296,7 @@ def test_calls_that_take_too_long_are_given_up_and_further_ones_refused_at_once(
     asyncio.run(main())
 
 
-@pytest.mark.parametrize("shared", [False, True], ids=["alone", "shared"])
+@pytest.mark.parametrize("shared", [pytest.param(False, marks=pytest.mark.slow), True], ids=["alone", "shared"])
 def test_nothing_is_asked_of_a_disk_or_a_database_in_the_loops_thread(serve, loops, tmp_path, picture_world, shared):
     """All routes that read, and one of each kind that writes, once with everything cold."""
     running = serve(

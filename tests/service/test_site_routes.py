@@ -108,6 +108,7 @@ def test_what_names_no_maps_is_refused(client, campus, picture_world, query: str
     assert answer.json()["code"] == code
 
 
+@pytest.mark.slow
 def test_maps_that_overlap_are_placed(client) -> None:
     before = client.put_site("campus", {"maps": [{"map": "west"}, {"map": "east"}, {"map": "room"}]})
     assert [one.position is None for one in before.maps] == [False, True, True]

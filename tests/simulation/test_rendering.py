@@ -55,7 +55,7 @@ def cast_rays(scene: Scene, pose: Pose, pixels: FloatArray) -> FloatArray:
 
 def test_what_hides_what_agrees_with_ray_casting(site: Scene, renderer: Renderer) -> None:
     pixels = np.random.default_rng(0).integers(0, (CAMERA.width, CAMERA.height), (3000, 2))
-    for pose in [*poses_at(0.5, 6.0, 12.0, 18.0, 24.0, 29.0), *poses_at(9.0, 21.0, walk=2)]:
+    for pose in [*poses_at(6.0, 18.0), *poses_at(9.0, walk=2)]:
         drawn = renderer.surface(CAMERA, pose).depth[pixels[:, 1], pixels[:, 0]]
         cast = cast_rays(site, pose, pixels.astype(np.float64))
         assert np.mean(np.abs(drawn - cast) < 1e-6) > 0.998  # the rest are pixels right on an edge
@@ -123,15 +123,19 @@ def test_textured_rooms_give_features_and_blank_walls_do_not(sparse_site: Scene)
     assert counts[1] < 0.25 * counts[0]
 
 
-def test_rooms_and_pictures_follow_from_their_seed(site: Scene, sparse_site: Scene) -> None:
+@pytest.mark.slow
+def test_rooms_follow_from_their_seed(site: Scene) -> None:
     again, other = make_test_site.__wrapped__(0), make_test_site(3)
     assert all(np.array_equal(a.paint.albedo, b.paint.albedo) for a, b in zip(site.faces, again.faces, strict=True))
     assert any(
         a.paint.albedo.shape != b.paint.albedo.shape or not np.array_equal(a.paint.albedo, b.paint.albedo)
         for a, b in zip(site.faces, other.faces, strict=False)
     )
+
+
+def test_noise_follows_from_its_seed() -> None:
     (pose,) = poses_at(2.0)
-    pictures = [render_view(sparse_site, CAMERA, pose, Light.DIM, seed) for seed in (1, 1, 2)]
+    pictures = [render_view(make_blank_wall(), CAMERA, pose, Light.DIM, seed) for seed in (1, 1, 2)]
     assert np.array_equal(pictures[0], pictures[1])
     assert not np.array_equal(pictures[0], pictures[2])
 

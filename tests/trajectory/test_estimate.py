@@ -88,6 +88,7 @@ def test_the_imus_way_needs_an_imu() -> None:
         estimate_trajectory(_recording(_wall()), PoseMethod.INERTIAL)
 
 
+@pytest.mark.slow
 def test_a_rolling_shutter_is_corrected_before_the_reconstruction(monkeypatch: pytest.MonkeyPatch) -> None:
     """The image moves left by 180 px/s: rows above the middle were read earlier, further to the right than they are."""
     noise = np.random.default_rng(0).integers(0, 255, (240, 560, 3), dtype=np.uint8)
@@ -151,6 +152,7 @@ def _truth(walk: SyntheticWalk, found: Trajectory) -> FloatArray:
     return walk.T_map_camera[found.rows]
 
 
+@pytest.mark.slow
 def test_with_imu_and_waypoints_one_of_which_is_wrong(walk: SyntheticWalk) -> None:
     found = estimated(walk, walk.recording(waypoints=_waypoints(walk)), PoseMethod.VISUAL_INERTIAL)
     off_m, off_rad = pose_distances(found.T_map_camera, _truth(walk, found))

@@ -32,7 +32,7 @@ def _errors(found: FloatArray, path: FloatArray, R: FloatArray) -> tuple[float, 
     return float(np.median(moved)), float(np.degrees(np.median(turned)))
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_all_of_the_walk_at_once_is_better_than_leg_by_leg(seed: int) -> None:
     imu, path, R = walk()
     rows = np.flatnonzero((imu.times >= STOPS[0]) & (imu.times <= STOPS[-1]))[::40]

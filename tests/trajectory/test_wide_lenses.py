@@ -124,7 +124,7 @@ def test_an_adjustment_brings_disturbed_poses_back(camera: Camera) -> None:
     assert 1e-5 < sigmas_m < 0.01
 
 
-@LENSES
+@pytest.mark.parametrize("camera", [FISHEYE, pytest.param(PANORAMA, marks=pytest.mark.slow)])
 def test_pictures_become_a_reconstruction(camera: Camera) -> None:
     T = poses()
     seen = sightings(camera, T, points())

@@ -81,6 +81,7 @@ def test_a_failing_job_says_why_and_keeps_the_recording(
     assert name not in MapLibrary(busy_site.maps_dir).names()
 
 
+@pytest.mark.slow
 def test_a_panorama_is_no_stored_camera(site: Site) -> None:
     recording = site.recordings.create([("walk.mp4", [b"a walk"])]).id
     work = JobWork(recording, "round", JobOptions(camera="equirectangular"))
@@ -133,6 +134,7 @@ def test_a_worker_that_was_taken_for_dead_takes_jobs_again(busy_site: Site) -> N
     engine.dispose()
 
 
+@pytest.mark.slow
 def test_what_is_being_published_cannot_be_cancelled(busy_site: Site) -> None:
     busy_site.control.hold("publishing")
     job = busy_site.submit(map_name="too-late")
@@ -143,6 +145,7 @@ def test_what_is_being_published_cannot_be_cancelled(busy_site: Site) -> None:
     assert busy_site.wait_for(job, JobState.PUBLISHED, JobState.CANCELLED).state is JobState.PUBLISHED
 
 
+@pytest.mark.slow
 def test_doubts_about_a_map_are_reported(busy_site: Site) -> None:
     job = busy_site.wait_for(busy_site.submit(b"a doubtful walk", "doubtful"), JobState.PUBLISHED, JobState.FAILED)
     assert job.warnings == ("The frame poses are not trusted: Two reconstructions disagree.",)
@@ -211,7 +214,10 @@ def test_a_database_that_is_locked_for_a_while_is_waited_for(busy_site: Site) ->
 
 @pytest.mark.parametrize(
     ("limits", "message"),
-    [(Limits(time_s=0.1), "Mapping took longer than"), (Limits(memory_bytes=2**20), "Mapping needed more memory")],
+    [
+        (Limits(time_s=0.1), "Mapping took longer than"),
+        pytest.param(Limits(memory_bytes=2**20), "Mapping needed more memory", marks=pytest.mark.slow),
+    ],
 )
 def test_a_build_beyond_its_limits_is_ended(site: Site, tmp_path: Path, limits: Limits, message: str) -> None:
     site.control.hold("deaf-poses")

@@ -96,6 +96,7 @@ def odometry_end(truth: list[FloatArray], seed: int) -> FloatArray:
     return odometry(truth, np.random.default_rng(seed))[-1]
 
 
+@pytest.mark.slow
 def test_errors_are_as_the_covariance_says() -> None:
     """χ² of the last pose's error over many walks: its mean is 6 for an honest filter, less for a careful one."""
     distances = []
@@ -192,6 +193,7 @@ def test_without_motion_and_answers_it_is_lost_and_says_so() -> None:
     assert np.median(errors_m(said[-100:], truth[-100:])) < 0.1
 
 
+@pytest.mark.slow
 def test_the_imu_alone_carries_a_pose_between_answers() -> None:
     """Readings of the walk's own second derivatives, with noise and a bias: within 10 cm at every frame."""
     rng, truth = np.random.default_rng(2), walk(20)
@@ -340,7 +342,7 @@ def test_motions_and_poses_are_each_others_inverse(values: list[float]) -> None:
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="Node.js is not installed")
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_session_of_javascript_has_the_camera_within_two_centimetres(seed, tmp_path):
     """On the same odometry and the same answers, which come a few frames late to the track."""
     rng = np.random.default_rng(seed)

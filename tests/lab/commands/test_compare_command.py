@@ -47,6 +47,7 @@ def pictures(folder: Path, count: int, poses: bool = True) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_lighting_pairs_print_a_table_and_write_figures_and_a_plot(compare: Run, scenes: Path, tmp_path: Path) -> None:
     status, out, _ = compare("--lighting-pairs", scenes, "-o", tmp_path / "out")
     assert status == 0

@@ -65,7 +65,9 @@ def test_every_form_peaks_where_its_feature_appears(hall: Map, kind: DensityKind
     assert headings[4, 4] > 0.9 > 0.5 > headings[0, 0]
 
 
-@pytest.mark.parametrize("more", [("--pixel", "300,200", "--tolerance", "20"), ("--sharpening",)])
+@pytest.mark.parametrize(
+    "more", [pytest.param(("--pixel", "300,200", "--tolerance", "20"), marks=pytest.mark.slow), ("--sharpening",)]
+)
 def test_a_picture(rholoc: Run, file: Path, hall: Map, more: tuple[str, ...]) -> None:
     out = file.with_name("density.png")
     status, _, errors = rholoc("density", file, "--feature", _most_seen(hall), "-o", out, *more)
@@ -88,6 +90,7 @@ def test_a_volume_opens_as_an_image(rholoc: Run, file: Path, hall: Map) -> None:
     assert min(float(step) for step in image.attrib["Spacing"].split()) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".gif", ".mp4"])
 def test_a_film_has_a_picture_for_every_view(rholoc: Run, file: Path, ending: str, tmp_path: Path) -> None:
     map_ = load_map(file)
@@ -101,7 +104,7 @@ def test_a_film_has_a_picture_for_every_view(rholoc: Run, file: Path, ending: st
     assert count == np.bincount(map_.observations.features)[feature]
 
 
-@pytest.mark.parametrize("ending", [".png", ".vti"])
+@pytest.mark.parametrize("ending", [".png", pytest.param(".vti", marks=pytest.mark.slow)])
 def test_a_localization_is_shown(rholoc: Run, ending: str, tmp_path: Path) -> None:
     out = tmp_path / f"way{ending}"
     camera = json.loads((SHIPPED / "queries" / "camera.json").read_text())

@@ -90,6 +90,7 @@ def test_plots_name_their_methods(compared: Comparison, tmp_path: Path) -> None:
     assert legends[0] | legends[1] == {method.name for method in split.methods}
 
 
+@pytest.mark.slow
 def test_lights_are_compared_by_true_geometry(wall: Any, tmp_path: Path) -> None:
     warm = (0.5, 0.8, 1.0)
     maps = {"white": wall.walk(8), "warm": wall.walk(8, light=warm)}

@@ -76,6 +76,7 @@ def write_scene(folder: Path, stereo: bool) -> None:
     cv2.imwrite(str(folder / "left_default.png" if stereo else folder / "right_default.png"), image)
 
 
+@pytest.mark.slow
 def test_every_extractor_is_compared_on_every_scene(tmp_path: Path) -> None:
     write_scene(tmp_path / "a", stereo=False)
     write_scene(tmp_path / "b", stereo=True)

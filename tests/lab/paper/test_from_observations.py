@@ -97,6 +97,7 @@ def test_the_map_localizes_where_the_walk_went(fitted: Map, point_room: Any, wal
         assert tolerances == sorted(tolerances, reverse=True)
 
 
+@pytest.mark.slow
 def test_fitted_as_printed_nothing_localizes(table: ObservationTable, point_room: Any, walked: list[Any]) -> None:
     options = FitOptions(seen_only=True, report=False)
     map_ = map_from_observations(table, point_room.camera, "table.csv", options)
@@ -113,6 +114,7 @@ def test_fitted_as_printed_nothing_localizes(table: ObservationTable, point_room
     assert observed.fitted_share < 0.05 < observed.constant_share
 
 
+@pytest.mark.slow
 def test_a_file_and_a_csv_keep_it(fitted: Map, tmp_path: Path) -> None:
     save_map(fitted, tmp_path / "map.rho")
     again = load_map(tmp_path / "map.rho")

@@ -26,7 +26,7 @@ from rholoc_lab.simulation.sites import Site, make_site, make_site_walk
 
 SECONDS = 600.0
 CAMERA = PHONE_CAMERA.resized(160, 120)
-SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1,))]
+SEEDS = [0, 1]
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +48,7 @@ def room_names(building: Building, points: FloatArray) -> list[str]:
     return [building.names[i] for i in building.outside(points).argmin(axis=0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_boxes_stand_in_their_rooms_and_do_not_overlap(seed: int, building_of: Callable[[int], Building]) -> None:
     made = building_of(seed)
@@ -66,6 +67,7 @@ def test_boxes_stand_in_their_rooms_and_do_not_overlap(seed: int, building_of: C
             assert overlapping.tolist() == [i], name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("number", [1, 2])
 def test_the_walks_keep_to_the_rooms_and_clear_of_what_stands_there(
@@ -99,6 +101,7 @@ def test_the_walks_are_those_of_a_person() -> None:
     assert climbed.max() - climbed.min() == pytest.approx(3.0, abs=0.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seconds", "rooms", "waypoints"), [(30.0, 1, 3), (120.0, 4, 4), (600.0, 14, 12)])
 def test_shorter_walks_visit_fewer_rooms(building: Building, seconds: float, rooms: int, waypoints: int) -> None:
     walk = make_site_walk(Site.BUILDING, 1, seconds, 0)
@@ -118,6 +121,7 @@ def test_a_walk_of_any_length_begins_at_the_origin() -> None:
         np.testing.assert_allclose(start, 0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_is_seen_lies_where_the_ray_meets_it_first(building: Building, renderer: Renderer) -> None:
     """Every pixel's point is on its ray, and nothing stands before it in any of the rooms the ray passes."""
     walk = make_site_walk(Site.BUILDING, 1, SECONDS, 0)
@@ -135,6 +139,7 @@ def test_what_is_seen_lies_where_the_ray_meets_it_first(building: Building, rend
             assert room.blocked(np.tile(pose.position, (len(points), 1)), points, margin=5e-3).mean() < 0.06
 
 
+@pytest.mark.slow
 def test_a_room_is_seen_through_its_door(building: Building, renderer: Renderer) -> None:
     room = next(i for i, name in enumerate(building.names) if name == "room 001")
     way = building.portals[room][0]
@@ -158,6 +163,7 @@ def around(building: Building, room: int) -> Building:
     return Building(tuple(building.rooms[i] for i in kept), tuple(building.names[i] for i in kept), tuple(portals))
 
 
+@pytest.mark.slow
 def test_white_walls_are_white_and_rooms_are_lit(building: Building) -> None:
     room = building.names.index("room 004")
     (pose,) = make_site_walk(Site.BUILDING, 1, SECONDS, 0).poses(np.array([240.0]))
@@ -216,6 +222,7 @@ def test_the_same_seed_moves_the_same(site, way):
     assert names == again
 
 
+@pytest.mark.slow
 def test_a_room_without_space_says_so(site):
     grid = np.stack(np.meshgrid(np.arange(-2, 5, 0.5), np.arange(-1, 5, 0.5), [0.0]), axis=-1).reshape(-1, 3)
     with pytest.raises(ValueError, match="find another place"):

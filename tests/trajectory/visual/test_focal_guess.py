@@ -43,11 +43,13 @@ def test_the_gyroscope_is_calibrated_by_followed_corners(walk: SyntheticWalk) ->
     assert found.time_offset_s == pytest.approx(DELAY_S, abs=0.006)
 
 
+@pytest.mark.slow
 def test_the_focal_length_is_that_at_which_pictures_turn_as_the_gyroscope_does(walk: SyntheticWalk) -> None:
     found = guess_camera(walk.flow, replace(walk.imu, R_camera_imu=None))
     assert found.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.06)
 
 
+@pytest.mark.slow
 def test_without_a_gyroscope_the_pictures_give_one_that_is_plausible(walk: SyntheticWalk) -> None:
     found = guess_camera(walk.flow, None)
     assert found.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.25)
@@ -72,7 +74,7 @@ def _sideways(focal_px: float, frames: int = 80, corners: int = 60) -> Flow:
     return followed(np.arange(frames) / 10, (640, 480), np.array(pixels), np.ones((frames, corners), bool))
 
 
-@pytest.mark.parametrize("share", [0.7, 1.1])
+@pytest.mark.parametrize("share", [0.7, pytest.param(1.1, marks=pytest.mark.slow)])
 def test_perfect_pictures_show_the_focal_length_alone(share: float) -> None:
     assert guess_camera(_sideways(share * 640), None).focal == pytest.approx(share * 640, rel=0.02)
 
@@ -123,7 +125,7 @@ def _pairs_of_two_lenses(zoom: float, flat: bool, apart: float = 0.4) -> list[tu
     return pairs
 
 
-@pytest.mark.parametrize(("zoom", "apart"), [(0.6, 0.1), (1.7, 0.4)])
+@pytest.mark.parametrize(("zoom", "apart"), [(0.6, 0.1), pytest.param(1.7, 0.4, marks=pytest.mark.slow)])
 def test_a_second_lens_is_measured_by_what_both_saw(zoom: float, apart: float) -> None:
     found = zoom_by_matches(centred_camera((640, 480), 500.0), _pairs_of_two_lenses(zoom, flat=False, apart=apart))
     assert found == pytest.approx(zoom, rel=0.03)

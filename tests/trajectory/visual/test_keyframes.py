@@ -165,6 +165,7 @@ def _foreseen(walk: Walk, certain: Sequence[int] = ()) -> tuple[list[int], list[
     return rows.tolist(), walk.decoded[len(walk.times) : -len(rows)]
 
 
+@pytest.mark.slow
 def test_of_a_walk_of_some_length_every_frame_is_decoded_once_and_certain_keyframes_are_extracted() -> None:
     certain = {0, 7, 133, 219}
     rows, again = _foreseen(Walk(220), sorted(certain))
@@ -199,6 +200,7 @@ def test_few_images_wait_at_a_time() -> None:
         assert len(features.of(np.arange(40))) == 40
 
 
+@pytest.mark.slow
 def test_pictures_that_show_little_are_searched_at_twice_the_size() -> None:
     """White plaster shows fine specks alone, which vanish where a phone's picture is reduced."""
     picture = np.full((1440, 1920), 200, np.float32)
