@@ -544,6 +544,7 @@ def test_sending_can_be_cancelled(running, phone):
     expect(page.get_by_role("button", name="Send")).to_be_enabled()
 
 
+@pytest.mark.slow
 def test_a_key_that_allows_too_little_is_asked_for_again(serve, phone):
     running = serve(keys=KeyPolicy.ALWAYS)
     keys = KeyStore(running.settings.data_dir)

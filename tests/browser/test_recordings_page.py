@@ -161,6 +161,7 @@ def test_a_site_is_made_and_shown_and_shared(desk_browser, campus):
     page.close()
 
 
+@pytest.mark.slow
 def test_keys_are_handed_on_limited_and_revoked(desk_browser, campus):
     url, boss, store = campus
     page = desk_browser.new_page(locale="en-US")

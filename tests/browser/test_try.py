@@ -296,6 +296,7 @@ def camera_browser(fake_camera, picture_world):
     browser.close()
 
 
+@pytest.mark.slow
 def test_the_camera_is_tracked_and_the_track_says_when_it_is_lost_and_when_it_jumps(
     camera_browser, running, picture_world, opened, settled
 ):
