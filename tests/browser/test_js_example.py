@@ -69,7 +69,8 @@ def test_a_waypoint_is_drawn_where_it_is(fake_camera, pages, service, picture_wo
     browser.close()
 
 
-@pytest.mark.parametrize("point", ["lift", pytest.param("exit", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("point", ["lift", "exit"])
 def test_nothing_is_drawn_where_it_is_not_seen(fake_camera, pages, service, picture_world, point):
     """What is not known, and what is behind the camera."""
     picture = np.full_like(picture_world.image, 40) if point == "lift" else picture_world.image

@@ -68,7 +68,7 @@ def running(serve: Callable[..., Any]) -> Any:
 
 def record_walk(browser: Browser, phone: WalkingPhone, url: str, name: str, mistyped_m: float = 0.0) -> Page:
     """Record the walk, mark and measure its points, W2's x wrong by ``mistyped_m``; the page before sending."""
-    page = browser.new_context(viewport={"width": 390, "height": 844}).new_page()
+    page = browser.new_context(viewport={"width": 390, "height": 844}, reduced_motion="reduce").new_page()
     page.set_default_timeout(LONG_MS)
     phone.becomes(page)
     page.goto(f"{url}/record")

@@ -23,6 +23,7 @@ from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.settings import KeyPolicy
 
 PHONE = {"width": 390, "height": 844}
+ON_A_PHONE = {"viewport": PHONE, "has_touch": True, "reduced_motion": "reduce"}
 SENSORS = ("accelerometer", "gyroscope", "magnetometer")
 LONG_MS = 60_000
 
@@ -45,7 +46,7 @@ def phone(phone_browser: Browser) -> Iterator[Callable[..., Page]]:
     opened = []
 
     def open_page(url: str, permissions: tuple[str, ...] = ("camera", *SENSORS)) -> Page:
-        context = phone_browser.new_context(viewport=PHONE, has_touch=True, permissions=list(permissions))
+        context = phone_browser.new_context(**ON_A_PHONE, permissions=list(permissions))
         opened.append(context)
         page = context.new_page()
         page.set_default_timeout(LONG_MS)
@@ -424,7 +425,7 @@ def test_a_bare_wall_a_blur_and_standing_are_said_while_recording_and_before_sen
         (cv2.GaussianBlur(sharp, (0, 0), 8), "Blurred", "blurred"),
     ):
         browser = fake_camera([picture] * 10)
-        context = browser.new_context(viewport=PHONE, has_touch=True, permissions=["camera", *SENSORS])
+        context = browser.new_context(**ON_A_PHONE, permissions=["camera", *SENSORS])
         page = context.new_page()
         page.set_default_timeout(LONG_MS)
         page.goto(f"{running.url}/record")
@@ -438,7 +439,7 @@ def test_a_bare_wall_a_blur_and_standing_are_said_while_recording_and_before_sen
         section.get_by_role("button").first.click()
         browser.close()
     browser = fake_camera([sharp] * 10)
-    page = browser.new_context(viewport=PHONE, has_touch=True, permissions=["camera", *SENSORS]).new_page()
+    page = browser.new_context(**ON_A_PHONE, permissions=["camera", *SENSORS]).new_page()
     page.set_default_timeout(LONG_MS)
     page.goto(f"{running.url}/record")
     open_camera(page)

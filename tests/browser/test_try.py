@@ -58,6 +58,7 @@ def pictures(tmp_path_factory, picture_world):
     return folder
 
 
+@pytest.mark.slow
 def test_a_file_that_is_no_picture_clears_the_picture_before_and_an_error_its_circles(
     desk_browser, running, pictures, opened, settled
 ):

@@ -162,7 +162,9 @@ def test_coverage_is_coloured(make_map) -> None:
     "held_out",
     [
         HeldOutReport(4, 4, 0.01, 0.02, errors_m=(0.01,), confidences=()),
-        HeldOutReport(2, 0, None, None, errors_m=(None, None), confidences=(0.0, 0.2)),
+        pytest.param(
+            HeldOutReport(2, 0, None, None, errors_m=(None, None), confidences=(0.0, 0.2)), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_whatever_is_known_of_frames_held_out_there_is_a_picture(room_map: Map, held_out: HeldOutReport) -> None:
