@@ -105,11 +105,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found by way of /proc")
 @pytest.mark.parametrize(
     ("stage", "number"),
-    [
-        ("simulating", signal.SIGINT),
-        ("simulated walk-1", signal.SIGTERM),
-        ("features", signal.SIGTERM),
-    ],
+    [("simulating", signal.SIGINT), ("features", signal.SIGTERM)],
 )
 def test_a_demo_that_is_stopped_leaves_no_process_behind(
     stage: str, number: signal.Signals, walk: Path, tmp_path: Path

@@ -27,8 +27,8 @@ from rholoc.simulation import (
 from rholoc.storage.database import database_engine, open_database
 from rholoc_client import Client, JobFailed
 
-MAP_SECONDS = np.arange(0.0, 7.0, 0.14)
-QUERY_SECONDS = (1.07, 3.03, 5.11)
+MAP_SECONDS = np.arange(0.0, 3.5, 0.14)
+QUERY_SECONDS = (1.07, 3.03)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def running(serve):
 
 @pytest.fixture(scope="module")
 def recording(site, tmp_path_factory) -> Path:
-    """Fifty rendered frames with their true poses, as a folder."""
+    """Twenty-five rendered frames with their true poses, as a folder."""
     folder = tmp_path_factory.mktemp("walk")
     (folder / "frames").mkdir()
     rows = []
