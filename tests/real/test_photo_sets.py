@@ -26,7 +26,7 @@ def _set_of(paths: list[Path], folder: Path) -> Path:
 
 def test_every_picture_of_a_shuffled_set_is_placed(real_data: Path, tmp_path: Path) -> None:
     kitchen = real_data / "redkitchen"
-    known = read_recording(kitchen, "525.505,525.505,320,240", "400:1000:15")
+    known = read_recording(kitchen, "525.505,525.505,320,240", "400:1000:20")
     order = np.arange(len(known.frames.times))
     np.random.default_rng(0).shuffle(order)
     paths = [kitchen / "frames" / f"frame-{known.frames.numbers[row]:06d}.jpg" for row in order]
