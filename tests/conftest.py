@@ -105,6 +105,11 @@ sys.path.insert(0, str(Path(__file__).parent))  # of what tests of several packa
 _REAL_DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Hook of pytest: folders whose tests take minutes begin first, so that no process ends alone with one of them."""
+    items.sort(key=lambda item: item.path.parent.name not in ("real", "worker"))
+
+
 def pytest_collection_finish() -> None:
     """Hook of pytest."""
     gc.enable()
