@@ -183,7 +183,6 @@ def test_what_the_map_was_not_made_from_draws_nothing(walked_map: Map, recording
     assert draw_room(walked_map, [recording]) is walked_map
 
 
-@pytest.mark.slow
 def test_pairs_of_frames_measure_depth(point_room: Any) -> None:
     """Two rows of cameras look at a textured wall at y = 2.5 m; depth is right to some per cent wherever two agree."""
     rng = np.random.default_rng(3)

@@ -76,7 +76,6 @@ def test_the_garbage_collector_leaves_alone_what_was_imported(
     assert frozen[0] > 10_000
 
 
-@pytest.mark.slow
 def test_a_server_that_cannot_start_is_reported_with_its_log(tmp_path: Path) -> None:
     (tmp_path / "maps").write_text("a file where a folder should be")
     with (

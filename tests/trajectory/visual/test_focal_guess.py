@@ -43,7 +43,6 @@ def test_the_gyroscope_is_calibrated_by_followed_corners(walk: SyntheticWalk) ->
     assert found.time_offset_s == pytest.approx(DELAY_S, abs=0.006)
 
 
-@pytest.mark.slow
 def test_the_focal_length_is_that_at_which_pictures_turn_as_the_gyroscope_does(walk: SyntheticWalk) -> None:
     found = guess_camera(walk.flow, replace(walk.imu, R_camera_imu=None))
     assert found.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.06)
