@@ -330,7 +330,6 @@ def test_a_name_that_several_recordings_have_is_not_enough(walks: Walks) -> None
     assert len(forget_recording(updated, "first-id").info.sources) == 1
 
 
-@pytest.mark.slow
 def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks, second: Map) -> None:
     other = move_map(second, TURN)
     merged = merge_maps(walks.map_, other)
@@ -344,14 +343,14 @@ def test_maps_that_overlap_are_merged_in_the_frame_of_the_first(walks: Walks, se
     np.testing.assert_array_equal(merged.landmarks.patches[: len(walks.map_)], walks.map_.landmarks.patches)
     left = forget_recording(merged, "second")
     np.testing.assert_allclose(left.landmarks.positions, walks.map_.landmarks.positions, rtol=0, atol=1e-6)
-    # what both learned counts once
-    again = merge_maps(merged, move_map(merged_with_third(walks, other), TURN))
-    assert [source.name for source in again.info.sources] == ["first", "second", "third"]
 
 
-def merged_with_third(walks: Walks, other: Map) -> Map:
+@pytest.mark.slow
+def test_what_both_maps_have_learned_counts_once(walks: Walks, second: Map) -> None:
+    other = move_map(second, TURN)
     third = walks.room.map_of(walks.room.walk(80, sideways_m=-0.1)[20:50:2], "third")
-    return merge_maps(other, third)
+    again = merge_maps(merge_maps(walks.map_, other), move_map(merge_maps(other, third), TURN))
+    assert [source.name for source in again.info.sources] == ["first", "second", "third"]
 
 
 def test_merging_refuses_what_does_not_fit(walks: Walks, another_room: Any, second: Map) -> None:
