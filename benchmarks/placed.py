@@ -2,7 +2,7 @@
 
     python benchmarks/placed.py [redkitchen corridor_lidar/scan=1hz,0.5hz splat_desk euroc_v101 bedroom_night
         android_livingroom room building] [--as walk set shuffled 2hz 1hz 0.5hz half mixed]
-        [--methods rholoc incremental global] [--hz 6] [--seconds 120] [--most 300] [--cache DIR] [--kept]
+        [--seeds 0] [--methods rholoc incremental global] [--hz 6] [--seconds 120] [--most 300] [--cache DIR] [--kept]
         [--timeout 1800] [--json FILE] [--write]
 
 ``--as``, or after ``=`` for one recording: as they are (``walk``: video and IMU, ``--hz`` pictures a second for
@@ -11,7 +11,8 @@ same in any order and without intrinsics (``shuffled``), every second of them (`
 them (``mixed``). With times: two, one or half a picture a second. A recording without times counts as a film of 30 Hz
 if it has more than 300 pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, ``--seconds`` long. Any
 folder of ``--data`` may be named, with ``truth.csv`` where the truth is known. Sets of more than ``--most`` pictures
-are left out.
+are left out. Each of ``--seeds``, 0 to 9, takes other pictures of the recording, as many tenths of the interval later,
+and another order.
 
 Plain pycolmap: its own SIFT, its mappers with default options, the intrinsics that the folder states; all pairs of up
 to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. Both of its mappers have
@@ -62,6 +63,7 @@ METHODS = ("rholoc", "incremental", "global")
 COLUMNS = {
     "recording": "recording",
     "as": "as",
+    "seed": "seed",
     "method": "method",
     "placed": "placed",
     "given": "of",
@@ -83,6 +85,20 @@ _RIGHT = 0.05  # of the walk's extent, by which a pose may be off to count as ri
 _MAX_RATIO = 1.2  # of rholoc's median error to that of the better of pycolmap's mappers
 _NEGLIGIBLE_CM = 0.1  # by which rholoc's median may be larger in any case: the truth is not better known
 _MAX_SURPRISE = 3.0  # of a trusted map's median error to the one that it expects
+
+
+@dataclass(frozen=True)
+class Case:
+    """A recording and how its pictures are taken from it."""
+
+    recording: str
+    kind: str
+    seed: int
+
+    @property
+    def slug(self) -> str:
+        """Name for files."""
+        return f"{self.recording.replace('/', '-')}-{self.kind}-{self.seed}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,18 +126,18 @@ def walk_of(name: str, data: Path, cache: Path, seconds: float) -> Walk:
     return Walk(replace(recording, poses=None, waypoints=()), truth)
 
 
-def as_pictures(walk: Walk, kind: str, folder: Path, other: Recording | None) -> Walk:
+def as_pictures(walk: Walk, case: Case, folder: Path, other: Recording | None) -> Walk:
     """The walk as a folder of pictures, see the head of this file; ``other`` is mixed with it."""
-    recording = walk.recording
+    recording, kind = walk.recording, case.kind
     hz = float(kind.removesuffix("hz")) if kind.endswith("hz") else _SET_HZ
-    rows = _rows_at(recording, hz)[:: 2 if kind == "half" else 1]
-    numbers = np.random.default_rng(0).permutation(len(rows)) if kind == "shuffled" else np.arange(len(rows))
+    rows = _rows_at(recording, hz / 2 if kind == "half" else hz, case.seed)
+    numbers = np.random.default_rng(case.seed).permutation(len(rows)) if kind == "shuffled" else np.arange(len(rows))
     folder.mkdir(exist_ok=True)
     for number, image in zip(numbers.tolist(), recording.frames.images(rows.tolist()), strict=True):
         _write(folder, number, image)
     truth = None if walk.truth is None else walk.truth[rows[np.argsort(numbers)]]
     if other is not None:
-        added = _rows_at(other, _SET_HZ)
+        added = _rows_at(other, _SET_HZ, case.seed)
         for number, image in enumerate(other.frames.images(added.tolist()), len(rows)):
             _write(folder, number, image)
         if truth is not None:
@@ -138,12 +154,13 @@ def _write(folder: Path, number: int, image: ByteArray) -> None:
     cv2.imwrite(str(folder / f"{number:05d}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
 
 
-def _rows_at(recording: Recording, hz: float) -> IntArray:
-    """Rows of so many pictures a second, at most all."""
+def _rows_at(recording: Recording, hz: float, seed: int = 0) -> IntArray:
+    """Rows of so many pictures a second, at most all; the first is ``seed`` tenths of the interval late."""
     frames = recording.frames
     untimed_s = 1 / (_FILM_HZ if len(frames.times) > _FILM else _SET_HZ)
     between_s = float(np.median(np.diff(frames.times))) if frames.timed else untimed_s
-    return np.arange(0, len(frames.times), max(1, round(1 / hz / between_s)))
+    interval = max(1, round(1 / hz / between_s))
+    return np.arange(seed * interval // 10, len(frames.times), interval)
 
 
 def by_rholoc(recording: Recording, hz: float | None) -> dict[str, Any]:
@@ -200,28 +217,28 @@ def colmap_intrinsics(camera: Camera) -> str:
     return ",".join(str(value) for value in (camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, *distortion))
 
 
-def made(name: str, kind: str, options: argparse.Namespace, cache: Path) -> Walk:
+def made(case: Case, options: argparse.Namespace, cache: Path) -> Walk:
     """A recording as it is asked for."""
-    walk = walk_of(name, options.data, cache, options.seconds)
-    if kind == "walk":
+    walk = walk_of(case.recording, options.data, cache, options.seconds)
+    if case.kind == "walk":
         return walk
-    other = "splat_desk" if name != "splat_desk" else "android_livingroom"
-    mixed = walk_of(other, options.data, cache, options.seconds).recording if kind == "mixed" else None
-    return as_pictures(walk, kind, cache / f"{name.replace('/', '-')}-{kind}", mixed)
+    other = "splat_desk" if case.recording != "splat_desk" else "android_livingroom"
+    mixed = walk_of(other, options.data, cache, options.seconds).recording if case.kind == "mixed" else None
+    return as_pictures(walk, case, cache / case.slug, mixed)
 
 
-def _work(name: str, kind: str, method: str, options: argparse.Namespace, cache: Path, answers: Any) -> None:
+def _work(case: Case, method: str, options: argparse.Namespace, cache: Path, answers: Any) -> None:
     """In a process of its own: a mapper may crash or never end."""
     pycolmap.logging.minloglevel = 3  # fatal errors alone
-    recording = made(name, kind, options, cache).recording
-    hz = options.hz if kind == "walk" else None
+    recording = made(case, options, cache).recording
+    hz = options.hz if case.kind == "walk" else None
     begun, busy = time.monotonic(), os.times()
     try:
         if method == "rholoc":
             found = by_rholoc(recording, hz)
         else:
             mapper = pycolmap.incremental_mapping if method == "incremental" else pycolmap.global_mapping
-            found = by_pycolmap(recording, hz, mapper, cache / f"{name.replace('/', '-')}-{kind}-pycolmap")
+            found = by_pycolmap(recording, hz, mapper, cache / f"{case.slug}-pycolmap")
     except RholocError as error:
         found = {"failed": f"{error.message} {error.hint}", "given": len(recording.frames.times)}
     found["seconds"] = time.monotonic() - begun
@@ -229,14 +246,14 @@ def _work(name: str, kind: str, method: str, options: argparse.Namespace, cache:
     answers.put(found)
 
 
-def answer_of(name: str, kind: str, method: str, options: argparse.Namespace, cache: Path) -> dict[str, Any]:
+def answer_of(case: Case, method: str, options: argparse.Namespace, cache: Path) -> dict[str, Any]:
     """A method's answer; pycolmap's is kept in the cache, rholoc's counts from there if asked for."""
-    kept = cache / f"{name.replace('/', '-')}-{kind}-{method}.pickle"
+    kept = cache / f"{case.slug}-{method}.pickle"
     if (options.kept or method != "rholoc") and kept.exists():
         return dict(pickle.loads(kept.read_bytes()))
     spawn = multiprocessing.get_context("spawn")
     answers = spawn.Queue()
-    process = spawn.Process(target=_work, args=(name, kind, method, options, cache, answers))
+    process = spawn.Process(target=_work, args=(case, method, options, cache, answers))
     process.start()
     found: dict[str, Any] = {"failed": f"did not end within {options.timeout:.0f} s"}
     deadline = time.monotonic() + options.timeout
@@ -256,11 +273,12 @@ def answer_of(name: str, kind: str, method: str, options: argparse.Namespace, ca
     return found
 
 
-def measure(name: str, kind: str, method: str, options: argparse.Namespace, cache: Path) -> dict[str, Any]:
+def measure(case: Case, method: str, options: argparse.Namespace, cache: Path) -> dict[str, Any]:
     """One row of the table."""
-    found = answer_of(name, kind, method, options, cache)
-    walk = made(name, kind, options, cache)
-    row: dict[str, Any] = {"recording": name, "as": kind, "method": method, "placed": len(found.get("rows", ()))}
+    found = answer_of(case, method, options, cache)
+    walk = made(case, options, cache)
+    row: dict[str, Any] = {"recording": case.recording, "as": case.kind, "seed": case.seed, "method": method}
+    row["placed"] = len(found.get("rows", ()))
     if "given" in found:
         row["given"] = found["given"]
     if "seconds" in found:
@@ -297,7 +315,8 @@ def judged(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         (row["median_cm"] for row in others if "median_cm" in row and placed[row["method"]] >= 0.95 * most),
         default=None,
     )
-    found = {"recording": ours["recording"], "as": ours["as"], "placed": placed["rholoc"], "by pycolmap": most}
+    found = {key: ours[key] for key in ("recording", "as", "seed")}
+    found |= {"placed": placed["rholoc"], "by pycolmap": most}
     found |= {"median cm": own_cm, "pycolmap's": better_cm} if own_cm is not None else {}
     judgement = [] if placed["rholoc"] >= most else ["fewer"]
     allowed_cm = np.inf if better_cm is None else max(_MAX_RATIO * better_cm, better_cm + _NEGLIGIBLE_CM)
@@ -325,10 +344,22 @@ def figures_of(judgements: Sequence[dict[str, Any]], table: Sequence[dict[str, A
     }
 
 
+def _is_worth_comparing(case: Case, options: argparse.Namespace, cache: Path) -> bool:
+    """Whether a set has neither too few pictures nor more than ``--most``."""
+    if case.kind == "walk":
+        return True
+    recording = walk_of(case.recording, options.data, cache, options.seconds).recording
+    if len(_rows_at(recording, _SET_HZ)) < 2 * _FEWEST and case.kind not in ("set", "shuffled"):
+        return False
+    pictures = len(made(case, options, cache).recording.frames.times)
+    return pictures <= options.most
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recordings", nargs="*", default=NAMES, help=", ".join(NAMES) + ", or a folder of the data")
     parser.add_argument("--as", nargs="+", choices=KINDS, default=KINDS[1:], dest="kinds")
+    parser.add_argument("--seeds", default="0", help="0 to 9, with commas between them")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     parser.add_argument("--data", type=Path, default=SHARED_DATA)
     parser.add_argument("--hz", type=float, default=6.0, help="pictures a second of a walk that pycolmap is given")
@@ -340,30 +371,28 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="where the table goes as JSON, too")
     parser.add_argument("--write", action="store_true", help="write benchmarks/results/placed.json")
     options = parser.parse_args()
+    seeds = [int(seed) for seed in options.seeds.split(",")]
     if options.kept and options.cache is None:
         parser.error("--kept needs --cache: rholoc's answers are taken from there.")
 
-    def asked(recording: str) -> list[tuple[str, str]]:
+    def asked(recording: str) -> list[Case]:
         name, _, own = recording.partition("=")
         kinds = own.split(",") if own else options.kinds
         if not set(kinds) <= set(KINDS):
             parser.error(f"{recording}: after = come some of {', '.join(KINDS)}")
-        return [(name, kind) for kind in kinds]
+        return [Case(name, kind, seed) for kind in kinds for seed in seeds]
 
     table: list[dict[str, Any]] = []
     judgements: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         cache = options.cache or Path(folder)
         cache.mkdir(parents=True, exist_ok=True)
-        for name, kind in itertools.chain.from_iterable(map(asked, options.recordings)):
-            recording = walk_of(name, options.data, cache, options.seconds).recording
-            if kind != "walk" and len(_rows_at(recording, _SET_HZ)) < 2 * _FEWEST and kind not in ("set", "shuffled"):
-                continue
-            if kind != "walk" and len(made(name, kind, options, cache).recording.frames.times) > options.most:
+        for case in itertools.chain.from_iterable(map(asked, options.recordings)):
+            if not _is_worth_comparing(case, options, cache):
                 continue
             rows = []
             for method in options.methods:
-                rows.append(measure(name, kind, method, options, cache))
+                rows.append(measure(case, method, options, cache))
                 shown = {key: value for key, value in rows[-1].items() if key in COLUMNS}
                 print(" ".join(f"{key}={value}" for key, value in shown.items()), flush=True)
             table += rows
@@ -374,18 +403,22 @@ def main() -> None:
         options.json.write_text(json.dumps(table, indent=2) + "\n")
     shown_rows = [{title: row[key] for key, title in COLUMNS.items() if key in row} for row in table]
     print_table(shown_rows, list(COLUMNS.values()))
-    print_table(judgements, ["recording", "as", "placed", "by pycolmap", "median cm", "pycolmap's", "judgement"])
+    print_table(
+        judgements, ["recording", "as", "seed", "placed", "by pycolmap", "median cm", "pycolmap's", "judgement"]
+    )
     if options.write:
         command = [
             "python benchmarks/placed.py",
             *options.recordings,
             "--as",
             *options.kinds,
+            "--seeds",
+            options.seeds,
             "--most",
             str(options.most),
             "--write",
         ]
-        write_results("placed", figures_of(judgements, table), " ".join(command))
+        write_results("placed", figures_of(judgements, table), " ".join(command), seeds)
         quote_anew()
 
 
