@@ -28,7 +28,6 @@ answers there count, too, so that sets measured one after the other are judged t
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import multiprocessing
 import os
@@ -77,6 +76,7 @@ COLUMNS = {
     "trusted": "trusted",
     "failed": "failed",
 }
+_JUDGED = ("recording", "as", "seed", "placed", "by pycolmap", "median cm", "pycolmap's", "judgement")
 _SET_HZ = 2.0
 _MAX_EXHAUSTIVE = 100  # pictures of which pycolmap matches all pairs
 _FILM_HZ, _FILM = 30.0, 300  # pictures without times, from which they count as a film
@@ -334,12 +334,14 @@ def figures_of(judgements: Sequence[dict[str, Any]], table: Sequence[dict[str, A
         found = [word not in one["judgement"] for one in judgements]
         return Figure(round(100 * float(np.mean(found)), 1), 5.0, True)
 
+    ratios = [one["median cm"] / one["pycolmap's"] for one in judgements if one.get("pycolmap's")]
     seconds = [row["cpu_s_a_picture"] for row in table if row["method"] == "rholoc" and "cpu_s_a_picture" in row]
     return {
         "placed.cases": Figure(len(judgements), 0, True),
         "placed.as_many_percent": share("fewer"),
         "placed.as_exact_percent": share("less exact"),
         "placed.honest_percent": share("wrong"),
+        "placed.worst_error_ratio": Figure(round(max(ratios), 2), 0.2, False),
         "placed.cpu_s_a_picture": Figure(round(float(np.median(seconds)), 2), 0.3, False),
     }
 
@@ -355,7 +357,8 @@ def _is_worth_comparing(case: Case, options: argparse.Namespace, cache: Path) ->
     return pictures <= options.most
 
 
-def main() -> None:
+def _options() -> argparse.Namespace:
+    """What the command was asked for; ``seeds`` are numbers and ``cases`` what is compared."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recordings", nargs="*", default=NAMES, help=", ".join(NAMES) + ", or a folder of the data")
     parser.add_argument("--as", nargs="+", choices=KINDS, default=KINDS[1:], dest="kinds")
@@ -371,54 +374,54 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="where the table goes as JSON, too")
     parser.add_argument("--write", action="store_true", help="write benchmarks/results/placed.json")
     options = parser.parse_args()
-    seeds = [int(seed) for seed in options.seeds.split(",")]
     if options.kept and options.cache is None:
         parser.error("--kept needs --cache: rholoc's answers are taken from there.")
-
-    def asked(recording: str) -> list[Case]:
+    options.command = (
+        f"python benchmarks/placed.py {' '.join(options.recordings)} --as {' '.join(options.kinds)} "
+        f"--seeds {options.seeds} --most {options.most} --write"
+    )
+    options.seeds = [int(seed) for seed in options.seeds.split(",")]
+    options.cases = []
+    for recording in options.recordings:
         name, _, own = recording.partition("=")
         kinds = own.split(",") if own else options.kinds
         if not set(kinds) <= set(KINDS):
             parser.error(f"{recording}: after = come some of {', '.join(KINDS)}")
-        return [Case(name, kind, seed) for kind in kinds for seed in seeds]
+        options.cases += [Case(name, kind, seed) for kind in kinds for seed in options.seeds]
+    return options
 
+
+def compared(options: argparse.Namespace, cache: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Rows of the table and judgements, printed as they come."""
     table: list[dict[str, Any]] = []
     judgements: list[dict[str, Any]] = []
+    for case in options.cases:
+        if not _is_worth_comparing(case, options, cache):
+            continue
+        rows = []
+        for method in options.methods:
+            rows.append(measure(case, method, options, cache))
+            shown = {key: value for key, value in rows[-1].items() if key in COLUMNS}
+            print(" ".join(f"{key}={value}" for key, value in shown.items()), flush=True)
+        table += rows
+        if "rholoc" in options.methods and len(rows) > 1:
+            judgements.append(judged(rows))
+            print(judgements[-1], flush=True)
+    return table, judgements
+
+
+def main() -> None:
+    options = _options()
     with tempfile.TemporaryDirectory() as folder:
         cache = options.cache or Path(folder)
         cache.mkdir(parents=True, exist_ok=True)
-        for case in itertools.chain.from_iterable(map(asked, options.recordings)):
-            if not _is_worth_comparing(case, options, cache):
-                continue
-            rows = []
-            for method in options.methods:
-                rows.append(measure(case, method, options, cache))
-                shown = {key: value for key, value in rows[-1].items() if key in COLUMNS}
-                print(" ".join(f"{key}={value}" for key, value in shown.items()), flush=True)
-            table += rows
-            if "rholoc" in options.methods and len(rows) > 1:
-                judgements.append(judged(rows))
-                print(judgements[-1], flush=True)
+        table, judgements = compared(options, cache)
     if options.json:
         options.json.write_text(json.dumps(table, indent=2) + "\n")
-    shown_rows = [{title: row[key] for key, title in COLUMNS.items() if key in row} for row in table]
-    print_table(shown_rows, list(COLUMNS.values()))
-    print_table(
-        judgements, ["recording", "as", "seed", "placed", "by pycolmap", "median cm", "pycolmap's", "judgement"]
-    )
+    print_table([{COLUMNS[key]: row[key] for key in COLUMNS if key in row} for row in table], list(COLUMNS.values()))
+    print_table(judgements, _JUDGED)
     if options.write:
-        command = [
-            "python benchmarks/placed.py",
-            *options.recordings,
-            "--as",
-            *options.kinds,
-            "--seeds",
-            options.seeds,
-            "--most",
-            str(options.most),
-            "--write",
-        ]
-        write_results("placed", figures_of(judgements, table), " ".join(command), seeds)
+        write_results("placed", figures_of(judgements, table), options.command, options.seeds)
         quote_anew()
 
 
