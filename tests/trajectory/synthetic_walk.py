@@ -193,6 +193,8 @@ class SyntheticFeatures:
         """Of some."""
         return [self.every[row] for row in rows.tolist()]
 
+    of_set = of
+
 
 def _points(count: int, seed: int) -> FloatArray:
     """Points (P, 3) on the four walls of the room, metres."""

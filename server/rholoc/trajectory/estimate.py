@@ -285,7 +285,8 @@ def _visual(
         frames = recording.frames
         flow = track_corners(frames, progress, features.foresee, recording.camera, may_be_film(frames))
         rows, choices = _keyframes(recording, imu, flow, features)
-        sights = _sights(recording, flow, rows, features.of(rows, progress))
+        found = features.of(rows, progress) if is_film(flow) else features.of_set(rows, progress)
+        sights = _sights(recording, flow, rows, found)
     return _placed(recording, method, sights, imu, choices, progress)
 
 

@@ -215,12 +215,20 @@ def test_pictures_that_show_little_are_searched_at_twice_the_size() -> None:
     assert found.pixels.max() > 1000
 
 
-def test_dim_pictures_show_features_too() -> None:
+def test_weak_features_count_in_a_set_of_dim_pictures() -> None:
     """A wooden door in a dim bedroom showed sixty features, too few to link the pictures before it and after it."""
     texture = cv2.GaussianBlur(np.random.default_rng(0).normal(0, 1, (480, 640)).astype(np.float32), (0, 0), 2.0)
-    dim = np.repeat((40 + 20 * texture).round()[..., None], 3, axis=2).astype(np.uint8)
-    with KeyframeFeatures(MemoryFrames([dim], 1.0)) as features:
-        assert len(features.of(np.array([0]))[0]) > 1000
+    dim, bright = (
+        np.repeat((100 + contrast * texture).round().clip(0, 255)[..., None], 3, axis=2).astype(np.uint8)
+        for contrast in (20, 200)
+    )
+    for pictures, weak in (([dim, dim, bright], True), ([dim, bright, bright], False)):
+        rows = np.arange(3)
+        with KeyframeFeatures(MemoryFrames(pictures, 1.0)) as features:
+            usual, of_set = features.of(rows), features.of_set(rows)
+        assert len(usual[0]) < 600
+        assert (len(of_set[0]) > 1000) is weak
+        assert of_set[2] is usual[2]
 
 
 @pytest.mark.parametrize(

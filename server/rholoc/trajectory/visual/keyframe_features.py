@@ -21,7 +21,7 @@ from rholoc.trajectory.visual.keyframes import KeyframeSteps
 _LONGER_SIDE_PX = 960  # larger images are reduced: more pixels cost time and place no more frames
 _FEW = 600  # features of a picture, such as of white walls, below which twice the size is searched
 _THREADS = 2
-_CONTRAST = 0.007  # of the weakest feature, a third of the usual one: dim rooms and walls show few others
+_WEAK_CONTRAST = 0.007  # a third of the usual one; such features are less exact, but dim rooms show few others
 _FEATURES, _MAX_FEATURES = 1000, 1500  # of a keyframe, and of one in a small set, where more cost little
 _SMALL_SET = 100  # pictures
 
@@ -54,8 +54,9 @@ class KeyframeFeatures:
             camera: of the frames; needed for wide lenses.
         """
         self._frames = frames
-        extractor = SiftExtractor(features=_features_each(len(frames.times)), contrast_threshold=_CONTRAST)
-        self._extractor = widened(extractor, camera)
+        usual = SiftExtractor(features=_features_each(len(frames.times)))
+        weak = replace(usual, contrast_threshold=_WEAK_CONTRAST)
+        self._extractor, self._weak_extractor = widened(usual, camera), widened(weak, camera)
         self._longest_px = round(_LONGER_SIDE_PX * (1.0 if camera is None else camera.breadth))
         self._certain = certain
         self._show = show
@@ -105,14 +106,32 @@ class KeyframeFeatures:
             progress(Stage.FEATURES, len(features) / len(rows), f"{len(features)} of {len(rows)} keyframes")
         return features
 
+    def of_set(self, rows: IntArray, progress: ProgressListener = silent) -> list[FeatureSet]:
+        """Features of the pictures ``rows`` (K,) of a set, as :meth:`of`; if most have fewer than 1000, weak ones, too.
+
+        Pictures with 1000 get no weak ones in any case.
+        """
+        found = self.of(rows, progress)
+        plain = [i for i, features in enumerate(found) if len(features) < _FEATURES]
+        if 2 * len(plain) <= len(found):
+            return found
+        images = self._frames.images(rows[plain].tolist())
+        weak = [self._begin(_extract, image, self._weak_extractor, self._longest_px) for image in images]
+        for i, features in zip(plain, weak, strict=True):
+            found[i] = features.result()
+        return found
+
     def _extract(self, row: int, image: ByteArray) -> None:
-        """Start an extraction in a thread, unless the row's was started; blocks while two per thread wait."""
-        if row in self._found:
-            return
+        """Start an extraction, unless the row's was started."""
+        if row not in self._found:
+            self._found[row] = self._begin(self._extracted, row, image)
+
+    def _begin(self, extract: Callable[..., FeatureSet], *arguments: object) -> Future[FeatureSet]:
+        """Start an extraction in a thread; blocks while two per thread wait."""
         while len(self._waiting) >= _MAX_WAITING:
             self._waiting.popleft().result()
-        self._found[row] = self._pool.submit(self._extracted, row, image)
-        self._waiting.append(self._found[row])
+        self._waiting.append(self._pool.submit(extract, *arguments))
+        return self._waiting[-1]
 
     def _extracted(self, row: int, image: ByteArray) -> FeatureSet:
         if self._show is not None:
