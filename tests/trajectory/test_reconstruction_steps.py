@@ -12,9 +12,9 @@ from rholoc.geometry import BoolArray, Camera, FloatArray, Similarity, pose_matr
 from rholoc.progress import Stage
 from rholoc.recordings import GRAVITY
 from rholoc.trajectory.optimization.adjustment import GIVEN, GUESSED, InertialState, State
+from rholoc.trajectory.optimization.rounds import AdjustmentProgress, camera_sigmas
 from rholoc.trajectory.reconstruction.figures import median_depth_of, scale_sigma_of, spread_covariances
 from rholoc.trajectory.reconstruction.outcome import moved
-from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, camera_sigmas
 from rholoc.trajectory.visual.tracks import Observations
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 320.0, 240.0)

@@ -14,10 +14,10 @@ from rholoc.progress import silent
 from rholoc.reports import TrajectoryReport
 from rholoc.trajectory import Scale, Trajectory
 from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction import from_pictures
 from rholoc.trajectory.reconstruction.part import Pictured, adjusted_part
-from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.visual.tracks import Observations
 
 COUNT, POINTS, NOISE_PX = 14, 150, 0.3

@@ -16,9 +16,9 @@ from rholoc.geometry import FloatArray, Similarity
 from rholoc.progress import silent
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.joining import joined_by_points, joined_by_waypoints, with_pieces_joined
 from rholoc.trajectory.reconstruction.part import Pictured, Start, adjusted_part
-from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations
 

@@ -13,11 +13,11 @@ from rholoc.progress import ProgressListener, silent
 from rholoc.recordings import Imu, Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.inertial.gyroscope import camera_rotations
+from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.from_imu import calibrated, solve_with_imu, start_with_imu
 from rholoc.trajectory.reconstruction.from_pictures import solve_from_pictures, solve_from_set
 from rholoc.trajectory.reconstruction.outcome import Reconstruction
 from rholoc.trajectory.reconstruction.part import Pictured
-from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
 from rholoc.trajectory.visual.focal_guess import camera_by_matches, guess_camera, zoom_by_matches
 from rholoc.trajectory.visual.matching import with_poses_anew

@@ -16,6 +16,13 @@ from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro
 from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import Adjusted, InertialState, Problem, State, adjust
+from rholoc.trajectory.optimization.rounds import (
+    ITERATIONS,
+    LAST_ITERATIONS,
+    AdjustmentProgress,
+    adjusted_in_rounds,
+    camera_sigmas,
+)
 from rholoc.trajectory.reconstruction.figures import scale_sigma_of
 from rholoc.trajectory.reconstruction.loop_closure import with_loops_closed
 from rholoc.trajectory.reconstruction.measured_scale import (
@@ -25,13 +32,6 @@ from rholoc.trajectory.reconstruction.measured_scale import (
     with_depths,
 )
 from rholoc.trajectory.reconstruction.outcome import InertialFigures, Reconstruction, finished
-from rholoc.trajectory.reconstruction.rounds import (
-    ITERATIONS,
-    LAST_ITERATIONS,
-    AdjustmentProgress,
-    adjusted_in_rounds,
-    camera_sigmas,
-)
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.directions import PairDirection, direction_between

@@ -17,6 +17,7 @@ from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, PycolmapStarts
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
 from rholoc.trajectory.optimization.adjustment import GUESSED, State, adjust
+from rholoc.trajectory.optimization.rounds import LAST_ITERATIONS, AdjustmentProgress
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.joining import with_pieces_joined
@@ -32,7 +33,6 @@ from rholoc.trajectory.reconstruction.part import (
     comparison_with,
     extended,
 )
-from rholoc.trajectory.reconstruction.rounds import LAST_ITERATIONS, AdjustmentProgress
 from rholoc.trajectory.reconstruction.sights import ADVICE, DENSER, MANY_FEATURES
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.focal_guess import focal_by_matches

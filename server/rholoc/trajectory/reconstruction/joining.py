@@ -13,11 +13,11 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity, umeyama
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.frame.map_frame import frame_of_waypoints, up_by_pictures
+from rholoc.trajectory.optimization.resection import known_points
+from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.outcome import moved
 from rholoc.trajectory.reconstruction.pair_fit import MAX_PAIR_ERROR, pair_error, without_contradicted
 from rholoc.trajectory.reconstruction.part import Part, Pictured, Start, adjusted_part, agreement_of, extended
-from rholoc.trajectory.reconstruction.resection import known_points
-from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.waypoints import fixes_of
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations

@@ -12,8 +12,8 @@ from rholoc.trajectory.checks.mistaken_waypoints import LeftOut
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State, residuals_px
+from rholoc.trajectory.optimization.rounds import MIN_PX, OUTLIER
 from rholoc.trajectory.reconstruction.figures import median_depth_of, spread_covariances
-from rholoc.trajectory.reconstruction.rounds import MIN_PX, OUTLIER
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS
 
 _SEEN, _FIXED = 12, 8  # minimum sightings to fix a keyframe, and minimum of these with a known distance

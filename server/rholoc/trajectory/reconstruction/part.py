@@ -11,17 +11,17 @@ from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
 from rholoc.trajectory.optimization.adjustment import ANY, Adjusted, Fix, Problem, State, adjust
-from rholoc.trajectory.reconstruction.figures import median_depth_of
-from rholoc.trajectory.reconstruction.measured_scale import DEPTH_SIGMA, scaled_by_depth, scaled_by_steps, with_depths
-from rholoc.trajectory.reconstruction.outcome import held_keyframes, right_sightings
-from rholoc.trajectory.reconstruction.pair_fit import without_contradicted
-from rholoc.trajectory.reconstruction.resection import with_missing_placed
-from rholoc.trajectory.reconstruction.rounds import (
+from rholoc.trajectory.optimization.resection import with_missing_placed
+from rholoc.trajectory.optimization.rounds import (
     LAST_ITERATIONS,
     AdjustmentProgress,
     adjusted_in_rounds,
     camera_sigmas,
 )
+from rholoc.trajectory.reconstruction.figures import median_depth_of
+from rholoc.trajectory.reconstruction.measured_scale import DEPTH_SIGMA, scaled_by_depth, scaled_by_steps, with_depths
+from rholoc.trajectory.reconstruction.outcome import held_keyframes, right_sightings
+from rholoc.trajectory.reconstruction.pair_fit import without_contradicted
 from rholoc.trajectory.reconstruction.sights import FEATURES_PER_KEYFRAME, Evidence, Sights
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS, Observations
 

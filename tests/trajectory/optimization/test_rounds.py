@@ -11,7 +11,7 @@ from scene import CAMERA, in_pixels
 from rholoc.geometry import FloatArray, pose_matrix, umeyama
 from rholoc.progress import silent
 from rholoc.trajectory.optimization.adjustment import GUESSED, Problem, State, adjust
-from rholoc.trajectory.reconstruction.rounds import AdjustmentProgress, adjusted_in_rounds
+from rholoc.trajectory.optimization.rounds import AdjustmentProgress, adjusted_in_rounds
 from rholoc.trajectory.visual.tracks import Observations
 
 _CAMERAS, _POINTS = 40, 1200

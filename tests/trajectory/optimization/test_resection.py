@@ -7,7 +7,7 @@ import pytest
 from scene import CAMERA, arc, in_pixels
 
 from rholoc.trajectory.optimization.adjustment import State
-from rholoc.trajectory.reconstruction.resection import with_missing_placed
+from rholoc.trajectory.optimization.resection import with_missing_placed
 from rholoc.trajectory.visual.tracks import Observations
 
 _COUNT = 9
