@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import BoolArray, Camera, FloatArray, Similarity, pose_matrix
 from rholoc.progress import Stage
 from rholoc.recordings import GRAVITY
-from rholoc.trajectory.optimization.adjustment import GIVEN, GUESSED, InertialState, State
+from rholoc.trajectory.optimization.problem import GIVEN, GUESSED, InertialState, State
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress, camera_sigmas
 from rholoc.trajectory.reconstruction.figures import median_depth_of, scale_sigma_of, spread_covariances
 from rholoc.trajectory.reconstruction.outcome import moved

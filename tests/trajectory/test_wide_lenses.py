@@ -12,7 +12,9 @@ from rholoc.geometry import Camera, FloatArray, Lens, pose_matrix, rotation_angl
 from rholoc.trajectory.checks.given_poses import epipolar_errors
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, PycolmapStarts
-from rholoc.trajectory.optimization.adjustment import Problem, State, adjust, residuals_px
+from rholoc.trajectory.optimization.adjustment import adjust
+from rholoc.trajectory.optimization.points import residuals_px
+from rholoc.trajectory.optimization.problem import Problem, State
 from rholoc.trajectory.reconstruction import Sights, reconstruct
 from rholoc.trajectory.visual.matching import match_pictures
 from rholoc.trajectory.visual.tracks import Observations

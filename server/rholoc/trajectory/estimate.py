@@ -23,7 +23,7 @@ from rholoc.trajectory.frame.upright import up_without_roll
 from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
 from rholoc.trajectory.inertial.odometry import odometry_steps
 from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
-from rholoc.trajectory.optimization.adjustment import Step
+from rholoc.trajectory.optimization.problem import Step
 from rholoc.trajectory.reconstruction import (
     Reconstruction,
     Sights,

@@ -20,7 +20,9 @@ from rholoc.recordings import GRAVITY, Imu, Waypoint, check_waypoints_fix_frame
 from rholoc.recordings.walk.stillness import pauses
 from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
 from rholoc.trajectory.inertial.gyroscope import longest_interval_s
-from rholoc.trajectory.optimization.adjustment import imu_noise, optimized, preintegrated, robust
+from rholoc.trajectory.optimization.descent import optimized
+from rholoc.trajectory.optimization.factors import robust
+from rholoc.trajectory.optimization.imu_factors import imu_noise, preintegrated
 
 _REST_SIGMA_M_S = 0.05  # a hand at rest sways by millimetres, once or twice a second
 _ACCELEROMETER_BIAS_SIGMA = 0.1  # m/s²

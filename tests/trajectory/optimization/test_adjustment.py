@@ -12,18 +12,10 @@ from scene import CAMERA, arc, cloud, in_pixels
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import FloatArray, pose_matrix, umeyama
-from rholoc.trajectory.optimization import adjustment
-from rholoc.trajectory.optimization.adjustment import (
-    GUESSED,
-    Adjusted,
-    CameraSigmas,
-    Fix,
-    Problem,
-    State,
-    adjust,
-    residuals_px,
-    triangulate,
-)
+from rholoc.trajectory.optimization import adjustment, imu_factors
+from rholoc.trajectory.optimization.adjustment import Adjusted, adjust
+from rholoc.trajectory.optimization.points import residuals_px, triangulate
+from rholoc.trajectory.optimization.problem import GUESSED, CameraSigmas, Fix, Problem, State
 from rholoc.trajectory.visual.tracks import Observations
 
 _CAMERAS, _POINTS = 14, 70
@@ -48,7 +40,7 @@ def test_the_derivatives_of_the_mounting_are_those_of_its_error(seed: int) -> No
     values.insert(V(0), velocity)
     values.insert(E(0), T_imu_camera)
     values.insert(S(0), np.array([clock_s]))
-    factor = adjustment._tie(0, rate, gtsam.noiseModel.Unit.Create(6))
+    factor = imu_factors.tie_factor(0, rate, gtsam.noiseModel.Unit.Create(6))
     blocks = factor.linearize(values).jacobian()[0]
     keys = [(C(0), 6), (X(0), 6), (V(0), 3), (E(0), 6), (S(0), 1)]
     column = 0

@@ -14,20 +14,12 @@ from scipy.spatial.transform import Rotation
 from rholoc.geometry import Camera, FloatArray, pose_matrix
 from rholoc.recordings import GRAVITY, Imu
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
-from rholoc.trajectory.optimization import adjustment
-from rholoc.trajectory.optimization.adjustment import (
-    Adjusted,
-    Fix,
-    InertialState,
-    Problem,
-    State,
-    adjust,
-    imu_noise,
-    preintegrated,
-    residuals_px,
-    robust,
-    triangulate,
-)
+from rholoc.trajectory.optimization import imu_factors
+from rholoc.trajectory.optimization.adjustment import Adjusted, adjust
+from rholoc.trajectory.optimization.factors import robust
+from rholoc.trajectory.optimization.imu_factors import imu_noise, preintegrated
+from rholoc.trajectory.optimization.points import residuals_px, triangulate
+from rholoc.trajectory.optimization.problem import Fix, InertialState, Problem, State
 from rholoc.trajectory.visual.tracks import Observations
 
 _PINHOLE = Camera(640, 480, 500.0, 500.0, 320.0, 240.0)
@@ -105,7 +97,7 @@ def _inertial_graph(problem: Problem, state: State) -> tuple[gtsam.NonlinearFact
         values.insert(C(k), gtsam.Pose3(one))
     assert problem.imu is not None
     assert state.inertial is not None
-    adjustment._add_imu(graph, values, problem, problem.imu, state, state.inertial)
+    imu_factors.add_imu(graph, values, problem, problem.imu, state, state.inertial)
     return graph, values
 
 

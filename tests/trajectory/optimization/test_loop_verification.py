@@ -11,9 +11,9 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import Camera, FloatArray, Pose, pose_matrix
-from rholoc.trajectory.optimization.adjustment import Fix, InertialState, State
 from rholoc.trajectory.optimization.loop_verification import PlacedFeatures, loop_pose, loops_in_reach, place_features
 from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
+from rholoc.trajectory.optimization.problem import Fix, InertialState, State
 from rholoc.trajectory.visual.matching import VerifiedPair
 
 _CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scene import CAMERA, arc, in_pixels
 
-from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.optimization.resection import with_missing_placed
 from rholoc.trajectory.visual.tracks import Observations
 

@@ -10,7 +10,8 @@ from scene import CAMERA, in_pixels
 
 from rholoc.geometry import FloatArray, pose_matrix, umeyama
 from rholoc.progress import silent
-from rholoc.trajectory.optimization.adjustment import GUESSED, Problem, State, adjust
+from rholoc.trajectory.optimization.adjustment import adjust
+from rholoc.trajectory.optimization.problem import GUESSED, Problem, State
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress, adjusted_in_rounds
 from rholoc.trajectory.visual.tracks import Observations
 

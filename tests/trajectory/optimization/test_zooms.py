@@ -13,7 +13,7 @@ from rholoc.geometry import FloatArray, umeyama
 from rholoc.progress import silent
 from rholoc.reports import TrajectoryReport
 from rholoc.trajectory import Scale, Trajectory
-from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction import from_pictures

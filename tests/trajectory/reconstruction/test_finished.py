@@ -15,7 +15,7 @@ from rholoc.trajectory import Scale
 from rholoc.trajectory.checks.mistaken_waypoints import LeftOut
 from rholoc.trajectory.frame.map_frame import MapFrame, ScaleMeasurement, ScaleSource, up_by_gravity
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
-from rholoc.trajectory.optimization.adjustment import Fix, Problem, State
+from rholoc.trajectory.optimization.problem import Fix, Problem, State
 from rholoc.trajectory.reconstruction import waypoints as in_waypoints
 from rholoc.trajectory.reconstruction.outcome import InertialFigures, Solved, finished
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame

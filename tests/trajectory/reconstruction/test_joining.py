@@ -15,7 +15,7 @@ from rholoc.errors import MappingFailed
 from rholoc.geometry import FloatArray, Similarity
 from rholoc.progress import silent
 from rholoc.recordings import Waypoint
-from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.joining import joined_by_points, joined_by_waypoints, with_pieces_joined
 from rholoc.trajectory.reconstruction.part import Pictured, Start, adjusted_part

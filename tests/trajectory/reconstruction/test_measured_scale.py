@@ -13,7 +13,7 @@ from scene import CAMERA, arc, in_pixels
 from rholoc.geometry import BoolArray, FloatArray, Similarity
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.trajectory.frame.map_frame import ScaleMeasurement, ScaleSource
-from rholoc.trajectory.optimization.adjustment import Problem, State, Step
+from rholoc.trajectory.optimization.problem import Problem, State, Step
 from rholoc.trajectory.reconstruction.measured_scale import (
     scale_by_depth,
     scale_by_steps,

@@ -7,7 +7,7 @@ import pytest
 from scene import CAMERA, arc, cloud, in_pixels
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.reconstruction.pair_fit import without_contradicted
 from rholoc.trajectory.visual.matching import VerifiedPair
 

@@ -17,7 +17,7 @@ from rholoc.progress import silent
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.initialization.mapper_starts import Mapper
-from rholoc.trajectory.optimization.adjustment import GIVEN, Problem, State
+from rholoc.trajectory.optimization.problem import GIVEN, Problem, State
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction import from_pictures
 from rholoc.trajectory.reconstruction.part import Part as _Part

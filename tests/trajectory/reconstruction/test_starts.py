@@ -20,7 +20,7 @@ from rholoc.trajectory import Scale
 from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
-from rholoc.trajectory.optimization.adjustment import InertialState, Problem, State
+from rholoc.trajectory.optimization.problem import InertialState, Problem, State
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction import dispatch, from_imu
 from rholoc.trajectory.reconstruction.outcome import Reconstruction

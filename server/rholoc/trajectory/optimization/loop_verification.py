@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rholoc.geometry import BoolArray, FloatArray, IntArray
-from rholoc.trajectory.optimization.adjustment import State, residuals_px, triangulate
+from rholoc.trajectory.optimization.points import residuals_px, triangulate
 from rholoc.trajectory.optimization.pose_graph import RelativePose
+from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, linked_features
 from rholoc.trajectory.visual.two_view import absolute_pose

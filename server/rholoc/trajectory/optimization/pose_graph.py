@@ -14,7 +14,9 @@ import numpy as np
 from gtsam.symbol_shorthand import C
 
 from rholoc.geometry import FloatArray
-from rholoc.trajectory.optimization.adjustment import Fix, State, optimized, robust
+from rholoc.trajectory.optimization.descent import optimized
+from rholoc.trajectory.optimization.factors import robust
+from rholoc.trajectory.optimization.problem import Fix, State
 
 _TILT_SIGMA_RAD = np.radians(0.02)  # of a step between keyframes: gravity fixes it …
 _HEADING_SIGMA_RAD = np.radians(0.1)  # … but not the heading

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from rholoc.geometry import BoolArray, FloatArray, IntArray
-from rholoc.trajectory.optimization.adjustment import State, residuals_px, triangulate
+from rholoc.trajectory.optimization.points import residuals_px, triangulate
+from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.visual.tracks import Observations
 from rholoc.trajectory.visual.two_view import absolute_pose
 

@@ -10,17 +10,9 @@ import numpy as np
 
 from rholoc.geometry import Camera, FloatArray, Lens
 from rholoc.progress import ProgressListener, Stage
-from rholoc.trajectory.optimization.adjustment import (
-    GIVEN,
-    GUESSED,
-    Adjusted,
-    CameraSigmas,
-    Problem,
-    State,
-    adjust,
-    residuals_px,
-    triangulate,
-)
+from rholoc.trajectory.optimization.adjustment import Adjusted, adjust
+from rholoc.trajectory.optimization.points import residuals_px, triangulate
+from rholoc.trajectory.optimization.problem import GIVEN, GUESSED, CameraSigmas, Problem, State
 from rholoc.trajectory.visual.tracks import Observations
 
 ITERATIONS = 12

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rholoc.geometry import Camera, FloatArray, cross, on_plane
-from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.visual.tracks import Observations
 from rholoc.trajectory.visual.unzooming import unzoomed
 

@@ -13,7 +13,9 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from rholoc.geometry import Camera, FloatArray, IntArray, rotation_angles
 from rholoc.geometry.graphs import components
 from rholoc.recordings.frames.depth import DepthImages
-from rholoc.trajectory.optimization.adjustment import Step, optimized, robust
+from rholoc.trajectory.optimization.descent import optimized
+from rholoc.trajectory.optimization.factors import robust
+from rholoc.trajectory.optimization.problem import Step
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.two_view import absolute_pose
 

@@ -15,7 +15,8 @@ from rholoc.trajectory.frame.upright import rotation_to_upright
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration, calibrate_gyro
 from rholoc.trajectory.initialization.inertial_start import InertialStart, inertial_start
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
-from rholoc.trajectory.optimization.adjustment import Adjusted, InertialState, Problem, State, adjust
+from rholoc.trajectory.optimization.adjustment import Adjusted, adjust
+from rholoc.trajectory.optimization.problem import InertialState, Problem, State
 from rholoc.trajectory.optimization.rounds import (
     ITERATIONS,
     LAST_ITERATIONS,

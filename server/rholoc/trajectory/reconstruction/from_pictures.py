@@ -16,7 +16,8 @@ from rholoc.trajectory.frame.waypoint_alignment import fix_frame
 from rholoc.trajectory.initialization.global_positioning import global_positions
 from rholoc.trajectory.initialization.mapper_starts import Mapper, PycolmapStarts
 from rholoc.trajectory.initialization.rotation_averaging import average_rotations
-from rholoc.trajectory.optimization.adjustment import GUESSED, State, adjust
+from rholoc.trajectory.optimization.adjustment import adjust
+from rholoc.trajectory.optimization.problem import GUESSED, State
 from rholoc.trajectory.optimization.rounds import LAST_ITERATIONS, AdjustmentProgress
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction.depth_start import depth_start

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from rholoc.geometry import Camera, FloatArray, Similarity, kabsch
 from rholoc.progress import ProgressListener, silent
 from rholoc.trajectory.frame.map_frame import MapFrame
-from rholoc.trajectory.optimization.adjustment import Problem, State, Step
+from rholoc.trajectory.optimization.problem import Problem, State, Step
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress, adjusted_in_rounds, camera_sigmas
 from rholoc.trajectory.reconstruction.outcome import Reconstruction, Solved, finished
 from rholoc.trajectory.reconstruction.pair_fit import pair_error

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State
+from rholoc.trajectory.optimization.adjustment import Adjusted
 from rholoc.trajectory.optimization.loop_verification import PlacedFeatures, loop_pose, loops_in_reach, place_features
 from rholoc.trajectory.optimization.pose_graph import bend
+from rholoc.trajectory.optimization.problem import Problem, State
 from rholoc.trajectory.optimization.rounds import FAR_M, ROUNDS, AdjustmentProgress, adjusted_in_rounds
 from rholoc.trajectory.reconstruction.figures import spread_covariances
 from rholoc.trajectory.reconstruction.sights import Evidence, Sights

@@ -10,7 +10,8 @@ import numpy as np
 from rholoc.geometry import Camera, FloatArray, Similarity
 from rholoc.recordings.frames.depth import DepthImages
 from rholoc.trajectory.frame.map_frame import ScaleMeasurement, ScaleSource
-from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State, Step
+from rholoc.trajectory.optimization.adjustment import Adjusted
+from rholoc.trajectory.optimization.problem import Problem, State, Step
 from rholoc.trajectory.reconstruction.outcome import moved, right_sightings
 from rholoc.trajectory.visual.tracks import Observations
 

@@ -11,7 +11,9 @@ from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.checks.mistaken_waypoints import LeftOut
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
-from rholoc.trajectory.optimization.adjustment import Adjusted, Problem, State, residuals_px
+from rholoc.trajectory.optimization.adjustment import Adjusted
+from rholoc.trajectory.optimization.points import residuals_px
+from rholoc.trajectory.optimization.problem import Problem, State
 from rholoc.trajectory.optimization.rounds import MIN_PX, OUTLIER
 from rholoc.trajectory.reconstruction.figures import median_depth_of, spread_covariances
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS

@@ -10,7 +10,7 @@ import numpy as np
 from rholoc.geometry import FloatArray, IntArray
 from rholoc.geometry.graphs import components
 from rholoc.trajectory.checks.given_poses import epipolar_errors
-from rholoc.trajectory.optimization.adjustment import State
+from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.visual.matching import VerifiedPair
 
 MAX_PAIR_ERROR = 5e-3  # median epipolar error of a pair that fits, as a share of the focal length …

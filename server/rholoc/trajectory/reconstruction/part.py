@@ -10,7 +10,8 @@ import numpy as np
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray
 from rholoc.recordings import Waypoint
 from rholoc.trajectory.checks.agreement import Agreement, compare
-from rholoc.trajectory.optimization.adjustment import ANY, Adjusted, Fix, Problem, State, adjust
+from rholoc.trajectory.optimization.adjustment import Adjusted, adjust
+from rholoc.trajectory.optimization.problem import ANY, Fix, Problem, State
 from rholoc.trajectory.optimization.resection import with_missing_placed
 from rholoc.trajectory.optimization.rounds import (
     LAST_ITERATIONS,

@@ -14,7 +14,7 @@ from rholoc.features import FeatureSet
 from rholoc.geometry import Camera, FloatArray, IntArray
 from rholoc.progress import ProgressListener
 from rholoc.recordings.frames.depth import DepthImages
-from rholoc.trajectory.optimization.adjustment import Step
+from rholoc.trajectory.optimization.problem import Step
 from rholoc.trajectory.visual.flow import Flow
 from rholoc.trajectory.visual.matching import VerifiedPair, match_keyframes, match_pictures
 from rholoc.trajectory.visual.parallax import only_turned

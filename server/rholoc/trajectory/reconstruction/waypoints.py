@@ -18,8 +18,9 @@ from rholoc.trajectory.frame.map_frame import (
     frame_of_waypoints,
 )
 from rholoc.trajectory.frame.waypoint_alignment import MAX_GAP_S, UpMeasurement
-from rholoc.trajectory.optimization.adjustment import Adjusted, Fix, Problem, State, adjust
+from rholoc.trajectory.optimization.adjustment import Adjusted, adjust
 from rholoc.trajectory.optimization.pose_graph import RelativePose, bend
+from rholoc.trajectory.optimization.problem import Fix, Problem, State
 from rholoc.trajectory.optimization.rounds import FAR_M, ITERATIONS, LAST_ITERATIONS, AdjustmentProgress
 from rholoc.trajectory.reconstruction.figures import median_depth_of
 from rholoc.trajectory.reconstruction.outcome import Solved, moved
