@@ -211,12 +211,12 @@ def test_pieces_are_joined_to_what_another_reconstruction_confirms(
     assert len(taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 12}, compared, monkeypatch).part.members) == pictures
 
 
-@pytest.mark.parametrize(("confirmed", "checked"), [(18, True), (16, False)])
+@pytest.mark.parametrize(("confirmed", "joined", "checked"), [(18, 20, True), (16, 20, False), (17, 18, False)])
 def test_pieces_that_nothing_confirms_are_no_reason_to_trust_a_map(
-    confirmed: int, checked: bool, monkeypatch: pytest.MonkeyPatch
+    confirmed: int, joined: int, checked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Sixteen of twenty pictures alone are too few to be trusted; joined, they hid that nothing confirms the others."""
-    monkeypatch.setattr(from_pictures, "with_pieces_joined", lambda *_: Part(np.arange(20)))
+    monkeypatch.setattr(from_pictures, "with_pieces_joined", lambda *_: Part(np.arange(joined)))
     found = taken({Mapper.OWN: confirmed, Mapper.INCREMENTAL: confirmed}, agreeing, monkeypatch)
     assert found.agreement is not None
     assert found.agreement.same is checked
