@@ -11,8 +11,8 @@ same in any order and without intrinsics (``shuffled``), every second of them (`
 them (``mixed``). With times: two, one or half a picture a second. A recording without times counts as a film of 30 Hz
 if it has more than 300 pictures, else as one of 2 Hz. ``room`` and ``building`` are simulated, ``--seconds`` long. Any
 folder of ``--data`` may be named, with ``truth.csv`` where the truth is known. Sets of more than ``--most`` pictures
-are left out. Each of ``--seeds``, 0 to 9, takes other pictures of the recording, as many tenths of the interval later,
-and another order.
+are left out. Each of ``--seeds``, 0 to 9, begins as many tenths of the interval later, rounded down to a frame, and
+has another order.
 
 Plain pycolmap: its own SIFT, its mappers with default options, the intrinsics that the folder states; all pairs of up
 to 100 pictures, sequential pairs of more; of several models the one with most pictures counts. Both of its mappers have
@@ -334,7 +334,7 @@ def figures_of(judgements: Sequence[dict[str, Any]], table: Sequence[dict[str, A
         found = [word not in one["judgement"] for one in judgements]
         return Figure(round(100 * float(np.mean(found)), 1), 5.0, True)
 
-    ratios = [one["median cm"] / one["pycolmap's"] for one in judgements if one.get("pycolmap's")]
+    ratios = [one["median cm"] / one["pycolmap's"] for one in judgements if one.get("pycolmap's")] or [np.nan]
     seconds = [row["cpu_s_a_picture"] for row in table if row["method"] == "rholoc" and "cpu_s_a_picture" in row]
     return {
         "placed.cases": Figure(len(judgements), 0, True),
@@ -347,7 +347,7 @@ def figures_of(judgements: Sequence[dict[str, Any]], table: Sequence[dict[str, A
 
 
 def _is_worth_comparing(case: Case, options: argparse.Namespace, cache: Path) -> bool:
-    """Whether a set has neither too few pictures nor more than ``--most``."""
+    """Whether the case is a walk, or a set of neither too few pictures nor more than ``--most``."""
     if case.kind == "walk":
         return True
     recording = walk_of(case.recording, options.data, cache, options.seconds).recording
@@ -358,7 +358,7 @@ def _is_worth_comparing(case: Case, options: argparse.Namespace, cache: Path) ->
 
 
 def _options() -> argparse.Namespace:
-    """What the command was asked for; ``seeds`` are numbers and ``cases`` what is compared."""
+    """Options of the command line, with ``seeds`` as numbers, the ``cases`` to compare, and the ``command`` itself."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recordings", nargs="*", default=NAMES, help=", ".join(NAMES) + ", or a folder of the data")
     parser.add_argument("--as", nargs="+", choices=KINDS, default=KINDS[1:], dest="kinds")
@@ -392,7 +392,7 @@ def _options() -> argparse.Namespace:
 
 
 def compared(options: argparse.Namespace, cache: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows of the table and judgements, printed as they come."""
+    """Measure and judge the cases, and print each result at once. Returns the table's rows and the judgements."""
     table: list[dict[str, Any]] = []
     judgements: list[dict[str, Any]] = []
     for case in options.cases:
