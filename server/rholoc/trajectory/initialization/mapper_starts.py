@@ -54,13 +54,13 @@ class PycolmapStarts:
     def __init__(
         self, camera: Camera, is_known: bool, pixels: Sequence[FloatArray], pairs: Sequence[VerifiedPair]
     ) -> None:
-        """Take the measurements; nothing is computed yet.
+        """Take the measurements and choose the matches to use; no mapper runs yet.
 
         Args:
             camera: of all pictures.
             is_known: whether to hold the intrinsics; otherwise they are refined.
             pixels: features of each of K pictures, (F, 2).
-            pairs: verified matches.
+            pairs: verified matches, of which the mappers are given the best.
         """
         self._camera, self._is_known = camera, is_known
         best = _best_pairs(pairs, len(pixels))

@@ -71,8 +71,8 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
 
     Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
     they see enough points. The reconstruction of which another one confirms most pictures is taken. If it is confirmed,
-    further pieces are joined to it. So are the pictures that a larger reconstruction adds, if fewer than 90 % are
-    confirmed and the map is therefore not trusted.
+    further pieces are joined to it. If fewer than 90 % of all pictures are confirmed, so are the pictures that another
+    agreeing reconstruction adds. With joined pictures, fewer than 90 % leave the map untrusted.
 
     Raises:
         MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
@@ -103,7 +103,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     part = refined
     if agreement is not None and agreement.same:  # else a wrong part would grow
         pieces = [one for some in parts for one in some.apart]
-        if agreement.common < _MOST_OF_JOINED * count:  # the map is not trusted, whatever is added
+        if agreement.common < _MOST_OF_JOINED * count:  # too few for a map with joined pictures to be trusted
             pieces = [*_agreeing(best, parts), *pieces]
         part = with_pieces_joined(refined, pieces, walk, whole, progress)
     least = _MOST * len(part.members) if part is refined else _MOST_OF_JOINED * count
@@ -126,7 +126,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
 
 
 def _agreeing(best: Part, parts: Sequence[Part]) -> list[Start]:
-    """The other parts that agree with the ``best`` and that no part contradicts, those with most inliers first."""
+    """Poses of the other parts that agree with the ``best`` and that no part contradicts; most inliers first."""
     found = [
         part
         for part in parts

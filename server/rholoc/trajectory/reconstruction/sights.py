@@ -138,9 +138,8 @@ def gather_evidence(
 ) -> Evidence:
     """Match features, track corners and collect relative rotations of the keyframes.
 
-    A set of pictures gets no corners without ``by_gyroscope``: over its steps they are less exact than matches.
-
     ``by_gyroscope`` (K) are the cameras' rotations by the gyroscope, or None. Pairs that contradict it are left out.
+    Without it a set of pictures gets no corners: over its steps they are less exact than matches.
 
     Raises:
         MappingFailed: the camera stayed in one place.

@@ -107,9 +107,9 @@ class KeyframeFeatures:
         return features
 
     def of_set(self, rows: IntArray, progress: ProgressListener = silent) -> list[FeatureSet]:
-        """Features of the pictures ``rows`` (K,) of a set, as :meth:`of`; if most have fewer than 1000, weak ones, too.
+        """Features of the pictures ``rows`` (K,) of a set, as :meth:`of`.
 
-        Pictures with 1000 get no weak ones in any case.
+        If most pictures have fewer than 1000, those are searched again down to a third of the contrast.
         """
         found = self.of(rows, progress)
         plain = [i for i, features in enumerate(found) if len(features) < _FEATURES]

@@ -207,8 +207,9 @@ def matched_features(
 
 
 def thinned_matches(pairs: Sequence[VerifiedPair], features: Sequence[int], per_keyframe: int) -> list[VerifiedPair]:
-    """Pairs with the matches of some features only: about ``per_keyframe`` of each keyframe, those of the points with
-    most sightings. A pair that would keep fewer than 50 matches keeps all.
+    """The pairs with the matches of about ``per_keyframe`` features of each keyframe, of points with most sightings.
+
+    A pair that would keep fewer than 50 matches keeps all of them.
 
     Args:
         pairs: verified matches.
