@@ -231,7 +231,6 @@ def test_a_site_is_put_placed_shown_and_deleted(site: Run, maps: Path, tmp_path:
     assert json.loads(site("list", "--maps", maps, "--json")[1]) == []
 
 
-@pytest.mark.slow
 def test_two_maps_are_linked(site: Run, maps: Path, tmp_path: Path) -> None:
     (tmp_path / "campus.json").write_text('{"maps": [{"map": "west"}, {"map": "east"}]}')
     site("put", "campus", tmp_path / "campus.json", "--maps", maps)

@@ -254,7 +254,6 @@ def uploaded(service, **fields):
     )
 
 
-@pytest.mark.slow
 def test_maps_are_merged_and_forget(learner):
     merged = post(learner, "west/merge", {"other": "east", "into": "both"})
     assert merged.status_code == 200, merged.text

@@ -81,7 +81,6 @@ def test_a_failing_job_says_why_and_keeps_the_recording(
     assert name not in MapLibrary(busy_site.maps_dir).names()
 
 
-@pytest.mark.slow
 def test_a_panorama_is_no_stored_camera(site: Site) -> None:
     recording = site.recordings.create([("walk.mp4", [b"a walk"])]).id
     work = JobWork(recording, "round", JobOptions(camera="equirectangular"))

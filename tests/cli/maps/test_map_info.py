@@ -74,7 +74,6 @@ def maps(tmp_path: Path, point_room: Any) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
 def test_maps_are_merged_and_a_recording_is_forgotten(rholoc: Run, maps: Path) -> None:
     before = load_map(maps / "west.rho")
     status, out, err = rholoc("merge", maps / "west.rho", maps / "east.rho", "-o", maps / "both.rho", "--json")
