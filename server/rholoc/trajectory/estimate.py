@@ -285,7 +285,7 @@ def _visual(
         frames = recording.frames
         flow = track_corners(frames, progress, features.foresee, recording.camera, may_be_film(frames))
         rows, choices = _keyframes(recording, imu, flow, features)
-        found = features.of(rows, progress) if is_film(flow) else features.of_set(rows, progress)
+        found = features.of(rows, progress) if _is_film(recording, flow) else features.of_set(rows, progress)
         sights = _sights(recording, flow, rows, found)
     return _placed(recording, method, sights, imu, choices, progress)
 
@@ -368,11 +368,16 @@ def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[Fea
         if np.isin((a, b), rows).all():
             first, second = np.searchsorted(rows, (a, b)).tolist()
             steps += (Step(first, second, one.T_first_second, _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD, True),)
-    follows = is_film(flow) and not recording.mounted and not recording.lenses
     focal_px, lenses = recording.focal_px, None
     if recording.lenses:
         lenses = np.array([recording.lenses[number] for number in recording.frames.numbers[rows].tolist()])
-    return Sights(flow, rows, features, recording.camera, follows, shutter, depth, focal_px, lengths, steps, lenses)
+    film = _is_film(recording, flow)
+    return Sights(flow, rows, features, recording.camera, film, shutter, depth, focal_px, lengths, steps, lenses)
+
+
+def _is_film(recording: Recording, flow: Flow) -> bool:
+    """Whether corners are followed from frame to frame: by one camera, through a film."""
+    return is_film(flow) and not recording.mounted and not recording.lenses
 
 
 def _rows_of(recording: Recording, pairs: Sequence[KnownLength | Mounted]) -> list[tuple[int, int]]:

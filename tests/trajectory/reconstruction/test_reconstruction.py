@@ -78,6 +78,13 @@ def test_odometry_looks_for_no_features_and_meets_no_waypoint(half: SyntheticWal
     assert measured.rms_m < 0.05
 
 
+def test_odometry_follows_corners_through_two_pictures_a_second_too() -> None:
+    """They count as a set, which has matches elsewhere."""
+    walk = SyntheticWalk(times=np.arange(0, 20, 0.5))
+    found = estimated(walk, replace(walk.recording(), imu=None, waypoints=()), PoseMethod.ODOMETRY)
+    assert len(found.rows) == len(walk.times)
+
+
 def test_its_covariance_holds_its_errors(walk: SyntheticWalk, measured: Trajectory) -> None:
     off = measured.T_map_camera[:, :3, 3] - walk.T_map_camera[measured.rows, :3, 3]
     squared = np.einsum("ni,nij,nj->n", off, np.linalg.inv(measured.covariances[:, :3, :3]), off)

@@ -214,6 +214,22 @@ def test_pictures_that_show_little_are_searched_at_twice_the_size() -> None:
     assert found.pixels.max() > 1000
 
 
+def test_weak_features_come_on_top_of_those_at_twice_the_size() -> None:
+    """On plaster whose faint texture has weak features enough, the specks would be lost at the usual size."""
+    rng = np.random.default_rng(0)
+    picture = 200 + 6 * cv2.GaussianBlur(rng.normal(0, 30, (360, 1920)).astype(np.float32), (0, 0), 8.0)
+    specks = np.zeros((360, 1920), np.float32)
+    specks[rng.integers(20, 340, 100), rng.integers(20, 1900, 100)] = 600
+    picture -= cv2.GaussianBlur(specks, (0, 0), 1.4)
+    plaster = np.repeat(picture.clip(0, 255)[..., None], 3, axis=2).astype(np.uint8)
+    rows = np.array([0])
+    with KeyframeFeatures(MemoryFrames([plaster], 1.0)) as features:
+        usual, of_set = features.of(rows)[0], features.of_set(rows)[0]
+    away = np.linalg.norm(usual.pixels[:, None] - of_set.pixels, axis=2).min(axis=1)
+    assert len(of_set) > 2 * len(usual) > 100
+    assert (away < 0.5).mean() > 0.95
+
+
 def test_weak_features_count_in_a_set_of_dim_pictures() -> None:
     """A wooden door in a dim bedroom showed sixty features, too few to link the pictures before it and after it."""
     texture = cv2.GaussianBlur(np.random.default_rng(0).normal(0, 1, (480, 640)).astype(np.float32), (0, 0), 2.0)

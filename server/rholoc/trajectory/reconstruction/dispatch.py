@@ -21,6 +21,7 @@ from rholoc.trajectory.reconstruction.part import Pictured
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
 from rholoc.trajectory.visual.focal_guess import camera_by_matches, guess_camera, zoom_by_matches
 from rholoc.trajectory.visual.matching import with_poses_anew
+from rholoc.trajectory.visual.tracks import followed_corners
 from rholoc.trajectory.visual.unzooming import unzoomed_features
 
 _WELL_PLACED = 0.9  # share of a film's keyframes, below which other ways to place them are tried
@@ -141,7 +142,8 @@ def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
     as_set = replace(walk.sights, is_film=False)
     try:
         evidence = gather_evidence(as_set, walk.camera, None, silent)
-        evidence = replace(evidence, corners=walk.evidence.corners, turned=walk.evidence.turned)
+        corners, turned = followed_corners(as_set.flow, as_set.rows, walk.camera, None, as_set.shutter)
+        evidence = replace(evidence, corners=corners, turned=turned)
         other = solve_from_set(replace(walk, sights=as_set, evidence=evidence), steps)
     except MappingFailed as error:
         if found is None or contradicted:

@@ -139,7 +139,7 @@ def gather_evidence(
     """Match features, track corners and collect relative rotations of the keyframes.
 
     ``by_gyroscope`` (K) are the cameras' rotations by the gyroscope, or None. Pairs that contradict it are left out.
-    Without it a set of pictures gets no corners: over its steps they are less exact than matches.
+    Without it a set of pictures gets no corners, unless it has no features: over its steps they are less exact.
 
     Raises:
         MappingFailed: the camera stayed in one place.
@@ -148,8 +148,10 @@ def gather_evidence(
     rays = [camera.rays(features.pixels) for features in sights.features]
     corners, rotations = Observations.none(), list[PairRotation]()
     loops, weak = list[VerifiedPair](), list[VerifiedPair]()
-    if sights.is_film or by_gyroscope is not None:
+    in_order = sights.is_film or by_gyroscope is not None
+    if in_order or not any(map(len, sights.features)):
         corners, rotations = followed_corners(sights.flow, sights.rows, camera, by_gyroscope, sights.shutter)
+    if in_order:
         sequential, loops = match_keyframes(
             sights.features, rays, camera.focal, sights.times, by_gyroscope, _is_followed(sights), progress
         )

@@ -115,8 +115,10 @@ class KeyframeFeatures:
         plain = [i for i, features in enumerate(found) if len(features) < _FEATURES]
         if 2 * len(plain) <= len(found):
             return found
-        images = self._frames.images(rows[plain].tolist())
-        weak = [self._begin(_extract, image, self._weak_extractor, self._longest_px) for image in images]
+        weak = []
+        for image in self._frames.images(rows[plain].tolist()):
+            weak.append(self._begin(_extract_weak, image, self._extractor, self._weak_extractor, self._longest_px))
+            progress(Stage.FEATURES, 1.0, f"{len(weak)} of {len(plain)} that show little, again")
         for i, features in zip(plain, weak, strict=True):
             found[i] = features.result()
         return found
@@ -150,6 +152,13 @@ def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> Feature
     if len(found) >= _FEW or max(image.shape[:2]) <= longest_px:
         return found
     return _extract_reduced(image, extractor, 2 * longest_px)
+
+
+def _extract_weak(image: ByteArray, usual: Extractor, weak: Extractor, longest_px: int) -> FeatureSet:
+    """Features by ``weak`` of an image reduced to the size at which :func:`_extract` finds those by ``usual``."""
+    if max(image.shape[:2]) > longest_px and len(_extract_reduced(image, usual, longest_px)) < _FEW:
+        longest_px *= 2
+    return _extract_reduced(image, weak, longest_px)
 
 
 def _extract_reduced(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
