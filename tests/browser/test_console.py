@@ -96,7 +96,6 @@ def test_a_map_that_was_deleted_while_it_was_open(desk_browser, named, picture_w
         expect(page.get_by_role("link", name="room")).to_be_visible()
 
 
-@pytest.mark.slow
 def test_a_map_is_renamed_and_deleted_by_keyboard(desk_browser, named, picture_world, opened, settled):
     (named.settings.maps_dir / "first.rho").write_bytes(picture_world.rho())
     with opened(
@@ -118,7 +117,6 @@ def test_a_map_is_renamed_and_deleted_by_keyboard(desk_browser, named, picture_w
     assert not (named.settings.maps_dir / "second.rho").exists()
 
 
-@pytest.mark.slow
 def test_the_map_turns_by_keyboard(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "maps/room") as page:
         canvas = settled(page).locator("canvas.scene-canvas")
@@ -149,7 +147,6 @@ def test_a_picture_is_localized_and_its_matches_are_drawn(
         expect(answer).to_contain_text("hardly anything but a bare surface")
 
 
-@pytest.mark.slow
 def test_a_trajectory_is_played(desk_browser, named, picture_world, tmp_path, opened, settled):
     T = np.repeat(picture_world.pose.T_map_camera[None], 5, axis=0)
     T[:, 0, 3] += np.arange(5)
@@ -166,7 +163,6 @@ def test_a_trajectory_is_played(desk_browser, named, picture_world, tmp_path, op
         expect(page.get_by_role("alert")).to_contain_text("no column timestamp")
 
 
-@pytest.mark.slow
 def test_the_camera_is_localized_frame_by_frame(fake_camera, named, picture_world, opened, settled):
     browser = fake_camera([picture_world.image] * 10)
     with opened(browser, named.url, "try/room", permissions=["camera"]) as page:
@@ -180,7 +176,6 @@ def test_the_camera_is_localized_frame_by_frame(fake_camera, named, picture_worl
     browser.close()
 
 
-@pytest.mark.slow
 def test_a_camera_that_is_refused_is_reported(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "try/room") as page:
         settled(page).get_by_role("button", name="Use the camera").click()
@@ -201,7 +196,6 @@ def test_a_job_is_cancelled_and_tried_again(desk_browser, named, opened):
         assert (newest["map"], newest["priority"]) == ("hall", "high")
 
 
-@pytest.mark.slow
 def test_a_running_job_says_what_it_does_and_how_long_that_takes(desk_browser, named, opened):
     job = httpx.get(f"{named.url}/v1/jobs").json()["jobs"][0]
     running = {"state": "running", "stage": "poses", "progress": 0.4, "message": "", "started": time.time() - 70}
@@ -217,7 +211,6 @@ def test_a_running_job_says_what_it_does_and_how_long_that_takes(desk_browser, n
         expect(page.locator("main")).to_contain_text("You may close this page")
 
 
-@pytest.mark.slow
 def test_a_recording_is_uploaded(desk_browser, named, tmp_path, opened, settled):
     (tmp_path / "stairs.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"\1" * 5_000_000)
     with opened(desk_browser, named.url, "recordings") as page:

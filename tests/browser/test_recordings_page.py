@@ -77,7 +77,6 @@ def test_waypoints_are_corrected_and_the_recording_is_mapped_again(desk_browser,
         assert (newest["map"], newest["recording"]) == ("hall-again", recording)
 
 
-@pytest.mark.slow
 def test_waypoints_that_cannot_be_are_refused_with_the_reason(desk_browser, stored, opened, settled):
     running, recording = stored
     with opened(desk_browser, running.url, f"recordings/{recording}", failures=1) as page:
@@ -88,7 +87,6 @@ def test_waypoints_that_cannot_be_are_refused_with_the_reason(desk_browser, stor
         assert httpx.get(f"{running.url}/v1/recordings/{recording}").json()["corrected"] is False
 
 
-@pytest.mark.slow
 def test_maps_are_labelled_searched_and_grouped(desk_browser, stored, opened, settled):
     running, _ = stored
     with opened(desk_browser, running.url, "maps/shed") as page:
@@ -130,7 +128,6 @@ def campus(serve, picture_world):
     return running.url, boss, store
 
 
-@pytest.mark.slow
 def test_a_site_is_made_and_shown_and_shared(desk_browser, campus):
     url, boss, store = campus
     page = desk_browser.new_page(locale="en-US")
@@ -161,7 +158,6 @@ def test_a_site_is_made_and_shown_and_shared(desk_browser, campus):
     page.close()
 
 
-@pytest.mark.slow
 def test_keys_are_handed_on_limited_and_revoked(desk_browser, campus):
     url, boss, store = campus
     page = desk_browser.new_page(locale="en-US")

@@ -218,7 +218,6 @@ class SeesRowByRow:
         return replace(seen, pixels=pixels.astype(np.float32))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("poses", ["aligned", "localized"])
 def test_what_a_rolling_shutter_saw_is_learned_as_if_all_rows_were_read_at_once(
     walks: Walks, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, poses: str
@@ -252,7 +251,6 @@ def test_forgetting_undoes_an_update(walks: Walks, localized: Map) -> None:
     assert off_the_points(other, walks.room) < 0.03
 
 
-@pytest.mark.slow
 def test_a_tensor_map_goes_on_learning_and_forgets(walks: Walks) -> None:
     tensor = fit_densities(walks.map_, DensityKind.TENSOR, 1)
     updated = update_map(tensor, walks.recording)
@@ -269,7 +267,6 @@ def test_a_recording_of_another_room_is_refused(walks: Walks, another_room: Any,
     assert_untouched(walks.map_, before)
 
 
-@pytest.mark.slow
 def test_pictures_without_times_do_not_jump(walks: Walks, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows were taken for seconds: of pictures more than two rows apart none was left."""
     frames = walks.recording.frames
@@ -294,7 +291,6 @@ def test_a_camera_at_rest_adds_nothing_new_and_fails_nothing(walks: Walks, monke
     assert len(updated) == len(walks.map_)
 
 
-@pytest.mark.slow
 def test_a_trajectory_of_wrong_scale_is_refused_saying_by_how_much(walks: Walks) -> None:
     stretched = with_poses(walks.recording, walks.poses, Similarity(1.5, np.eye(3), np.zeros(3)))
     with pytest.raises(MappingFailed, match=r"disagree: \d+ cm .* units of length differ by 3\d%"):
@@ -322,7 +318,6 @@ def test_what_was_never_learned_cannot_be_forgotten(walks: Walks) -> None:
         forget_recording(walks.map_, "first")
 
 
-@pytest.mark.slow
 def test_a_name_that_several_recordings_have_is_not_enough(walks: Walks) -> None:
     updated = update_map(walks.map_, replace(walks.recording, name="first"))
     with pytest.raises(InvalidInput, match="2 recordings named first"):
@@ -367,7 +362,6 @@ def test_merging_refuses_what_does_not_fit(walks: Walks, another_room: Any, seco
         merge_maps(walks.map_, replace(second, info=replace(second.info, density=DensityKind.TENSOR)))
 
 
-@pytest.mark.slow
 def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks, second: Map) -> None:
     loose = replace(second, info=replace(second.info, metric=False))
     merged = merge_maps(walks.map_, move_map(loose, Similarity(0.4, TURN.rotation, TURN.translation)))
@@ -375,7 +369,6 @@ def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks, second: 
     assert np.percentile(walks.room.patch_errors(merged)[1], 95) < 0.3
 
 
-@pytest.mark.slow
 def test_a_recording_whose_views_were_all_removed_counts_as_nothing(walks: Walks, second: Map) -> None:
     """It stays in the list of what the map learned; nothing is left to merge of it, nor to keep."""
     both = merge_maps(walks.map_, second)

@@ -113,7 +113,6 @@ def test_what_moved_is_forgotten_and_what_came_is_learned(
     assert np.isfinite(after.query(stays, distance_upper_bound=0.05)[0]).mean() > 0.98
 
 
-@pytest.mark.slow
 def test_the_report_says_what_was_learned(room_map: Map, learned: Map, queries: list[AnsweredQuery]) -> None:
     assert (learned.info.id, learned.info.version) == (room_map.info.id, room_map.info.version + 1)
     report = learned.info.report.learned[-1]
@@ -159,7 +158,6 @@ def second_lesson(learned: Map, second_night: list[user_learning._Placed]) -> us
     return user_learning._lesson(Localizer(learned), second_night, silent)
 
 
-@pytest.mark.slow
 def test_a_query_becomes_a_view_once_and_a_map_does_not_grow_without_end(
     room_map: Map, learned: Map, second_night: list[user_learning._Placed], second_lesson: user_learning._Lesson
 ) -> None:

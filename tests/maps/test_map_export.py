@@ -112,7 +112,6 @@ def test_the_picture_shows_landmarks_path_and_waypoints(room_map: Map) -> None:
     assert (with_all.sum(axis=2) < 600).mean() > 0.005
 
 
-@pytest.mark.slow
 def test_matplotlib_is_loaded_for_pictures_alone() -> None:
     code = "import sys, rholoc.maps, rholoc.mapping, rholoc.localization; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

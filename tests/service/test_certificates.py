@@ -67,7 +67,6 @@ def test_addresses_are_others_ways_here() -> None:
         socket.getaddrinfo(address, None, flags=socket.AI_NUMERICHOST)
 
 
-@pytest.mark.slow
 def test_serve_tls_answers_over_https_and_shows_where_to_record(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]

@@ -148,7 +148,6 @@ def test_the_environment_says_whether(environment: dict[str, str], on: bool) -> 
     assert telemetry.wanted(environment) is on
 
 
-@pytest.mark.slow
 def test_a_service_imports_neither_it_nor_the_solvers_of_its_workers(tmp_path: Path) -> None:
     code = """
 import sys

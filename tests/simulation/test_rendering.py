@@ -123,7 +123,6 @@ def test_textured_rooms_give_features_and_blank_walls_do_not(sparse_site: Scene)
     assert counts[1] < 0.25 * counts[0]
 
 
-@pytest.mark.slow
 def test_rooms_follow_from_their_seed(site: Scene) -> None:
     again, other = make_test_site.__wrapped__(0), make_test_site(3)
     assert all(np.array_equal(a.paint.albedo, b.paint.albedo) for a, b in zip(site.faces, again.faces, strict=True))

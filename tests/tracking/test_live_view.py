@@ -103,7 +103,6 @@ def test_the_ellipsoid_holds_95_percent(tmp_path):
     assert np.mean(np.sum(np.square(drawn @ axes / radii), axis=1) <= 1) == pytest.approx(0.95, abs=0.01)
 
 
-@pytest.mark.slow
 def test_a_path_grows_by_a_pose_a_second_and_is_bounded(tmp_path, monkeypatch):
     assert pose_messages._PATH_POSES == 600
     monkeypatch.setattr(pose_messages, "_PATH_POSES", 120)

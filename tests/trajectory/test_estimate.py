@@ -88,7 +88,6 @@ def test_the_imus_way_needs_an_imu() -> None:
         estimate_trajectory(_recording(_wall()), PoseMethod.INERTIAL)
 
 
-@pytest.mark.slow
 def test_a_rolling_shutter_is_corrected_before_the_reconstruction(monkeypatch: pytest.MonkeyPatch) -> None:
     """The image moves left by 180 px/s: rows above the middle were read earlier, further to the right than they are."""
     noise = np.random.default_rng(0).integers(0, 255, (240, 560, 3), dtype=np.uint8)

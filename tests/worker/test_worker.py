@@ -133,7 +133,6 @@ def test_a_worker_that_was_taken_for_dead_takes_jobs_again(busy_site: Site) -> N
     engine.dispose()
 
 
-@pytest.mark.slow
 def test_what_is_being_published_cannot_be_cancelled(busy_site: Site) -> None:
     busy_site.control.hold("publishing")
     job = busy_site.submit(map_name="too-late")
@@ -144,7 +143,6 @@ def test_what_is_being_published_cannot_be_cancelled(busy_site: Site) -> None:
     assert busy_site.wait_for(job, JobState.PUBLISHED, JobState.CANCELLED).state is JobState.PUBLISHED
 
 
-@pytest.mark.slow
 def test_doubts_about_a_map_are_reported(busy_site: Site) -> None:
     job = busy_site.wait_for(busy_site.submit(b"a doubtful walk", "doubtful"), JobState.PUBLISHED, JobState.FAILED)
     assert job.warnings == ("The frame poses are not trusted: Two reconstructions disagree.",)
