@@ -130,7 +130,7 @@ def as_pictures(walk: Walk, case: Case, folder: Path, other: Recording | None) -
     """The walk as a folder of pictures, see the head of this file; ``other`` is mixed with it."""
     recording, kind = walk.recording, case.kind
     hz = float(kind.removesuffix("hz")) if kind.endswith("hz") else _SET_HZ
-    rows = _rows_at(recording, hz / 2 if kind == "half" else hz, case.seed)
+    rows = _rows_at(recording, hz, case.seed)[:: 2 if kind == "half" else 1]
     numbers = np.random.default_rng(case.seed).permutation(len(rows)) if kind == "shuffled" else np.arange(len(rows))
     folder.mkdir(exist_ok=True)
     for number, image in zip(numbers.tolist(), recording.frames.images(rows.tolist()), strict=True):
