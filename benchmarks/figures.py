@@ -5,7 +5,8 @@
 With ``--write`` each part's figures go to benchmarks/results/PART.json, with the command, the commit, the date, the
 machine and the seeds; without it they are compared with that file, and the exit status is 1 if one is worse by more
 than its noise. Documents quote a figure as ``98 %<!-- kitchen.hard.within_2cm_percent -->``; ``--write`` puts the
-measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out.
+measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out. Parts in
+which nothing is timed are measured first, two at once.
 
 The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), few (maps of a
 few photos), afar (frames 30 cm and farther from the map's views), wide (frames of the kitchen's ends in maps of the
@@ -20,6 +21,7 @@ import argparse
 import asyncio
 import functools
 import json
+import multiprocessing
 import os
 import platform
 import re
@@ -28,6 +30,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from itertools import islice
@@ -424,6 +427,7 @@ PARTS: dict[str, Callable[[Path], Figures]] = {
     "throughput": throughput,
 }
 ONLY_NAMED = ("focal",)  # parts that take too long to be measured each time
+UNTIMED = ("demo", "kitchen", "few", "afar", "wide", "focal", "pictures")  # parts that may be measured beside another
 
 
 # -- files and documents ---------------------------------------------------------------------------------------------
@@ -480,6 +484,26 @@ def with_figures(text: str, figures: Figures) -> str:
     return QUOTED.sub(measured, text)
 
 
+def _measure(part: Callable[[Path], Figures], cache: Path) -> tuple[Figures, float]:
+    """What a part gives, and the seconds that it took."""
+    cv2.setNumThreads(1)
+    begun = time.monotonic()
+    return part(cache), time.monotonic() - begun
+
+
+def _measured(
+    parts: dict[str, Callable[[Path], Figures]], names: Sequence[str], cache: Path
+) -> Iterator[tuple[str, Figures, float]]:
+    """Name, figures and seconds of parts, those in ``UNTIMED`` first."""
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        beside = {name: pool.submit(_measure, parts[name], cache) for name in names if name in UNTIMED}
+        for name, found in beside.items():
+            yield (name, *found.result())
+    for name in names:
+        if name not in beside:
+            yield (name, *_measure(parts[name], cache))
+
+
 def run(description: str | None, parts: dict[str, Callable[[Path], Figures]], seeds: Sequence[int] = (SEED,)) -> None:
     """The command of a benchmark that measures parts: print what each gives beside its file, or write it there."""
     script = Path(sys.argv[0]).name
@@ -491,15 +515,12 @@ def run(description: str | None, parts: dict[str, Callable[[Path], Figures]], se
     asked = parser.parse_args()
     if unknown := set(asked.parts) - set(parts):
         parser.error(f"there is no part {', '.join(sorted(unknown))}")
-    cv2.setNumThreads(1)
     before, worse = read_results(), []
     with tempfile.TemporaryDirectory() as name:
         cache = asked.cache or Path(name)
         cache.mkdir(parents=True, exist_ok=True)
-        for part in asked.parts or usual:
-            begun = time.monotonic()
-            figures = parts[part](cache)
-            print(f"{part}, {time.monotonic() - begun:.0f} s")
+        for part, figures, took_s in _measured(parts, asked.parts or usual, cache):
+            print(f"{part}, {took_s:.0f} s")
             for title, one in figures.items():
                 known = before.get(title)
                 was = "new" if known is None else f"was {known.value:g} ± {known.noise:g}"

@@ -49,8 +49,8 @@ def test_measured_numbers_replace_quoted_ones():
 
 
 def test_a_figure_that_became_worse_ends_the_command(monkeypatch, capsys):
-    parts = {"kitchen": lambda _: {"kitchen.map_mb": Figure(50.0, 0.0, False)}}
-    monkeypatch.setattr(sys, "argv", ["figures.py", "kitchen"])
-    with pytest.raises(SystemExit, match=r"kitchen\.map_mb"):
+    parts = {"desk": lambda _: {"desk.placed_percent": Figure(50.0, 0.0, True)}}
+    monkeypatch.setattr(sys, "argv", ["figures.py", "desk"])
+    with pytest.raises(SystemExit, match=r"desk\.placed_percent"):
         figures.run(None, parts)
     assert "was" in capsys.readouterr().out
