@@ -110,6 +110,7 @@ def test_a_page_is_for_everybody(desk_browser, addresses, where, settled):
     context.close()
 
 
+@pytest.mark.slow
 def test_the_room_is_looked_at_by_keyboard(desk_browser, service, opened, settled):
     with opened(desk_browser, service.url, "maps/room") as page:
         canvas = settled(page).locator("canvas.scene-canvas")
@@ -133,6 +134,7 @@ def test_the_room_is_looked_at_by_keyboard(desk_browser, service, opened, settle
         expect(page.locator(".scene-said")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_dialog_gives_the_focus_back(desk_browser, service, opened, settled):
     with opened(desk_browser, service.url, "maps/room", failures=-1) as page:
         settled(page).get_by_text("More", exact=True).press("Enter")

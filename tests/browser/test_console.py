@@ -96,6 +96,7 @@ def test_a_map_that_was_deleted_while_it_was_open(desk_browser, named, picture_w
         expect(page.get_by_role("link", name="room")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_map_is_renamed_and_deleted_by_keyboard(desk_browser, named, picture_world, opened, settled):
     (named.settings.maps_dir / "first.rho").write_bytes(picture_world.rho())
     with opened(
@@ -117,6 +118,7 @@ def test_a_map_is_renamed_and_deleted_by_keyboard(desk_browser, named, picture_w
     assert not (named.settings.maps_dir / "second.rho").exists()
 
 
+@pytest.mark.slow
 def test_the_map_turns_by_keyboard(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "maps/room") as page:
         canvas = settled(page).locator("canvas.scene-canvas")
@@ -176,6 +178,7 @@ def test_the_camera_is_localized_frame_by_frame(fake_camera, named, picture_worl
     browser.close()
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_refused_is_reported(desk_browser, named, opened, settled):
     with opened(desk_browser, named.url, "try/room") as page:
         settled(page).get_by_role("button", name="Use the camera").click()
@@ -196,6 +199,7 @@ def test_a_job_is_cancelled_and_tried_again(desk_browser, named, opened):
         assert (newest["map"], newest["priority"]) == ("hall", "high")
 
 
+@pytest.mark.slow
 def test_a_running_job_says_what_it_does_and_how_long_that_takes(desk_browser, named, opened):
     job = httpx.get(f"{named.url}/v1/jobs").json()["jobs"][0]
     running = {"state": "running", "stage": "poses", "progress": 0.4, "message": "", "started": time.time() - 70}

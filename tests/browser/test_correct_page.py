@@ -182,6 +182,7 @@ def test_names_leave_and_come_as_geojson(desk_browser, service, hall, opened, se
         assert [one["name"] for one in hall()["names"]["points"]] == ["berth"]
 
 
+@pytest.mark.slow
 def test_what_the_server_refuses_is_said(desk_browser, service, hall, opened, settled, tmp_path):
     with opened(desk_browser, service.url, "maps/hall/correct", failures=1) as page:
         settled(page)

@@ -69,6 +69,7 @@ def test_a_visitor_is_shown_and_led(fake_camera, site, picture_world):
     browser.close()
 
 
+@pytest.mark.slow
 def test_a_visitor_is_told_what_is_not_known(fake_camera, site):
     url, key = site
     browser = fake_camera([np.full((480, 640, 3), 40, np.uint8)])

@@ -53,6 +53,7 @@ def test_a_refused_picture_that_resembles_nothing_says_so(desk_browser, shown, p
         expect(card).to_contain_text("No view of the map resembles it.")
 
 
+@pytest.mark.slow
 def test_nothing_of_it_is_there_unless_switched_on(desk_browser, service, picture_world, opened, settled):
     content = picture_world.rho(report=map_statistics(picture_world.map_))  # with its coverage: nobody waits for it
     (service.settings.maps_dir / "plain.rho").write_bytes(content)

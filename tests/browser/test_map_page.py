@@ -68,6 +68,7 @@ def test_an_untrusted_map_says_so_first(desk_browser, running, opened, settled):
         expect(card).not_to_contain_text("0.5 cm")
 
 
+@pytest.mark.slow
 def test_a_doubted_map_shows_both_reconstructions(desk_browser, running, opened, settled):
     legend = "in a second reconstruction: where they drift apart, the map may be wrong"
     with opened(desk_browser, running.url, "maps/doubtful") as page:
@@ -86,6 +87,7 @@ def test_a_doubted_map_shows_both_reconstructions(desk_browser, running, opened,
         expect(settled(page).get_by_role("button", name="Both reconstructions")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_a_trusted_map_and_one_of_unknown_origin(desk_browser, running, opened, settled):
     with opened(desk_browser, running.url, "maps/sound") as page:
         notice = settled(page).get_by_role("region", name="Trust")
@@ -102,6 +104,7 @@ def test_a_trusted_map_and_one_of_unknown_origin(desk_browser, running, opened, 
         expect(settled(page).get_by_role("region", name="Trust")).to_contain_text("Nothing has checked this map.")
 
 
+@pytest.mark.slow
 def test_a_job_whose_map_is_not_trusted_is_no_success(desk_browser, running, opened, settled):
     job = {
         "id": "0" * 32, "recording": "1" * 32, "map": "hall", "state": "published", "stage": "published",
@@ -128,6 +131,7 @@ def test_a_job_whose_map_is_not_trusted_is_no_success(desk_browser, running, ope
         expect(page.get_by_role("link", name="To the map")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_the_longest_name_fits_everywhere(desk_browser, running, opened, settled):
     with opened(desk_browser, running.url, viewport=PHONE) as page:
         for where in ("maps", f"maps/{LONG}", f"try/{LONG}", "recordings", "jobs"):
@@ -139,6 +143,7 @@ def test_the_longest_name_fits_everywhere(desk_browser, running, opened, settled
             ), where
 
 
+@pytest.mark.slow
 def test_deleting_does_not_offer_itself(desk_browser, running, opened, settled):
     with opened(desk_browser, running.url, "maps/sound") as page:
         settled(page).get_by_text("More", exact=True).click()
@@ -179,6 +184,7 @@ def test_an_upload_onto_a_map_asks_and_what_it_replaced_is_restored(
     assert httpx.get(f"{running.url}/v1/maps/taken").json()["version"] == 1
 
 
+@pytest.mark.slow
 def test_a_recording_for_a_map_that_exists_learns_or_replaces_only_when_asked(
     desk_browser, running, opened, settled, tmp_path
 ):
@@ -197,6 +203,7 @@ def test_a_recording_for_a_map_that_exists_learns_or_replaces_only_when_asked(
         expect(page.get_by_role("heading", level=1)).to_have_text(re.compile(r"Map room-\d"))
 
 
+@pytest.mark.slow
 def test_a_name_proposed_before_it_is_known_which_are_taken_is_proposed_anew(
     desk_browser, running, opened, settled, tmp_path
 ):
@@ -296,6 +303,7 @@ def test_pages_with_doubts_are_accessible_at_twice_the_size(desk_browser, runnin
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
+@pytest.mark.slow
 def test_the_room_has_the_colours_of_its_pictures_and_is_clicked(desk_browser, running, picture_world, opened, settled):
     map_ = picture_world.map_
     colours = np.tile(np.array([[230, 20, 160]], np.uint8), (len(map_), 1))
@@ -329,6 +337,7 @@ def test_the_room_has_the_colours_of_its_pictures_and_is_clicked(desk_browser, r
         expect(page.get_by_role("button", name="Colours of the pictures")).to_have_count(0)
 
 
+@pytest.mark.slow
 def test_a_landmark_that_is_clicked_shows_where_it_may_be_seen_from(
     desk_browser, running, picture_world, opened, settled
 ):
@@ -372,6 +381,7 @@ def test_a_map_says_what_it_learns_from_those_who_use_it(desk_browser, serve, pi
         expect(settled(page).get_by_text("Sie lernt von denen, die sie benutzen: 3 Anfragen")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_map_that_nobody_lets_learn_says_nothing_of_it(desk_browser, running, opened, settled):
     with opened(desk_browser, running.url, "maps/room") as page:
         expect(settled(page).get_by_role("heading", name="Learned from")).to_be_visible()
@@ -388,6 +398,7 @@ def test_a_german_browser_is_spoken_to_in_german(desk_browser, running, opened, 
         expect(page.get_by_role("dialog").get_by_role("button", name="Abbrechen")).to_be_focused()
 
 
+@pytest.mark.slow
 def test_the_next_walk_is_proposed_and_taken_up_by_the_recorder(desk_browser, running, opened, settled):
     with opened(desk_browser, running.url, "maps/room") as page:
         expect(settled(page).get_by_text("Walk here next:")).to_be_visible()

@@ -244,6 +244,7 @@ def test_a_camera_that_is_refused_is_reported_with_what_to_do(running, phone):
     expect(page.get_by_role("alert")).to_contain_text("browser's settings")
 
 
+@pytest.mark.slow
 def test_refused_sensors_leave_video_alone(running, phone):
     page = phone(running.url, permissions=("camera",))
     page.get_by_role("button", name="Open the camera").click()
@@ -265,6 +266,7 @@ def test_a_missing_gyroscope_and_slow_sensors_are_reported(running, phone):
     expect(page.locator(".advice")).to_contain_text("Turn more slowly")
 
 
+@pytest.mark.slow
 def test_a_page_in_the_background_ends_its_recording_and_keeps_it(running, phone):
     page = phone(running.url)
     open_camera(page)
@@ -278,6 +280,7 @@ def test_a_page_in_the_background_ends_its_recording_and_keeps_it(running, phone
     expect(page.locator(".facts")).to_contain_text(re.compile(r"Length0:0[1-9]"))
 
 
+@pytest.mark.slow
 def test_a_phone_turned_in_mid_recording_ends_it_and_keeps_it(running, phone):
     page = phone(running.url)
     open_camera(page)
@@ -310,6 +313,7 @@ def test_a_full_phone_ends_the_recording_and_keeps_what_came_before(running, pho
     expect(page.get_by_role("link", name="Look at it")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_little_storage_is_reported_beforehand(running, phone):
     page = phone(running.url)
     page.add_init_script("navigator.storage.estimate = async () => ({quota: 3e8, usage: 2e8})")
@@ -398,6 +402,7 @@ def test_every_view_is_accessible_and_fits_and_nothing_complains(running, phone,
     assert complaints == []
 
 
+@pytest.mark.slow
 def test_the_page_can_be_installed(running, phone):
     page = phone(running.url)
     page.evaluate("navigator.serviceWorker.ready.then(() => {})")
@@ -540,6 +545,7 @@ def test_sending_can_be_cancelled(running, phone):
     expect(page.get_by_role("button", name="Send")).to_be_enabled()
 
 
+@pytest.mark.slow
 def test_a_key_that_allows_too_little_is_asked_for_again(serve, phone):
     running = serve(keys=KeyPolicy.ALWAYS)
     keys = KeyStore(running.settings.data_dir)
@@ -574,6 +580,7 @@ def test_a_key_is_asked_for_in_plain_words_and_any_title_is_a_name(serve, phone)
     assert page.evaluate("JSON.parse(localStorage.getItem('rholoc-recorder-draft')).map") == "Buero-2nd-floor"
 
 
+@pytest.mark.slow
 def test_pictures_stand_before_the_first_walk_until_they_were_seen(running, phone):
     page = phone(running.url)
     pictures = page.locator(".guide svg")

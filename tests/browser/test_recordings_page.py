@@ -87,6 +87,7 @@ def test_waypoints_that_cannot_be_are_refused_with_the_reason(desk_browser, stor
         assert httpx.get(f"{running.url}/v1/recordings/{recording}").json()["corrected"] is False
 
 
+@pytest.mark.slow
 def test_maps_are_labelled_searched_and_grouped(desk_browser, stored, opened, settled):
     running, _ = stored
     with opened(desk_browser, running.url, "maps/shed") as page:
@@ -128,6 +129,7 @@ def campus(serve, picture_world):
     return running.url, boss, store
 
 
+@pytest.mark.slow
 def test_a_site_is_made_and_shown_and_shared(desk_browser, campus):
     url, boss, store = campus
     page = desk_browser.new_page(locale="en-US")

@@ -58,6 +58,7 @@ def pictures(tmp_path_factory, picture_world):
     return folder
 
 
+@pytest.mark.slow
 def test_a_file_that_is_no_picture_clears_the_picture_before_and_an_error_its_circles(
     desk_browser, running, pictures, opened, settled
 ):
@@ -82,6 +83,7 @@ def test_a_file_that_is_no_picture_clears_the_picture_before_and_an_error_its_ci
         assert canvas.evaluate(CIRCLES) == 0
 
 
+@pytest.mark.slow
 def test_an_older_answer_does_not_take_the_place_of_a_newer(desk_browser, running, pictures, opened, settled):
     with opened(desk_browser, running.url, "try/room") as page:
         settled(page)
@@ -125,6 +127,7 @@ def test_changed_options_try_the_picture_again(desk_browser, running, pictures, 
         assert int(found[1]) == pytest.approx(520, rel=0.1)
 
 
+@pytest.mark.slow
 def test_no_answer_claims_to_be_certain_and_it_names_the_areas_the_camera_is_in(
     desk_browser, running, pictures, opened, settled
 ):
@@ -137,6 +140,7 @@ def test_no_answer_claims_to_be_certain_and_it_names_the_areas_the_camera_is_in(
             expect(page.locator(".answer")).to_contain_text(said)
 
 
+@pytest.mark.slow
 def test_all_maps_are_tried(desk_browser, running, pictures, opened, settled):
     with opened(desk_browser, running.url, "try/loose") as page:
         take(settled(page), pictures / "frame.png")
@@ -152,6 +156,7 @@ def test_all_maps_are_tried(desk_browser, running, pictures, opened, settled):
         expect(page.get_by_text("No map localizes this picture.")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_map_that_is_not_trusted_says_so_beside_its_answers(desk_browser, running, pictures, opened, settled):
     with opened(desk_browser, running.url, "try/doubtful") as page:
         take(settled(page), pictures / "frame.png")
@@ -205,6 +210,7 @@ def test_a_camera_of_any_shape_is_taken(desk_browser, running, opened, settled, 
             assert query["intrinsics"] == "unknown"
 
 
+@pytest.mark.slow
 def test_trajectories_roll_and_the_frustum_has_the_pictures_shape(
     desk_browser, running, picture_world, opened, settled
 ):

@@ -203,6 +203,7 @@ class Watching(httpx.HTTPTransport):
         return response
 
 
+@pytest.mark.slow
 def test_a_connection_that_is_cut_five_times(service, tmp_path):
     content = b"\0\0\0\x18ftypmp42" + np.random.default_rng(1).bytes(LENGTH - 12)
     (tmp_path / "walk.mp4").write_bytes(content)

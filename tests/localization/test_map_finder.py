@@ -165,6 +165,7 @@ def test_what_was_learned_from_few_maps_is_learned_again_from_more(library, look
     assert best(finder_of(library), looking(13)) == "room13"
 
 
+@pytest.mark.slow
 def test_many_maps_of_one_kind_of_features_are_not_read_for_another(library, looking, monkeypatch) -> None:
     def colourful(number: int) -> Map:
         return replace(looking(number), info=replace(looking(number).info, features="rgb"))

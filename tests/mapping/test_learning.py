@@ -251,6 +251,7 @@ def test_forgetting_undoes_an_update(walks: Walks, localized: Map) -> None:
     assert off_the_points(other, walks.room) < 0.03
 
 
+@pytest.mark.slow
 def test_a_tensor_map_goes_on_learning_and_forgets(walks: Walks) -> None:
     tensor = fit_densities(walks.map_, DensityKind.TENSOR, 1)
     updated = update_map(tensor, walks.recording)
@@ -318,6 +319,7 @@ def test_what_was_never_learned_cannot_be_forgotten(walks: Walks) -> None:
         forget_recording(walks.map_, "first")
 
 
+@pytest.mark.slow
 def test_a_name_that_several_recordings_have_is_not_enough(walks: Walks) -> None:
     updated = update_map(walks.map_, replace(walks.recording, name="first"))
     with pytest.raises(InvalidInput, match="2 recordings named first"):
@@ -369,6 +371,7 @@ def test_a_map_of_arbitrary_scale_takes_that_of_the_first(walks: Walks, second: 
     assert np.percentile(walks.room.patch_errors(merged)[1], 95) < 0.3
 
 
+@pytest.mark.slow
 def test_a_recording_whose_views_were_all_removed_counts_as_nothing(walks: Walks, second: Map) -> None:
     """It stays in the list of what the map learned; nothing is left to merge of it, nor to keep."""
     both = merge_maps(walks.map_, second)

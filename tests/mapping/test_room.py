@@ -172,6 +172,7 @@ def test_recorded_depth_is_of_its_recordings_camera_where_the_map_has_another(
     np.testing.assert_array_equal(room.vertices.positions, drawn.vertices.positions)
 
 
+@pytest.mark.slow
 def test_depth_that_contradicts_the_landmarks_draws_nothing(walked_map: Map, recording: Recording) -> None:
     shuffled = replace(recording, depth=recording.depth.select(np.roll(np.arange(60), 18)))
     map_ = named(walked_map, shuffled)
@@ -303,6 +304,7 @@ def test_they_are_cut_with_the_map(room: Map) -> None:
     assert len(shorter.cloud) == 100
 
 
+@pytest.mark.slow
 def test_they_are_merged_and_forgotten_with_their_recording(room: Map, point_room: Any) -> None:
     other = decorated(point_room.map_of(point_room.walk(30, 0.2), "second"), seed=1)
     merged = merge_maps(room, move_map(other, Similarity(1.0, np.eye(3), np.array([0.5, 0.0, 0.0]))))

@@ -71,6 +71,7 @@ def test_what_is_forgotten_is_not_expected_to_err(first: Map, second: Map, merge
     assert forget_recording(merge_maps(first, second), "first").info.report.expected_error is None
 
 
+@pytest.mark.slow
 def test_in_the_frame_of_a_map_that_does_not_know_nothing_is_known(first: Map, second: Map) -> None:
     assert np.isnan(merge_maps(second, first).views.expected_errors_m).all()
 

@@ -193,6 +193,7 @@ def test_without_motion_and_answers_it_is_lost_and_says_so() -> None:
     assert np.median(errors_m(said[-100:], truth[-100:])) < 0.1
 
 
+@pytest.mark.slow
 def test_the_imu_alone_carries_a_pose_between_answers() -> None:
     """Readings of the walk's own second derivatives, with noise and a bias: within 10 cm at every frame."""
     rng, truth = np.random.default_rng(2), walk(20)

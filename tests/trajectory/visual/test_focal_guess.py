@@ -48,6 +48,7 @@ def test_the_focal_length_is_that_at_which_pictures_turn_as_the_gyroscope_does(w
     assert found.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.06)
 
 
+@pytest.mark.slow
 def test_without_a_gyroscope_the_pictures_give_one_that_is_plausible(walk: SyntheticWalk) -> None:
     found = guess_camera(walk.flow, None)
     assert found.focal == pytest.approx(PHONE_CAMERA.focal, rel=0.25)
