@@ -218,6 +218,7 @@ class SeesRowByRow:
         return replace(seen, pixels=pixels.astype(np.float32))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", ["aligned", "localized"])
 def test_what_a_rolling_shutter_saw_is_learned_as_if_all_rows_were_read_at_once(
     walks: Walks, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, poses: str

@@ -113,6 +113,7 @@ def test_what_moved_is_forgotten_and_what_came_is_learned(
     assert np.isfinite(after.query(stays, distance_upper_bound=0.05)[0]).mean() > 0.98
 
 
+@pytest.mark.slow
 def test_the_report_says_what_was_learned(room_map: Map, learned: Map, queries: list[AnsweredQuery]) -> None:
     assert (learned.info.id, learned.info.version) == (room_map.info.id, room_map.info.version + 1)
     report = learned.info.report.learned[-1]

@@ -200,6 +200,7 @@ def test_a_process_that_is_killed_is_started_again(tmp_path, library):
     asyncio.run(scenario())
 
 
+@pytest.mark.slow
 def test_a_browser_that_has_a_picture_gets_304(service):
     for what in ("preview.png", "report.png", "coverage", "scene", "scene?landmarks=50"):
         url = f"{service.url}/v1/maps/room/{what}"
