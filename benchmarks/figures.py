@@ -8,11 +8,12 @@ than its noise. Documents quote a figure as ``98 %<!-- kitchen.hard.within_2cm_p
 measured number there, and a test compares each with its file. Speeds are ratios: the machine's own drops out. Parts in
 which nothing is timed are measured first, two at once.
 
-The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), few (maps of a
-few photos), afar (frames 30 cm and farther from the map's views), wide (frames of the kitchen's ends in maps of the
-rest), focal (cameras whose focal length is wrong; ten minutes, only where it is named), strangers (pictures of other
-rooms), pictures (a set without times), corridor (pictures and depth without the poses that came with them), desk (a set
-without poses), request (what a frame costs), throughput (frames a second of more clients and servers).
+The parts: demo (walks of seed 0), kitchen (easy and hard frames, beside LO-RANSAC), few (maps of a few photos), afar
+(frames 30 cm and farther from the map's views), density (what its parts add to geometry), wide (frames of the kitchen's
+ends in maps of the rest), focal (cameras whose focal length is wrong; ten minutes, only where it is named), strangers
+(pictures of other rooms), pictures (a set without times), corridor (pictures and depth without the poses that came with
+them), desk (a set without poses), request (what a frame costs), throughput (frames a second of more clients and
+servers).
 """
 
 from __future__ import annotations
@@ -42,10 +43,11 @@ import httpx
 import numpy as np
 
 import demo_sweep
+import density_parts
 import load
 import rooms
 from measuring import SHARED_DATA
-from rholoc.evaluation.errors import trajectory_errors
+from rholoc.evaluation.errors import PoseErrors, trajectory_errors
 from rholoc.features import DEFAULT_FEATURES, get_extractor
 from rholoc.geometry import Camera, FloatArray, IntArray, align_poses, angles_between, evenly, pose_distances
 from rholoc.localization import Localizer, Query
@@ -148,11 +150,16 @@ def kitchen(_: Path) -> Figures:
 def _of_method(split: SplitResult, method: str) -> Figures:
     """How exact the answers of a method are."""
     errors = next(one for one in split.methods if one.name == method).errors
+    return _exactness(errors) | {
+        "median_deg": Figure(round(float(np.degrees(np.median(errors.rotation_rad))), 2), 0.05, False),
+    }
+
+
+def _exactness(errors: PoseErrors) -> Figures:
     return {
         "within_5cm_percent": share(errors.within(0.05, 5.0)),
         "within_2cm_percent": share(errors.within(0.02, 2.0)),
         "median_cm": length_cm(100 * float(np.median(errors.position_m))),
-        "median_deg": Figure(round(float(np.degrees(np.median(errors.rotation_rad))), 2), 0.05, False),
     }
 
 
@@ -194,9 +201,7 @@ def _near(recording: Recording, photos: IntArray) -> IntArray:
 
 def afar(cache: Path) -> Figures:
     """Frames of the kitchen's first part in a map of its last."""
-    named = next(one for one in rooms.ROOMS if one.name == "kitchen, map 700–999")
-    room = named.make(cache)
-    localizer = Localizer(rooms.map_of(named, room.mapped, DEFAULT_FEATURES, cache))
+    room, localizer = _kitchen_map(cache, "kitchen, map 700–999")
     truth, estimated = [], []
     for T, image in room.pictures():
         truth.append(T)
@@ -208,6 +213,13 @@ def afar(cache: Path) -> Figures:
         "afar.within_2cm_percent": share(errors.within(0.02, 2.0), 2),
         "afar.over_10cm_percent": Figure(round(100 * float(wrong.mean()), 1), FRAME_PERCENT, False),
     }
+
+
+def density(cache: Path) -> Figures:
+    """What the parts of the density add to geometry, from the same features in the same place."""
+    room, localizer = _kitchen_map(cache, "kitchen, map 700–999")
+    errors = density_parts.errors(localizer, room)
+    return {f"density.{way}.{name}": one for way in errors for name, one in _exactness(errors[way]).items()}
 
 
 def wide(cache: Path) -> Figures:
@@ -292,8 +304,8 @@ def _ask(localizer: Localizer, image: np.ndarray, camera: Camera) -> tuple[bool,
     return refused, extracted - begun, time.thread_time() - begun
 
 
-def _kitchen_map(cache: Path) -> tuple[rooms.Room, Localizer]:
-    named = rooms.ROOMS[0]
+def _kitchen_map(cache: Path, name: str = "kitchen, easy") -> tuple[rooms.Room, Localizer]:
+    named = next(one for one in rooms.ROOMS if one.name == name)
     room = named.make(cache)
     return room, Localizer(rooms.map_of(named, room.mapped, DEFAULT_FEATURES, cache))
 
@@ -417,6 +429,7 @@ PARTS: dict[str, Callable[[Path], Figures]] = {
     "kitchen": kitchen,
     "few": few,
     "afar": afar,
+    "density": density,
     "wide": wide,
     "focal": focal,
     "strangers": strangers,
@@ -427,7 +440,7 @@ PARTS: dict[str, Callable[[Path], Figures]] = {
     "throughput": throughput,
 }
 ONLY_NAMED = ("focal",)  # parts that take too long to be measured each time
-UNTIMED = ("demo", "kitchen", "few", "afar", "wide", "focal", "pictures")  # parts that may be measured beside another
+UNTIMED = ("demo", "kitchen", "few", "afar", "density", "wide", "focal", "pictures")  # may be measured beside another
 
 
 # -- files and documents ---------------------------------------------------------------------------------------------
