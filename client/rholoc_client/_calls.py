@@ -18,23 +18,17 @@ from rholoc_client._plans import PlaceSource, plan_content
 from rholoc_client.errors import BY_CODE, ConnectionFailed, InvalidAnswer, ServiceError
 from rholoc_client.models import (
     Camera,
-    CameraProfile,
     Features,
     Frame,
-    Job,
     Localization,
     MapSummary,
     NearPlace,
     OfSite,
     Place,
     Prior,
-    Site,
-    parse_job,
     parse_localization,
     parse_map,
     parse_place,
-    parse_profile,
-    parse_site,
 )
 
 T = TypeVar("T")
@@ -44,9 +38,10 @@ Outcome = httpx.Response | httpx.TransportError
 Maps = str | Sequence[str] | OfSite | NearPlace | None  # one map, several, a site's, those near a place, or all
 
 NOT_FOUND, PRECONDITION_FAILED = 404, 412
-_MINUTES_S = 600.0
+MINUTES_S = 600.0
 _DRAWING_S = 120.0
 _PIECE_S = 60.0  # of an upload; the last one is answered once the recording is safe on disk
+_JSON = {"Content-Type": "application/json"}
 _TUS = {"Tus-Resumable": "1.0.0"}
 
 
@@ -105,44 +100,108 @@ def error_of(response: httpx.Response) -> ServiceError:
     return BY_CODE.get(code, ServiceError)(message, hint, request_id, response.status_code, code)
 
 
+def path_of(*parts: str | int) -> str:
+    """The path ``/v1/part/part…``, each part escaped."""
+    return "/".join(["/v1", *(_segment(str(part)) for part in parts)])
+
+
+def json_of(parse: Callable[[Any], T]) -> Callable[[httpx.Response], T]:
+    """How an answer's JSON is read."""
+    return lambda answer: parse(answer.json())
+
+
+def fetch(parse: Callable[[Any], T], *parts: str | int, **params: Any) -> Call[T]:
+    """JSON of ``/v1/part/part…``."""
+    return Call("GET", path_of(*parts), json_of(parse), params=without_none(params))
+
+
+def fetch_list(member: str, parse: Callable[[Any], T], *parts: str | int, **params: Any) -> Call[list[T]]:
+    """List of objects that is one member of the JSON of ``/v1/part/part…``."""
+    return fetch(lambda body: [parse(one) for one in body[member]], *parts, **params)
+
+
+def fetch_bytes(*parts: str | int, **params: Any) -> Call[bytes]:
+    """Bytes of ``/v1/part/part…``, which the service may have to draw."""
+    return Call("GET", path_of(*parts), lambda answer: answer.content, work_s=_DRAWING_S, params=without_none(params))
+
+
+def change(
+    parse: Callable[[Any], T],
+    method: str,
+    *parts: str | int,
+    body: Mapping[str, Any] | None = None,
+    idempotent: bool = False,
+    work_s: float = 0.0,
+    **params: Any,
+) -> Call[T]:
+    """A change of ``/v1/part/part…``, and the JSON that answers it: an empty object where nothing is answered."""
+    path, given = path_of(*parts), without_none(params)
+    headers = {} if body is None else _JSON
+    content = None if body is None else json.dumps(dict(body)).encode()
+
+    def read(answer: httpx.Response) -> T:
+        return parse(answer.json() if answer.content else {})
+
+    return Call(method, path, read, idempotent, work_s=work_s, params=given, headers=headers, content=content)
+
+
+def draw_qr(text: str) -> Call[str]:
+    """A QR code, as SVG."""
+    content = json.dumps({"text": text}).encode()
+    return Call("POST", "/v1/qr", lambda answer: answer.text, idempotent=False, headers=_JSON, content=content)
+
+
+def put_file(source: PlaceSource, *parts: str, **params: Any) -> Call[MapSummary]:
+    """Keep a file with a map."""
+    content, media_type = plan_content(source)
+    return _put_map({"Content-Type": media_type}, content, *parts, **params)
+
+
+def _put_map(headers: Mapping[str, str], content: bytes, *parts: str, **params: Any) -> Call[MapSummary]:
+    path, given, read = path_of(*parts), without_none(params), json_of(parse_map)
+    return Call("PUT", path, read, False, work_s=MINUTES_S, params=given, headers=headers, content=content)
+
+
 def localize_image(maps: Maps, image: ImageLike, options: Mapping[str, Any]) -> Call[Localization]:
     """Localize a picture."""
-    content, media_type = encoded(image)
-    files = {
-        "image": ("image", content, media_type),
-        "request": ("request.json", json.dumps(options).encode(), "application/json"),
-    }
-    work_s = _work_s(options.get("deadline_ms"))
-    return Call("POST", _localize_path(maps), _localization, work_s=work_s, params=_several(maps), files=files)
+    return _localize(maps, (), options, _picture_form(image, options))
 
 
 def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]) -> Call[Localization]:
     """Localize a descriptor set."""
     size = {"width": features.width, "height": features.height}
     body = {**options, "camera": {**size, **options.get("camera", {})}, "features": _features(features)}
-    return Call(
-        "POST",
-        _localize_path(maps),
-        _localization,
-        work_s=_work_s(options.get("deadline_ms")),
-        params=_several(maps),
-        headers={"Content-Type": "application/json"},
-        content=json.dumps(body).encode(),
-    )
+    return _localize(maps, (), body)
+
+
+def _localize(
+    maps: Maps, parts: tuple[str, ...], request: Mapping[str, Any], files: Mapping[str, Any] | None = None
+) -> Call[Localization]:
+    """Localize by ``request``, which ``files`` hold already, or which is sent as JSON."""
+    path = path_of(*(("maps", maps) if isinstance(maps, str) else ()), "localize", *parts)
+    work_s, read = (request.get("deadline_ms") or 0.0) / 1000, json_of(parse_localization)
+    if files is not None:
+        return Call("POST", path, read, work_s=work_s, params=_several(maps), files=files)
+    content = json.dumps(request).encode()
+    return Call("POST", path, read, work_s=work_s, params=_several(maps), headers=_JSON, content=content)
+
+
+def _picture_form(image: ImageLike, request: Mapping[str, Any]) -> dict[str, Any]:
+    """The parts of a form with a picture and a request."""
+    return {"image": ("image", *encoded(image)), "request": _request_part(request)}
+
+
+def _request_part(request: Mapping[str, Any]) -> tuple[str, bytes, str]:
+    return "request.json", json.dumps(request).encode(), "application/json"
 
 
 def find_places(maps: str | Sequence[str] | None, image: ImageLike, limit: int) -> Call[list[Place]]:
     """The most similar views for a picture."""
     content, media_type = encoded(image)
     names = maps if isinstance(maps, str) else _several(maps)["maps"]
-    return Call(
-        "POST",
-        "/v1/places",
-        lambda response: [parse_place(one) for one in response.json()["places"]],
-        params={"maps": names, "limit": limit},
-        headers={"Content-Type": media_type},
-        content=content,
-    )
+    params, headers = {"maps": names, "limit": limit}, {"Content-Type": media_type}
+    read = json_of(lambda body: [parse_place(one) for one in body["places"]])
+    return Call("POST", "/v1/places", read, params=params, headers=headers, content=content)
 
 
 def localize_frames(
@@ -167,10 +226,9 @@ def localize_frames(
             own["camera"] = {**size, **(own["camera"] or _chosen(camera) or {})}
             own["features"] = _features(frame.picture)
         else:
-            content, media_type = encoded(frame.picture)
-            files[f"image{number}"] = (f"image{number}", content, media_type)
+            files[f"image{number}"] = (f"image{number}", *encoded(frame.picture))
         placed = {"position": frame.position, "quaternion_xyzw": frame.quaternion_xyzw}
-        sent.append({**_without_none(own), **placed})
+        sent.append({**without_none(own), **placed})
     options = {"camera": _chosen(camera), "dof": dof, "deadline_ms": deadline_ms}
     uncertainty = {
         "sigma_m": sigma_m,
@@ -179,13 +237,8 @@ def localize_frames(
         "max_sigma_deg": max_sigma_deg,
         "geopose": geopose,
     }
-    body = json.dumps({**_without_none({**options, **uncertainty}), "frames": sent}).encode()
-    path, params, work_s = f"{_localize_path(maps)}/frames", _several(maps), _work_s(deadline_ms)
-    if not files:
-        headers = {"Content-Type": "application/json"}
-        return Call("POST", path, _localization, work_s=work_s, params=params, headers=headers, content=body)
-    files["request"] = ("request.json", body, "application/json")
-    return Call("POST", path, _localization, work_s=work_s, params=params, files=files)
+    body = {**without_none({**options, **uncertainty}), "frames": sent}
+    return _localize(maps, ("frames",), body, {**files, "request": _request_part(body)} if files else None)
 
 
 def _features(features: Features) -> dict[str, Any]:
@@ -232,33 +285,12 @@ def localize_options(
         "max_sigma_deg": max_sigma_deg,
         "geopose": geopose,
     }
-    return _without_none(given)
-
-
-def list_maps() -> Call[list[MapSummary]]:
-    """All maps."""
-    return Call("GET", "/v1/maps", lambda response: [parse_map(one) for one in response.json()["maps"]])
-
-
-def get_map(name: str) -> Call[MapSummary]:
-    """One map."""
-    return Call("GET", _map_path(name), _map)
-
-
-def map_report(name: str) -> Call[dict[str, Any]]:
-    """A map's own quality report."""
-    return Call("GET", f"{_map_path(name)}/report", lambda response: dict(response.json()["report"]))
-
-
-def map_preview(name: str) -> Call[bytes]:
-    """A map from above, as PNG."""
-    return Call("GET", f"{_map_path(name)}/preview.png", lambda response: response.content, work_s=_DRAWING_S)
+    return without_none(given)
 
 
 def upload_map(name: str, content: bytes, condition: Mapping[str, str]) -> Call[MapSummary]:
     """Put a map under a name, if it meets a condition: HTTP's ``If-Match`` or ``If-None-Match``, or none."""
-    headers = {"Content-Type": "application/octet-stream", **condition}
-    return Call("PUT", _map_path(name), _map, idempotent=False, work_s=_MINUTES_S, headers=headers, content=content)
+    return _put_map({"Content-Type": "application/octet-stream", **condition}, content, "maps", name)
 
 
 def stored_map(name: str) -> Call[tuple[bytes | None, dict[str, str]]]:
@@ -270,180 +302,58 @@ def stored_map(name: str) -> Call[tuple[bytes | None, dict[str, str]]]:
         etag = response.headers.get("ETag")
         return response.content, {} if etag is None else {"If-Match": etag}
 
-    return Call("GET", f"{_map_path(name)}/download", read, answers=frozenset({NOT_FOUND}))
-
-
-def map_report_picture(name: str) -> Call[bytes]:
-    """A map's own quality report, as PNG."""
-    return Call("GET", f"{_map_path(name)}/report.png", lambda response: response.content, work_s=_DRAWING_S)
+    return Call("GET", path_of("maps", name, "download"), read, answers=frozenset({NOT_FOUND}))
 
 
 def download_map(name: str, format: str, degree: int | None, features: Sequence[int] | None) -> Call[bytes]:
     """A map's file."""
     chosen = None if features is None else ",".join(map(str, features))
-    params = _without_none({"format": format, "degree": degree, "features": chosen})
+    params = without_none({"format": format, "degree": degree, "features": chosen})
     made = params != {"format": "rho"}
     return Call(
         "GET",
-        f"{_map_path(name)}/download",
-        lambda response: response.content,
+        path_of("maps", name, "download"),
+        lambda answer: answer.content,
         idempotent=not made,
-        work_s=_MINUTES_S if made else 0.0,
+        work_s=MINUTES_S if made else 0.0,
         params=params,
     )
 
 
-def rename_map(name: str, new_name: str) -> Call[MapSummary]:
-    """Give a map another name."""
-    return Call(
-        "PATCH",
-        _map_path(name),
-        _map,
-        idempotent=False,
-        headers={"Content-Type": "application/json"},
-        content=json.dumps({"name": new_name}).encode(),
-    )
-
-
-def update_map(name: str, fields: Mapping[str, Any]) -> Call[Job]:
-    """Learn a stored recording into a map; the answer is the job that does this."""
-    return _post(f"{_map_path(name)}/update", _without_none(fields), _job)
-
-
-def learn_from_users(name: str) -> Call[Job]:
-    """Let a map learn from the queries that are kept for it; the answer is the job that does."""
-    return _post(f"{_map_path(name)}/learn", {}, _job)
-
-
-def merge_maps(name: str, other: str, into: str) -> Call[MapSummary]:
-    """Merge another map into a map's frame."""
-    return _post(f"{_map_path(name)}/merge", {"other": other, "into": into}, _map, _MINUTES_S)
-
-
-def forget_recording(name: str, source: str) -> Call[MapSummary]:
-    """Take a recording out of a map."""
-    return _post(f"{_map_path(name)}/forget", {"source": source}, _map, _MINUTES_S)
-
-
-def correct_map(name: str, correction: Mapping[str, Any]) -> Call[MapSummary]:
-    """Correct a map."""
-    return _post(f"{_map_path(name)}/corrections", dict(correction), _map, _MINUTES_S)
-
-
-def restore_map(name: str, number: int) -> Call[MapSummary]:
-    """Put back a map that was replaced."""
-    return Call("POST", f"{_map_path(name)}/restore", _map, idempotent=False, params={"number": number})
-
-
-def put_names(name: str, source: PlaceSource, level: str | None) -> Call[MapSummary]:
-    """Set a map's named points and areas."""
-    return _put_file(f"{_map_path(name)}/names", source, {"level": level})
-
-
-def put_floor_plan(name: str, source: PlaceSource, params: Mapping[str, Any]) -> Call[MapSummary]:
-    """Keep a floor plan with a map."""
-    return _put_file(f"{_map_path(name)}/plan", source, params)
-
-
-def delete_floor_plan(name: str) -> Call[MapSummary]:
-    """Remove a map's floor plan."""
-    return Call("DELETE", f"{_map_path(name)}/plan", _map, idempotent=False)
-
-
 def landscape(name: str, image: ImageLike, camera: Camera | str | None) -> Call[dict[str, Any]]:
     """Where a picture may have been taken."""
-    content, media_type = encoded(image)
-    options = _without_none({"camera": _chosen(camera)})
-    files = {
-        "image": ("image", content, media_type),
-        "request": ("request.json", json.dumps(options).encode(), "application/json"),
-    }
-    return Call("POST", f"{_map_path(name)}/landscape", _dict, work_s=_MINUTES_S, files=files)
+    files = _picture_form(image, without_none({"camera": _chosen(camera)}))
+    return Call("POST", path_of("maps", name, "landscape"), json_of(dict), work_s=MINUTES_S, files=files)
 
 
 def localize_visitor(site: str, image: ImageLike, camera: Camera | None) -> Call[dict[str, Any]]:
     """Localize a visitor's picture in a site."""
     content, media_type = encoded(image)
-    given = _intrinsics(camera) if camera is not None else {}
+    given = intrinsics(camera) if camera is not None else {}
     params = {key: ",".join(map(str, value)) if key == "distortion" else value for key, value in given.items()}
     headers = {"Content-Type": media_type}
-    path = _path("here", site, "localize")
-    return Call("POST", path, _dict, params=_without_none(params), headers=headers, content=content)
+    path = path_of("here", site, "localize")
+    return Call("POST", path, json_of(dict), params=without_none(params), headers=headers, content=content)
 
 
 def geopose(request: Mapping[str, Any], maps: Maps) -> Call[dict[str, Any]]:
     """A request of OSCP's GeoPoseProtocol."""
     kind = "application/vnd.oscp+json;version=2.0"
     params = {"maps": maps} if isinstance(maps, str) else _several(maps)
-    headers = {"Content-Type": "application/json", "Accept": kind}
-    return Call("POST", "/geopose", _dict, params=params, headers=headers, content=json.dumps(dict(request)).encode())
+    headers, content = {**_JSON, "Accept": kind}, json.dumps(dict(request)).encode()
+    return Call("POST", "/geopose", json_of(dict), params=params, headers=headers, content=content)
 
 
-def fetch(*parts: str | int, **params: Any) -> Call[dict[str, Any]]:
-    """JSON of ``/v1/part/part…``."""
-    return Call("GET", _path(*parts), _dict, params=_without_none(params))
-
-
-def fetch_list(member: str, *parts: str | int, **params: Any) -> Call[list[dict[str, Any]]]:
-    """List of objects that is one member of the JSON of ``/v1/part/part…``."""
-    return Call("GET", _path(*parts), lambda answer: list(answer.json()[member]), params=_without_none(params))
-
-
-def fetch_bytes(*parts: str | int, **params: Any) -> Call[bytes]:
-    """Bytes of ``/v1/part/part…``."""
-    return Call("GET", _path(*parts), lambda answer: answer.content, work_s=_DRAWING_S, params=_without_none(params))
-
-
-def fetch_plain(path: str) -> Call[str]:
-    """Text of a path."""
-    return Call("GET", path, lambda answer: answer.text)
-
-
-def fetch_root(path: str) -> Call[dict[str, Any]]:
-    """JSON of a path outside ``/v1``."""
-    return Call("GET", path, _dict)
-
-
-def send(method: str, *parts: str | int, body: Mapping[str, Any] | None = None) -> Call[dict[str, Any]]:
-    """JSON that answers a change of ``/v1/part/part…``; empty where nothing is answered."""
-    headers = {} if body is None else {"Content-Type": "application/json"}
-    content = None if body is None else json.dumps(dict(body)).encode()
-    return Call(
-        method,
-        _path(*parts),
-        lambda answer: _dict(answer) if answer.content else {},
-        False,
-        headers=headers,
-        content=content,
-    )
-
-
-def delete_queries(name: str, asker: str | None) -> Call[int]:
-    """Delete a map's kept queries."""
-    path, params = f"{_map_path(name)}/learning", _without_none({"asker": asker})
-    return Call("DELETE", path, lambda answer: int(answer.json()["deleted"]), idempotent=False, params=params)
-
-
-def map_recording(recording: str, fields: Mapping[str, Any]) -> Call[Job]:
-    """Map a stored recording."""
-    return _post(f"{_recording_path(recording)}/jobs", _without_none(fields), _job)
-
-
-def draw_qr(text: str) -> Call[str]:
-    """A QR code, as SVG."""
-    return _post("/v1/qr", {"text": text}, lambda answer: answer.text)
-
-
-def upload_rules() -> Call[dict[str, str]]:
-    """What the service takes of resumable uploads."""
-    return Call("OPTIONS", "/v1/recordings", lambda answer: dict(answer.headers))
+def readiness() -> Call[dict[str, str]]:
+    """What is ready."""
+    return Call("GET", "/readyz", json_of(lambda body: dict(body["checks"])), answers=frozenset({503}))
 
 
 def stream(http: httpx.Client | httpx.AsyncClient, *parts: str | int) -> dict[str, Any]:
     """What ``http.stream`` takes for a stream of server-sent events, between which much time may pass."""
     own = http.timeout
     timeout = httpx.Timeout(connect=own.connect, read=None, write=own.write, pool=own.pool)
-    return {"url": _path(*parts), "headers": {"Accept": "text/event-stream"}, "timeout": timeout}
+    return {"url": path_of(*parts), "headers": {"Accept": "text/event-stream"}, "timeout": timeout}
 
 
 def event_data(lines: list[str]) -> Any:
@@ -452,71 +362,12 @@ def event_data(lines: list[str]) -> Any:
     return json.loads(data) if data else None
 
 
-def list_cameras() -> Call[list[CameraProfile]]:
-    """All stored cameras."""
-    return Call("GET", "/v1/cameras", lambda response: [parse_profile(one) for one in response.json()["cameras"]])
-
-
-def get_camera(name: str) -> Call[CameraProfile]:
-    """One stored camera."""
-    return Call("GET", _camera_path(name), _profile)
-
-
-def put_camera(name: str, camera: Camera, calibration: Mapping[str, Any] | None) -> Call[CameraProfile]:
-    """Store a camera under a name."""
-    body = {**_intrinsics(camera), "calibration": dict(calibration or {})}
-    headers = {"Content-Type": "application/json"}
-    return Call("PUT", _camera_path(name), _profile, headers=headers, content=json.dumps(body).encode())
-
-
-def delete_camera(name: str) -> Call[None]:
-    """Delete a stored camera."""
-    return Call("DELETE", _camera_path(name), lambda response: None, idempotent=False)
-
-
-def list_sites() -> Call[list[Site]]:
-    """All sites."""
-    return Call("GET", "/v1/sites", lambda response: [parse_site(one) for one in response.json()["sites"]])
-
-
-def get_site(name: str) -> Call[Site]:
-    """One site."""
-    return Call("GET", _site_path(name), _site)
-
-
-def put_site(name: str, document: Mapping[str, Any]) -> Call[Site]:
-    """Store a site."""
-    headers = {"Content-Type": "application/json"}
-    content = json.dumps(dict(document)).encode()
-    return Call("PUT", _site_path(name), _site, "version" not in document, headers=headers, content=content)
-
-
-def find_site_link(name: str, first: str, second: str) -> Call[Site]:
-    """Find the pose between two maps of a site."""
-    return _post(f"{_site_path(name)}/links", {"first": first, "second": second}, _site, _MINUTES_S)
-
-
-def place_site(name: str) -> Call[Job]:
-    """Place the maps of a site; the answer is the job that does."""
-    return _post(f"{_site_path(name)}/place", {}, _job)
-
-
-def delete_site(name: str) -> Call[None]:
-    """Delete a site."""
-    return Call("DELETE", _site_path(name), lambda response: None, idempotent=False)
-
-
-def delete_map(name: str) -> Call[None]:
-    """Delete a map."""
-    return Call("DELETE", _map_path(name), lambda response: None, idempotent=False)
-
-
 def begin_upload(name: str, length: int, fields: Mapping[str, str | None]) -> Call[str]:
     """Announce a recording's file of ``length`` bytes; the answer is the recording's id.
 
     If it is announced twice, the service drops the one that stays empty.
     """
-    metadata_fields = {"filename": name, **_without_none(fields)}
+    metadata_fields = {"filename": name, **without_none(fields)}
     metadata = ",".join(f"{key} {_base64(value.encode())}" for key, value in metadata_fields.items())
     headers = {**_TUS, "Upload-Length": str(length), "Upload-Metadata": metadata}
     return Call("POST", "/v1/recordings", lambda response: _last_part(response.headers["Location"]), headers=headers)
@@ -530,59 +381,13 @@ def continue_upload(recording: str, offset: int, piece: bytes) -> Call[Standing]
         "Upload-Checksum": f"sha256 {_base64(hashlib.sha256(piece).digest())}",
         "Content-Type": "application/offset+octet-stream",
     }
-    path = _recording_path(recording)
+    path = path_of("recordings", recording)
     return Call("PATCH", path, _standing, idempotent=False, work_s=_PIECE_S, headers=headers, content=piece)
 
 
 def upload_standing(recording: str) -> Call[Standing]:
     """Where the upload stands."""
-    return Call("HEAD", _recording_path(recording), _standing, headers=_TUS)
-
-
-def get_job(job_id: str) -> Call[Job]:
-    """One job."""
-    return Call("GET", _job_path(job_id), _job)
-
-
-def list_jobs(before: str | None = None) -> Call[list[Job]]:
-    """The newest jobs, or those before one of them, the newest first."""
-    params = _without_none({"before": before})
-    return Call("GET", "/v1/jobs", lambda response: [parse_job(one) for one in response.json()["jobs"]], params=params)
-
-
-def cancel_job(job_id: str) -> Call[Job]:
-    """Cancel a job."""
-    return Call("DELETE", _job_path(job_id), _job, idempotent=False)
-
-
-def retry_job(job_id: str) -> Call[Job]:
-    """Try a job again."""
-    return Call("POST", f"{_job_path(job_id)}/retry", _job, idempotent=False)
-
-
-def prioritize_job(job_id: str, priority: str) -> Call[Job]:
-    """Change how soon a job's turn comes."""
-    body = json.dumps({"priority": priority}).encode()
-    return Call("PATCH", _job_path(job_id), _job, headers={"Content-Type": "application/json"}, content=body)
-
-
-def readiness() -> Call[dict[str, str]]:
-    """What is ready."""
-    return Call("GET", "/readyz", lambda response: dict(response.json()["checks"]), answers=frozenset({503}))
-
-
-def _put_file(path: str, source: PlaceSource, params: Mapping[str, Any]) -> Call[MapSummary]:
-    content, media_type = plan_content(source)
-    headers, params = {"Content-Type": media_type}, _without_none(params)
-    return Call("PUT", path, _map, False, work_s=_MINUTES_S, params=params, headers=headers, content=content)
-
-
-def _dict(response: httpx.Response) -> dict[str, Any]:
-    return dict(response.json())
-
-
-def _path(*parts: str | int) -> str:
-    return "/".join(["/v1", *(_segment(str(part)) for part in parts)])
+    return Call("HEAD", path_of("recordings", recording), _standing, headers=_TUS)
 
 
 def _standing(response: httpx.Response) -> Standing:
@@ -595,35 +400,6 @@ def _last_part(address: str) -> str:
 
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode("ascii")
-
-
-def _post(path: str, body: Mapping[str, Any], read: Callable[[httpx.Response], T], work_s: float = 0.0) -> Call[T]:
-    headers, content = {"Content-Type": "application/json"}, json.dumps(body).encode()
-    return Call("POST", path, read, idempotent=False, work_s=work_s, headers=headers, content=content)
-
-
-def _work_s(deadline_ms: float | None) -> float:
-    return 0.0 if deadline_ms is None else deadline_ms / 1000
-
-
-def _localization(response: httpx.Response) -> Localization:
-    return parse_localization(response.json())
-
-
-def _map(response: httpx.Response) -> MapSummary:
-    return parse_map(response.json())
-
-
-def _profile(response: httpx.Response) -> CameraProfile:
-    return parse_profile(response.json())
-
-
-def _job(response: httpx.Response) -> Job:
-    return parse_job(response.json())
-
-
-def _localize_path(maps: Maps) -> str:
-    return f"{_map_path(maps)}/localize" if isinstance(maps, str) else "/v1/localize"
 
 
 def _several(maps: Maps) -> dict[str, Any]:
@@ -640,30 +416,6 @@ def _several(maps: Maps) -> dict[str, Any]:
             return {"maps": ",".join(maps)}
 
 
-def _site_path(name: str) -> str:
-    return f"/v1/sites/{_segment(name)}"
-
-
-def _site(response: httpx.Response) -> Site:
-    return parse_site(response.json())
-
-
-def _map_path(name: str) -> str:
-    return f"/v1/maps/{_segment(name)}"
-
-
-def _camera_path(name: str) -> str:
-    return f"/v1/cameras/{_segment(name)}"
-
-
-def _recording_path(recording: str) -> str:
-    return f"/v1/recordings/{_segment(recording)}"
-
-
-def _job_path(job_id: str) -> str:
-    return f"/v1/jobs/{_segment(job_id)}"
-
-
 def _segment(text: str) -> str:
     """A path segment; dots alone would be taken for a way up, so they are escaped too."""
     return quote(text, safe="") if text.strip(".") else "%2E" * len(text)
@@ -674,16 +426,17 @@ def _chosen(camera: Camera | str | None) -> dict[str, Any] | None:
 
 
 def _camera(camera: Camera | None) -> dict[str, Any] | None:
-    return None if camera is None else _intrinsics(camera)
+    return None if camera is None else intrinsics(camera)
 
 
-def _intrinsics(camera: Camera) -> dict[str, Any]:
+def intrinsics(camera: Camera) -> dict[str, Any]:
     """A camera as JSON; of a pinhole without its lens, which earlier servers do not know."""
-    fields = _without_none(asdict(camera))
+    fields = without_none(asdict(camera))
     return {name: value for name, value in fields.items() if (name, value) != ("lens", "pinhole")}
 
 
-def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
+def without_none(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
 
 

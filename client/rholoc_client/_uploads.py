@@ -18,8 +18,7 @@ from rholoc_client._calls import (
     begin_upload,
     camera_text,
     continue_upload,
-    get_job,
-    get_map,
+    fetch,
     stored_map,
     upload_map,
     upload_standing,
@@ -33,7 +32,7 @@ from rholoc_client.errors import (
     InvalidRecording,
     ServiceError,
 )
-from rholoc_client.models import Camera, Job, MapSummary
+from rholoc_client.models import Camera, Job, MapSummary, parse_job, parse_map
 
 UploadProgress = Callable[[int, int], None]  # bytes that the service has, total bytes
 
@@ -76,7 +75,7 @@ def upload_steps(
             offset, job_id = yield upload_standing(recording)
     if job_id is None:
         raise InvalidAnswer("The service has the whole upload, but names no job.")
-    job: Job = yield get_job(job_id)
+    job: Job = yield fetch(parse_job, "jobs", job_id)
     return job
 
 
@@ -110,7 +109,7 @@ def map_upload_steps(name: str, content: bytes, retries: int) -> Generator[Call[
         stored, condition = yield stored_map(name)
         if stored == content:
             break
-    arrived: MapSummary = yield get_map(name)
+    arrived: MapSummary = yield fetch(parse_map, "maps", name)
     return arrived
 
 

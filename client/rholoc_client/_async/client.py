@@ -11,7 +11,18 @@ from typing import Any, TypeVar
 import httpx
 
 from rholoc_client import _calls
-from rholoc_client._calls import Call, Maps, Outcome, camera_text, headers, localize_options, request, result_of
+from rholoc_client._calls import (
+    Call,
+    Maps,
+    Outcome,
+    camera_text,
+    change,
+    fetch,
+    fetch_bytes,
+    fetch_list,
+    put_file,
+    without_none,
+)
 from rholoc_client._images import ImageLike
 from rholoc_client._plans import PlaceSource
 from rholoc_client._retry import Attempts, Backoff
@@ -38,6 +49,9 @@ from rholoc_client.models import (
     Site,
     Vector3,
     parse_job,
+    parse_map,
+    parse_profile,
+    parse_site,
 )
 
 T = TypeVar("T")
@@ -71,7 +85,7 @@ class AsyncClient:
         transport: httpx.AsyncBaseTransport | None = None,
     ) -> None:
         self._http = httpx.AsyncClient(
-            base_url=base_url, headers=headers(api_key), timeout=timeout_s, transport=transport
+            base_url=base_url, headers=_calls.headers(api_key), timeout=timeout_s, transport=transport
         )
         self._backoff = Backoff(retries)
 
@@ -122,7 +136,7 @@ class AsyncClient:
             with_matches: whether the answer's ``agreeing`` lists the matches that agree with the pose.
             geopose: "quaternion", "ypr" or "advanced": encoding of the answer's ``geopose``, the camera on Earth.
         """
-        options = localize_options(
+        options = _calls.localize_options(
             camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg, geopose
         )
         return await self._send(_calls.localize_image(maps, image, options))
@@ -190,30 +204,30 @@ class AsyncClient:
         geopose: str | None = None,
     ) -> Localization:
         """Where a picture was taken, from its features alone. Arguments as of :meth:`localize`."""
-        options = localize_options(
+        options = _calls.localize_options(
             camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg, geopose
         )
         return await self._send(_calls.localize_features(maps, features, options))
 
     async def maps(self) -> list[MapSummary]:
         """All maps."""
-        return await self._send(_calls.list_maps())
+        return await self._send(fetch_list("maps", parse_map, "maps"))
 
     async def map(self, name: str) -> MapSummary:
         """One map."""
-        return await self._send(_calls.get_map(name))
+        return await self._send(fetch(parse_map, "maps", name))
 
     async def map_report(self, name: str) -> dict[str, Any]:
         """What the map found out about itself while it was built."""
-        return await self._send(_calls.map_report(name))
+        return await self._send(fetch(lambda body: dict(body["report"]), "maps", name, "report"))
 
     async def map_report_picture(self, name: str) -> bytes:
         """The map's report as PNG: where it works and where not, how consistent it is, how exact its landmarks are."""
-        return await self._send(_calls.map_report_picture(name))
+        return await self._send(fetch_bytes("maps", name, "report.png"))
 
     async def map_preview(self, name: str) -> bytes:
         """The map from above, as PNG."""
-        return await self._send(_calls.map_preview(name))
+        return await self._send(fetch_bytes("maps", name, "preview.png"))
 
     async def upload_map(self, name: str, source: Path | str | bytes) -> MapSummary:
         """Publish a map under a name, replacing any map of that name.
@@ -243,7 +257,7 @@ class AsyncClient:
 
     async def rename_map(self, name: str, new_name: str) -> MapSummary:
         """Give a map another name, which must be free."""
-        return await self._send(_calls.rename_map(name, new_name))
+        return await self._send(change(parse_map, "PATCH", "maps", name, body={"name": new_name}))
 
     async def update_map(
         self, name: str, recording: str, *, poses: str | None = None, camera: Camera | str | None = None
@@ -256,27 +270,31 @@ class AsyncClient:
             poses: where frame poses come from; None: the recording's own, else each frame is localized.
             camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
         """
-        fields = {"recording": recording, "poses": poses, "camera": camera_text(camera)}
-        return await self._send(_calls.update_map(name, fields))
+        body = without_none({"recording": recording, "poses": poses, "camera": camera_text(camera)})
+        return await self._send(change(parse_job, "POST", "maps", name, "update", body=body))
 
     async def learn_from_users(self, name: str) -> Job:
         """Let a map learn from the queries that the service has kept for it; the job that does so."""
-        return await self._send(_calls.learn_from_users(name))
+        return await self._send(change(parse_job, "POST", "maps", name, "learn", body={}))
 
     async def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
         """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
-        return await self._send(_calls.merge_maps(name, other, into))
+        body = {"other": other, "into": into}
+        return await self._send(change(parse_map, "POST", "maps", name, "merge", body=body, work_s=_calls.MINUTES_S))
 
     async def forget_recording(self, name: str, source: str) -> MapSummary:
         """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
-        return await self._send(_calls.forget_recording(name, source))
+        body = {"source": source}
+        return await self._send(change(parse_map, "POST", "maps", name, "forget", body=body, work_s=_calls.MINUTES_S))
 
     async def correct_map(self, name: str, correction: Mapping[str, Any]) -> MapSummary:
         """Correct a map's frame, scale, extent or names, such as ``{"kind": "origin", "at": [1.2, 0.4, 0]}``.
 
         The service's ``/docs`` has all kinds. The answer is the map's next version.
         """
-        return await self._send(_calls.correct_map(name, correction))
+        return await self._send(
+            change(parse_map, "POST", "maps", name, "corrections", body=correction, work_s=_calls.MINUTES_S)
+        )
 
     async def map_names(self, name: str) -> dict[str, Any]:
         """The map's named points and areas as a GeoJSON FeatureCollection.
@@ -284,7 +302,7 @@ class AsyncClient:
         Coordinates are longitude, latitude and height in a map with a place on Earth; else metres of the map, and its
         member ``frame`` is ``map``.
         """
-        return await self._send(_calls.fetch("maps", name, "names"))
+        return await self._send(fetch(dict, "maps", name, "names"))
 
     async def put_map_names(self, name: str, source: PlaceSource, *, level: str | None = None) -> MapSummary:
         """Replace the map's named points and areas.
@@ -294,11 +312,11 @@ class AsyncClient:
             source: GeoJSON, as :meth:`map_names` returns it; or the path or content of a GeoJSON file or IMDF archive.
             level: of an IMDF archive; None: the only one.
         """
-        return await self._send(_calls.put_names(name, source, level))
+        return await self._send(put_file(source, "maps", name, "names", level=level))
 
     async def floor_plan(self, name: str) -> bytes:
         """The floor plan that the map keeps: a picture's or GeoJSON's file."""
-        return await self._send(_calls.fetch_bytes("maps", name, "plan"))
+        return await self._send(fetch_bytes("maps", name, "plan"))
 
     async def put_floor_plan(
         self,
@@ -323,19 +341,19 @@ class AsyncClient:
             level: of an IMDF archive; None: the only one.
         """
         params = {"x": x, "y": y, "turn_deg": turn_deg, "m_per_unit": m_per_unit, "level": level}
-        return await self._send(_calls.put_floor_plan(name, source, params))
+        return await self._send(put_file(source, "maps", name, "plan", **params))
 
     async def delete_floor_plan(self, name: str) -> MapSummary:
         """Remove the map's floor plan; the map itself does not move."""
-        return await self._send(_calls.delete_floor_plan(name))
+        return await self._send(change(parse_map, "DELETE", "maps", name, "plan"))
 
     async def map_versions(self, name: str) -> list[dict[str, Any]]:
         """The maps that this one replaced, the newest first; :meth:`restore_map` takes their ``number``."""
-        return await self._send(_calls.fetch_list("versions", "maps", name, "versions"))
+        return await self._send(fetch_list("versions", dict, "maps", name, "versions"))
 
     async def map_coverage(self, name: str) -> dict[str, Any]:
         """Where the map works: landmarks in view, by position and heading."""
-        return await self._send(_calls.fetch("maps", name, "coverage"))
+        return await self._send(fetch(dict, "maps", name, "coverage"))
 
     async def map_scene(self, name: str, *, landmarks: int | None = None, level: bool = False) -> bytes:
         """Landmarks and views for a 3-D view, as the service's ``/docs`` describe them.
@@ -345,23 +363,23 @@ class AsyncClient:
             landmarks: at most so many, evenly chosen; None: all.
             level: whether a map that is not upright is turned upright.
         """
-        return await self._send(_calls.fetch_bytes("maps", name, "scene", landmarks=landmarks, level=level or None))
+        return await self._send(fetch_bytes("maps", name, "scene", landmarks=landmarks, level=level or None))
 
     async def map_points(self, name: str) -> bytes:
         """Further points of the room in colour, as the service's ``/docs`` describe them."""
-        return await self._send(_calls.fetch_bytes("maps", name, "points"))
+        return await self._send(fetch_bytes("maps", name, "points"))
 
     async def map_room(self, name: str, *, level: bool = False) -> bytes:
         """Surfaces of the map's room, as the service's ``/docs`` describe them; ``level`` as of :meth:`map_scene`."""
-        return await self._send(_calls.fetch_bytes("maps", name, "room", level=level or None))
+        return await self._send(fetch_bytes("maps", name, "room", level=level or None))
 
     async def map_feature(self, name: str, feature: int) -> dict[str, Any]:
         """A feature of the map by number, and where it may be seen from."""
-        return await self._send(_calls.fetch("maps", name, "features", feature))
+        return await self._send(fetch(dict, "maps", name, "features", feature))
 
     async def view_picture(self, name: str, view: int) -> bytes:
         """The small picture of one of the map's views, as JPEG, where the service keeps pictures."""
-        return await self._send(_calls.fetch_bytes("maps", name, "views", view, "picture.jpg"))
+        return await self._send(fetch_bytes("maps", name, "views", view, "picture.jpg"))
 
     async def landscape(self, name: str, image: ImageLike, *, camera: Camera | str | None = None) -> dict[str, Any]:
         """Where in the map a picture may have been taken: the log-likelihood over positions."""
@@ -373,84 +391,89 @@ class AsyncClient:
 
     async def failures(self, name: str) -> dict[str, Any]:
         """The last day's requests without a pose or with little confidence; where the service keeps them."""
-        return await self._send(_calls.fetch("maps", name, "failures"))
+        return await self._send(fetch(dict, "maps", name, "failures"))
 
     async def refusals(self, name: str) -> dict[str, Any]:
         """Pictures that were refused, by cause; where the service keeps them."""
-        return await self._send(_calls.fetch("maps", name, "refusals"))
+        return await self._send(fetch(dict, "maps", name, "refusals"))
 
     async def refusal(self, name: str, number: int) -> dict[str, Any]:
         """The map's view that is most like a refused picture, and their matches."""
-        return await self._send(_calls.fetch("maps", name, "refusals", number))
+        return await self._send(fetch(dict, "maps", name, "refusals", number))
 
     async def refusal_picture(self, name: str, number: int) -> bytes:
         """A refused picture, as JPEG."""
-        return await self._send(_calls.fetch_bytes("maps", name, "refusals", number, "picture.jpg"))
+        return await self._send(fetch_bytes("maps", name, "refusals", number, "picture.jpg"))
 
     async def kept_queries(self, name: str) -> dict[str, Any]:
         """What is kept of users' queries for the map to learn from."""
-        return await self._send(_calls.fetch("maps", name, "learning"))
+        return await self._send(fetch(dict, "maps", name, "learning"))
 
     async def delete_kept_queries(self, name: str, asker: str | None = None) -> int:
         """Delete the map's kept queries, all or those of one client; how many there were."""
-        return await self._send(_calls.delete_queries(name, asker))
+        return await self._send(
+            change(lambda body: int(body["deleted"]), "DELETE", "maps", name, "learning", asker=asker)
+        )
 
     async def restore_map(self, name: str, number: int = 1) -> MapSummary:
         """Put a map that was replaced back in its place; 1 is the one that was replaced last."""
-        return await self._send(_calls.restore_map(name, number))
+        return await self._send(change(parse_map, "POST", "maps", name, "restore", number=number))
 
     async def cameras(self) -> list[CameraProfile]:
         """All cameras that are stored under a name."""
-        return await self._send(_calls.list_cameras())
+        return await self._send(fetch_list("cameras", parse_profile, "cameras"))
 
     async def camera(self, name: str) -> CameraProfile:
         """One stored camera."""
-        return await self._send(_calls.get_camera(name))
+        return await self._send(fetch(parse_profile, "cameras", name))
 
     async def put_camera(
         self, name: str, camera: Camera, calibration: Mapping[str, Any] | None = None
     ) -> CameraProfile:
         """Store a camera, including its ``width`` and ``height``, under a name that requests may then use."""
-        return await self._send(_calls.put_camera(name, camera, calibration))
+        body = {**_calls.intrinsics(camera), "calibration": dict(calibration or {})}
+        return await self._send(change(parse_profile, "PUT", "cameras", name, body=body, idempotent=True))
 
     async def delete_camera(self, name: str) -> None:
         """Delete a stored camera; maps that were made with it keep it."""
-        await self._send(_calls.delete_camera(name))
+        await self._send(change(dict, "DELETE", "cameras", name))
 
     async def sites(self) -> list[Site]:
         """All sites."""
-        return await self._send(_calls.list_sites())
+        return await self._send(fetch_list("sites", parse_site, "sites"))
 
     async def site(self, name: str) -> Site:
         """One site: its maps, where they lie, and the links that this follows from."""
-        return await self._send(_calls.get_site(name))
+        return await self._send(fetch(parse_site, "sites", name))
 
     async def put_site(self, name: str, document: Mapping[str, Any]) -> Site:
         """Store a site: ``maps``, ``links``, ``earth`` and ``version`` as the service's documentation says.
 
         Poses of maps that are not given are found from the links.
         """
-        return await self._send(_calls.put_site(name, document))
+        repeatable = "version" not in document
+        return await self._send(change(parse_site, "PUT", "sites", name, body=document, idempotent=repeatable))
 
     async def find_site_link(self, name: str, first: str, second: str) -> Site:
         """Find the pose between two maps of a site, by points that both have or by overlap; places the site anew."""
-        return await self._send(_calls.find_site_link(name, first, second))
+        body = {"first": first, "second": second}
+        return await self._send(change(parse_site, "POST", "sites", name, "links", body=body, work_s=_calls.MINUTES_S))
 
     async def place_site(self, name: str) -> Job:
         """Let a job look for links between the maps of a site until all are placed; wait for it as for a map's."""
-        return await self._send(_calls.place_site(name))
+        return await self._send(change(parse_job, "POST", "sites", name, "place", body={}))
 
     async def delete_site(self, name: str) -> None:
         """Delete a site; its maps stay."""
-        await self._send(_calls.delete_site(name))
+        await self._send(change(dict, "DELETE", "sites", name))
 
     async def visitors_site(self, site: str) -> dict[str, Any]:
         """What the visitors' page shows of a site."""
-        return await self._send(_calls.fetch("here", site))
+        return await self._send(fetch(dict, "here", site))
 
     async def visitors_room(self, site: str, map_name: str) -> bytes:
         """Surfaces of one of the site's rooms, as the visitors' page draws them."""
-        return await self._send(_calls.fetch_bytes("here", site, "rooms", map_name))
+        return await self._send(fetch_bytes("here", site, "rooms", map_name))
 
     async def localize_visitor(self, site: str, image: ImageLike, *, camera: Camera | None = None) -> dict[str, Any]:
         """Where in a site a visitor's picture was taken; with a visitor's key."""
@@ -462,11 +485,11 @@ class AsyncClient:
 
     async def geopose_status(self) -> dict[str, Any]:
         """Status of the service in OSCP's GeoPoseProtocol."""
-        return await self._send(_calls.fetch_root("/geopose"))
+        return await self._send(Call("GET", "/geopose", _calls.json_of(dict)))
 
     async def delete_map(self, name: str) -> None:
         """Delete a map for good."""
-        await self._send(_calls.delete_map(name))
+        await self._send(change(dict, "DELETE", "maps", name))
 
     async def upload_recording(
         self,
@@ -500,23 +523,23 @@ class AsyncClient:
 
     async def upload_rules(self) -> dict[str, str]:
         """Headers that say what the service takes of resumable uploads (tus)."""
-        return await self._send(_calls.upload_rules())
+        return await self._send(Call("OPTIONS", "/v1/recordings", lambda answer: dict(answer.headers)))
 
     async def uploads(self) -> list[dict[str, Any]]:
         """Resumable uploads that are not complete; :meth:`delete_recording` abandons one by its id."""
-        return await self._send(_calls.fetch_list("uploads", "uploads"))
+        return await self._send(fetch_list("uploads", dict, "uploads"))
 
     async def recordings(self) -> list[dict[str, Any]]:
         """The stored recordings, the newest first."""
-        return await self._send(_calls.fetch_list("recordings", "recordings"))
+        return await self._send(fetch_list("recordings", dict, "recordings"))
 
     async def recording(self, recording: str) -> dict[str, Any]:
         """A stored recording by its id: what it holds, and what is wrong with it."""
-        return await self._send(_calls.fetch("recordings", recording))
+        return await self._send(fetch(dict, "recordings", recording))
 
     async def recording_thumbnail(self, recording: str) -> bytes:
         """A small picture of the recording, as JPEG."""
-        return await self._send(_calls.fetch_bytes("recordings", recording, "thumbnail.jpg"))
+        return await self._send(fetch_bytes("recordings", recording, "thumbnail.jpg"))
 
     async def map_recording(
         self,
@@ -532,20 +555,20 @@ class AsyncClient:
     ) -> Job:
         """Map a stored recording; arguments as of :meth:`upload_recording`."""
         fields = recording_fields(map_name, kind, features, density, poses, camera, priority)
-        return await self._send(_calls.map_recording(recording, fields))
+        return await self._send(change(parse_job, "POST", "recordings", recording, "jobs", body=without_none(fields)))
 
     async def put_waypoints(self, recording: str, waypoints: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Set a stored recording's measured waypoints, as the service's ``/docs`` describe them."""
         body = {"waypoints": [dict(one) for one in waypoints]}
-        return await self._send(_calls.send("PUT", "recordings", recording, "waypoints", body=body))
+        return await self._send(change(dict, "PUT", "recordings", recording, "waypoints", body=body))
 
     async def delete_waypoints(self, recording: str) -> dict[str, Any]:
         """Remove the waypoints that were set; those of the recording itself count again."""
-        return await self._send(_calls.send("DELETE", "recordings", recording, "waypoints"))
+        return await self._send(change(dict, "DELETE", "recordings", recording, "waypoints"))
 
     async def delete_recording(self, recording: str) -> None:
         """Delete a stored recording, or abandon an upload; maps that were made from it stay."""
-        await self._send(_calls.send("DELETE", "recordings", recording))
+        await self._send(change(dict, "DELETE", "recordings", recording))
 
     async def job_events(self, job_id: str) -> AsyncIterator[Job]:
         """A job as it is now, and whenever it has changed, until it ends."""
@@ -554,23 +577,24 @@ class AsyncClient:
 
     async def jobs(self, before: str | None = None) -> list[Job]:
         """The newest 500 jobs, the newest first; ``before``: only those older than the job with this id."""
-        return await self._send(_calls.list_jobs(before))
+        return await self._send(fetch_list("jobs", parse_job, "jobs", before=before))
 
     async def job(self, job_id: str) -> Job:
         """One job."""
-        return await self._send(_calls.get_job(job_id))
+        return await self._send(fetch(parse_job, "jobs", job_id))
 
     async def cancel_job(self, job_id: str) -> Job:
         """End a job; its recording is kept."""
-        return await self._send(_calls.cancel_job(job_id))
+        return await self._send(change(parse_job, "DELETE", "jobs", job_id))
 
     async def retry_job(self, job_id: str) -> Job:
         """Queue a failed or cancelled job again."""
-        return await self._send(_calls.retry_job(job_id))
+        return await self._send(change(parse_job, "POST", "jobs", job_id, "retry"))
 
     async def prioritize_job(self, job_id: str, priority: str) -> Job:
         """Change how soon a queued job's turn comes: "high", "normal" or "low"."""
-        return await self._send(_calls.prioritize_job(job_id, priority))
+        body = {"priority": priority}
+        return await self._send(change(parse_job, "PATCH", "jobs", job_id, body=body, idempotent=True))
 
     async def wait_for_job(
         self,
@@ -601,43 +625,43 @@ class AsyncClient:
 
     async def health(self) -> dict[str, Any]:
         """The service's name and version; it answers as soon as it runs."""
-        return await self._send(_calls.fetch_root("/healthz"))
+        return await self._send(Call("GET", "/healthz", _calls.json_of(dict)))
 
     async def metrics(self) -> str:
         """Counters and timings in Prometheus's text format."""
-        return await self._send(_calls.fetch_plain("/metrics"))
+        return await self._send(Call("GET", "/metrics", lambda answer: answer.text))
 
     async def audit(self, *, limit: int | None = None, map_name: str | None = None) -> list[dict[str, Any]]:
         """The last requests that changed something, or a map, the newest first."""
-        return await self._send(_calls.fetch_list("changes", "audit", limit=limit, map=map_name))
+        return await self._send(fetch_list("changes", dict, "audit", limit=limit, map=map_name))
 
     async def streams(self) -> list[dict[str, Any]]:
         """The streams that are open to the server, the oldest first."""
-        return await self._send(_calls.fetch_list("streams", "streams"))
+        return await self._send(fetch_list("streams", dict, "streams"))
 
     async def close_stream(self, stream: str) -> None:
         """Close an open stream."""
-        await self._send(_calls.send("DELETE", "streams", stream))
+        await self._send(change(dict, "DELETE", "streams", stream))
 
     async def keys(self) -> list[dict[str, Any]]:
         """Names and scopes of the service's keys."""
-        return await self._send(_calls.fetch_list("keys", "keys"))
+        return await self._send(fetch_list("keys", dict, "keys"))
 
     async def key(self, name: str) -> dict[str, Any]:
         """A key's scope, limits and use."""
-        return await self._send(_calls.fetch("keys", name))
+        return await self._send(fetch(dict, "keys", name))
 
     async def hand_on_key(self, key: Mapping[str, Any]) -> dict[str, Any]:
         """Make a key that lives for a while, such as a visitor's: ``scope``, ``lifetime_s``, ``site``, ``limits``."""
-        return await self._send(_calls.send("POST", "keys", body=key))
+        return await self._send(change(dict, "POST", "keys", body=key))
 
     async def limit_key(self, name: str, limits: Mapping[str, Any]) -> dict[str, Any]:
         """Set a key's limits: ``requests_per_s``, ``burst``, ``maps``, ``stored_bytes``, ``jobs``."""
-        return await self._send(_calls.send("PUT", "keys", name, "limits", body=limits))
+        return await self._send(change(dict, "PUT", "keys", name, "limits", body=limits))
 
     async def delete_key(self, name: str) -> None:
         """Revoke a key."""
-        await self._send(_calls.send("DELETE", "keys", name))
+        await self._send(change(dict, "DELETE", "keys", name))
 
     async def draw_qr(self, text: str) -> str:
         """A QR code of a text, as SVG."""
@@ -681,11 +705,11 @@ class AsyncClient:
             outcome = await self._attempt(call)
             wait_s = attempts.wait_s(outcome)
             if wait_s is None:
-                return result_of(call, outcome)
+                return _calls.result_of(call, outcome)
             await asyncio.sleep(wait_s)
 
     async def _attempt(self, call: Call[T]) -> Outcome:
         try:
-            return await self._http.send(request(self._http, call))
+            return await self._http.send(_calls.request(self._http, call))
         except httpx.TransportError as error:
             return error

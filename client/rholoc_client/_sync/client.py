@@ -12,7 +12,18 @@ from typing import Any, TypeVar
 import httpx
 
 from rholoc_client import _calls
-from rholoc_client._calls import Call, Maps, Outcome, camera_text, headers, localize_options, request, result_of
+from rholoc_client._calls import (
+    Call,
+    Maps,
+    Outcome,
+    camera_text,
+    change,
+    fetch,
+    fetch_bytes,
+    fetch_list,
+    put_file,
+    without_none,
+)
 from rholoc_client._images import ImageLike
 from rholoc_client._plans import PlaceSource
 from rholoc_client._retry import Attempts, Backoff
@@ -39,6 +50,9 @@ from rholoc_client.models import (
     Site,
     Vector3,
     parse_job,
+    parse_map,
+    parse_profile,
+    parse_site,
 )
 
 T = TypeVar("T")
@@ -71,7 +85,9 @@ class Client:
         retries: int = 4,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
-        self._http = httpx.Client(base_url=base_url, headers=headers(api_key), timeout=timeout_s, transport=transport)
+        self._http = httpx.Client(
+            base_url=base_url, headers=_calls.headers(api_key), timeout=timeout_s, transport=transport
+        )
         self._backoff = Backoff(retries)
 
     def __enter__(self) -> Client:
@@ -121,7 +137,7 @@ class Client:
             with_matches: whether the answer's ``agreeing`` lists the matches that agree with the pose.
             geopose: "quaternion", "ypr" or "advanced": encoding of the answer's ``geopose``, the camera on Earth.
         """
-        options = localize_options(
+        options = _calls.localize_options(
             camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg, geopose
         )
         return self._send(_calls.localize_image(maps, image, options))
@@ -189,30 +205,30 @@ class Client:
         geopose: str | None = None,
     ) -> Localization:
         """Where a picture was taken, from its features alone. Arguments as of :meth:`localize`."""
-        options = localize_options(
+        options = _calls.localize_options(
             camera, prior, dof, gravity, deadline_ms, intrinsics, with_matches, max_sigma_m, max_sigma_deg, geopose
         )
         return self._send(_calls.localize_features(maps, features, options))
 
     def maps(self) -> list[MapSummary]:
         """All maps."""
-        return self._send(_calls.list_maps())
+        return self._send(fetch_list("maps", parse_map, "maps"))
 
     def map(self, name: str) -> MapSummary:
         """One map."""
-        return self._send(_calls.get_map(name))
+        return self._send(fetch(parse_map, "maps", name))
 
     def map_report(self, name: str) -> dict[str, Any]:
         """What the map found out about itself while it was built."""
-        return self._send(_calls.map_report(name))
+        return self._send(fetch(lambda body: dict(body["report"]), "maps", name, "report"))
 
     def map_report_picture(self, name: str) -> bytes:
         """The map's report as PNG: where it works and where not, how consistent it is, how exact its landmarks are."""
-        return self._send(_calls.map_report_picture(name))
+        return self._send(fetch_bytes("maps", name, "report.png"))
 
     def map_preview(self, name: str) -> bytes:
         """The map from above, as PNG."""
-        return self._send(_calls.map_preview(name))
+        return self._send(fetch_bytes("maps", name, "preview.png"))
 
     def upload_map(self, name: str, source: Path | str | bytes) -> MapSummary:
         """Publish a map under a name, replacing any map of that name.
@@ -242,7 +258,7 @@ class Client:
 
     def rename_map(self, name: str, new_name: str) -> MapSummary:
         """Give a map another name, which must be free."""
-        return self._send(_calls.rename_map(name, new_name))
+        return self._send(change(parse_map, "PATCH", "maps", name, body={"name": new_name}))
 
     def update_map(
         self, name: str, recording: str, *, poses: str | None = None, camera: Camera | str | None = None
@@ -255,27 +271,31 @@ class Client:
             poses: where frame poses come from; None: the recording's own, else each frame is localized.
             camera: the intrinsics, or the name of a stored camera, instead of the recording's own.
         """
-        fields = {"recording": recording, "poses": poses, "camera": camera_text(camera)}
-        return self._send(_calls.update_map(name, fields))
+        body = without_none({"recording": recording, "poses": poses, "camera": camera_text(camera)})
+        return self._send(change(parse_job, "POST", "maps", name, "update", body=body))
 
     def learn_from_users(self, name: str) -> Job:
         """Let a map learn from the queries that the service has kept for it; the job that does so."""
-        return self._send(_calls.learn_from_users(name))
+        return self._send(change(parse_job, "POST", "maps", name, "learn", body={}))
 
     def merge_maps(self, name: str, other: str, into: str) -> MapSummary:
         """Merge ``other`` into the frame of the map ``name``; the merged map is published as ``into``."""
-        return self._send(_calls.merge_maps(name, other, into))
+        body = {"other": other, "into": into}
+        return self._send(change(parse_map, "POST", "maps", name, "merge", body=body, work_s=_calls.MINUTES_S))
 
     def forget_recording(self, name: str, source: str) -> MapSummary:
         """Take out of a map what it learned from a recording, named by its id or name in the map's sources."""
-        return self._send(_calls.forget_recording(name, source))
+        body = {"source": source}
+        return self._send(change(parse_map, "POST", "maps", name, "forget", body=body, work_s=_calls.MINUTES_S))
 
     def correct_map(self, name: str, correction: Mapping[str, Any]) -> MapSummary:
         """Correct a map's frame, scale, extent or names, such as ``{"kind": "origin", "at": [1.2, 0.4, 0]}``.
 
         The service's ``/docs`` has all kinds. The answer is the map's next version.
         """
-        return self._send(_calls.correct_map(name, correction))
+        return self._send(
+            change(parse_map, "POST", "maps", name, "corrections", body=correction, work_s=_calls.MINUTES_S)
+        )
 
     def map_names(self, name: str) -> dict[str, Any]:
         """The map's named points and areas as a GeoJSON FeatureCollection.
@@ -283,7 +303,7 @@ class Client:
         Coordinates are longitude, latitude and height in a map with a place on Earth; else metres of the map, and its
         member ``frame`` is ``map``.
         """
-        return self._send(_calls.fetch("maps", name, "names"))
+        return self._send(fetch(dict, "maps", name, "names"))
 
     def put_map_names(self, name: str, source: PlaceSource, *, level: str | None = None) -> MapSummary:
         """Replace the map's named points and areas.
@@ -293,11 +313,11 @@ class Client:
             source: GeoJSON, as :meth:`map_names` returns it; or the path or content of a GeoJSON file or IMDF archive.
             level: of an IMDF archive; None: the only one.
         """
-        return self._send(_calls.put_names(name, source, level))
+        return self._send(put_file(source, "maps", name, "names", level=level))
 
     def floor_plan(self, name: str) -> bytes:
         """The floor plan that the map keeps: a picture's or GeoJSON's file."""
-        return self._send(_calls.fetch_bytes("maps", name, "plan"))
+        return self._send(fetch_bytes("maps", name, "plan"))
 
     def put_floor_plan(
         self,
@@ -322,19 +342,19 @@ class Client:
             level: of an IMDF archive; None: the only one.
         """
         params = {"x": x, "y": y, "turn_deg": turn_deg, "m_per_unit": m_per_unit, "level": level}
-        return self._send(_calls.put_floor_plan(name, source, params))
+        return self._send(put_file(source, "maps", name, "plan", **params))
 
     def delete_floor_plan(self, name: str) -> MapSummary:
         """Remove the map's floor plan; the map itself does not move."""
-        return self._send(_calls.delete_floor_plan(name))
+        return self._send(change(parse_map, "DELETE", "maps", name, "plan"))
 
     def map_versions(self, name: str) -> list[dict[str, Any]]:
         """The maps that this one replaced, the newest first; :meth:`restore_map` takes their ``number``."""
-        return self._send(_calls.fetch_list("versions", "maps", name, "versions"))
+        return self._send(fetch_list("versions", dict, "maps", name, "versions"))
 
     def map_coverage(self, name: str) -> dict[str, Any]:
         """Where the map works: landmarks in view, by position and heading."""
-        return self._send(_calls.fetch("maps", name, "coverage"))
+        return self._send(fetch(dict, "maps", name, "coverage"))
 
     def map_scene(self, name: str, *, landmarks: int | None = None, level: bool = False) -> bytes:
         """Landmarks and views for a 3-D view, as the service's ``/docs`` describe them.
@@ -344,23 +364,23 @@ class Client:
             landmarks: at most so many, evenly chosen; None: all.
             level: whether a map that is not upright is turned upright.
         """
-        return self._send(_calls.fetch_bytes("maps", name, "scene", landmarks=landmarks, level=level or None))
+        return self._send(fetch_bytes("maps", name, "scene", landmarks=landmarks, level=level or None))
 
     def map_points(self, name: str) -> bytes:
         """Further points of the room in colour, as the service's ``/docs`` describe them."""
-        return self._send(_calls.fetch_bytes("maps", name, "points"))
+        return self._send(fetch_bytes("maps", name, "points"))
 
     def map_room(self, name: str, *, level: bool = False) -> bytes:
         """Surfaces of the map's room, as the service's ``/docs`` describe them; ``level`` as of :meth:`map_scene`."""
-        return self._send(_calls.fetch_bytes("maps", name, "room", level=level or None))
+        return self._send(fetch_bytes("maps", name, "room", level=level or None))
 
     def map_feature(self, name: str, feature: int) -> dict[str, Any]:
         """A feature of the map by number, and where it may be seen from."""
-        return self._send(_calls.fetch("maps", name, "features", feature))
+        return self._send(fetch(dict, "maps", name, "features", feature))
 
     def view_picture(self, name: str, view: int) -> bytes:
         """The small picture of one of the map's views, as JPEG, where the service keeps pictures."""
-        return self._send(_calls.fetch_bytes("maps", name, "views", view, "picture.jpg"))
+        return self._send(fetch_bytes("maps", name, "views", view, "picture.jpg"))
 
     def landscape(self, name: str, image: ImageLike, *, camera: Camera | str | None = None) -> dict[str, Any]:
         """Where in the map a picture may have been taken: the log-likelihood over positions."""
@@ -372,82 +392,85 @@ class Client:
 
     def failures(self, name: str) -> dict[str, Any]:
         """The last day's requests without a pose or with little confidence; where the service keeps them."""
-        return self._send(_calls.fetch("maps", name, "failures"))
+        return self._send(fetch(dict, "maps", name, "failures"))
 
     def refusals(self, name: str) -> dict[str, Any]:
         """Pictures that were refused, by cause; where the service keeps them."""
-        return self._send(_calls.fetch("maps", name, "refusals"))
+        return self._send(fetch(dict, "maps", name, "refusals"))
 
     def refusal(self, name: str, number: int) -> dict[str, Any]:
         """The map's view that is most like a refused picture, and their matches."""
-        return self._send(_calls.fetch("maps", name, "refusals", number))
+        return self._send(fetch(dict, "maps", name, "refusals", number))
 
     def refusal_picture(self, name: str, number: int) -> bytes:
         """A refused picture, as JPEG."""
-        return self._send(_calls.fetch_bytes("maps", name, "refusals", number, "picture.jpg"))
+        return self._send(fetch_bytes("maps", name, "refusals", number, "picture.jpg"))
 
     def kept_queries(self, name: str) -> dict[str, Any]:
         """What is kept of users' queries for the map to learn from."""
-        return self._send(_calls.fetch("maps", name, "learning"))
+        return self._send(fetch(dict, "maps", name, "learning"))
 
     def delete_kept_queries(self, name: str, asker: str | None = None) -> int:
         """Delete the map's kept queries, all or those of one client; how many there were."""
-        return self._send(_calls.delete_queries(name, asker))
+        return self._send(change(lambda body: int(body["deleted"]), "DELETE", "maps", name, "learning", asker=asker))
 
     def restore_map(self, name: str, number: int = 1) -> MapSummary:
         """Put a map that was replaced back in its place; 1 is the one that was replaced last."""
-        return self._send(_calls.restore_map(name, number))
+        return self._send(change(parse_map, "POST", "maps", name, "restore", number=number))
 
     def cameras(self) -> list[CameraProfile]:
         """All cameras that are stored under a name."""
-        return self._send(_calls.list_cameras())
+        return self._send(fetch_list("cameras", parse_profile, "cameras"))
 
     def camera(self, name: str) -> CameraProfile:
         """One stored camera."""
-        return self._send(_calls.get_camera(name))
+        return self._send(fetch(parse_profile, "cameras", name))
 
     def put_camera(self, name: str, camera: Camera, calibration: Mapping[str, Any] | None = None) -> CameraProfile:
         """Store a camera, including its ``width`` and ``height``, under a name that requests may then use."""
-        return self._send(_calls.put_camera(name, camera, calibration))
+        body = {**_calls.intrinsics(camera), "calibration": dict(calibration or {})}
+        return self._send(change(parse_profile, "PUT", "cameras", name, body=body, idempotent=True))
 
     def delete_camera(self, name: str) -> None:
         """Delete a stored camera; maps that were made with it keep it."""
-        self._send(_calls.delete_camera(name))
+        self._send(change(dict, "DELETE", "cameras", name))
 
     def sites(self) -> list[Site]:
         """All sites."""
-        return self._send(_calls.list_sites())
+        return self._send(fetch_list("sites", parse_site, "sites"))
 
     def site(self, name: str) -> Site:
         """One site: its maps, where they lie, and the links that this follows from."""
-        return self._send(_calls.get_site(name))
+        return self._send(fetch(parse_site, "sites", name))
 
     def put_site(self, name: str, document: Mapping[str, Any]) -> Site:
         """Store a site: ``maps``, ``links``, ``earth`` and ``version`` as the service's documentation says.
 
         Poses of maps that are not given are found from the links.
         """
-        return self._send(_calls.put_site(name, document))
+        repeatable = "version" not in document
+        return self._send(change(parse_site, "PUT", "sites", name, body=document, idempotent=repeatable))
 
     def find_site_link(self, name: str, first: str, second: str) -> Site:
         """Find the pose between two maps of a site, by points that both have or by overlap; places the site anew."""
-        return self._send(_calls.find_site_link(name, first, second))
+        body = {"first": first, "second": second}
+        return self._send(change(parse_site, "POST", "sites", name, "links", body=body, work_s=_calls.MINUTES_S))
 
     def place_site(self, name: str) -> Job:
         """Let a job look for links between the maps of a site until all are placed; wait for it as for a map's."""
-        return self._send(_calls.place_site(name))
+        return self._send(change(parse_job, "POST", "sites", name, "place", body={}))
 
     def delete_site(self, name: str) -> None:
         """Delete a site; its maps stay."""
-        self._send(_calls.delete_site(name))
+        self._send(change(dict, "DELETE", "sites", name))
 
     def visitors_site(self, site: str) -> dict[str, Any]:
         """What the visitors' page shows of a site."""
-        return self._send(_calls.fetch("here", site))
+        return self._send(fetch(dict, "here", site))
 
     def visitors_room(self, site: str, map_name: str) -> bytes:
         """Surfaces of one of the site's rooms, as the visitors' page draws them."""
-        return self._send(_calls.fetch_bytes("here", site, "rooms", map_name))
+        return self._send(fetch_bytes("here", site, "rooms", map_name))
 
     def localize_visitor(self, site: str, image: ImageLike, *, camera: Camera | None = None) -> dict[str, Any]:
         """Where in a site a visitor's picture was taken; with a visitor's key."""
@@ -459,11 +482,11 @@ class Client:
 
     def geopose_status(self) -> dict[str, Any]:
         """Status of the service in OSCP's GeoPoseProtocol."""
-        return self._send(_calls.fetch_root("/geopose"))
+        return self._send(Call("GET", "/geopose", _calls.json_of(dict)))
 
     def delete_map(self, name: str) -> None:
         """Delete a map for good."""
-        self._send(_calls.delete_map(name))
+        self._send(change(dict, "DELETE", "maps", name))
 
     def upload_recording(
         self,
@@ -497,23 +520,23 @@ class Client:
 
     def upload_rules(self) -> dict[str, str]:
         """Headers that say what the service takes of resumable uploads (tus)."""
-        return self._send(_calls.upload_rules())
+        return self._send(Call("OPTIONS", "/v1/recordings", lambda answer: dict(answer.headers)))
 
     def uploads(self) -> list[dict[str, Any]]:
         """Resumable uploads that are not complete; :meth:`delete_recording` abandons one by its id."""
-        return self._send(_calls.fetch_list("uploads", "uploads"))
+        return self._send(fetch_list("uploads", dict, "uploads"))
 
     def recordings(self) -> list[dict[str, Any]]:
         """The stored recordings, the newest first."""
-        return self._send(_calls.fetch_list("recordings", "recordings"))
+        return self._send(fetch_list("recordings", dict, "recordings"))
 
     def recording(self, recording: str) -> dict[str, Any]:
         """A stored recording by its id: what it holds, and what is wrong with it."""
-        return self._send(_calls.fetch("recordings", recording))
+        return self._send(fetch(dict, "recordings", recording))
 
     def recording_thumbnail(self, recording: str) -> bytes:
         """A small picture of the recording, as JPEG."""
-        return self._send(_calls.fetch_bytes("recordings", recording, "thumbnail.jpg"))
+        return self._send(fetch_bytes("recordings", recording, "thumbnail.jpg"))
 
     def map_recording(
         self,
@@ -529,20 +552,20 @@ class Client:
     ) -> Job:
         """Map a stored recording; arguments as of :meth:`upload_recording`."""
         fields = recording_fields(map_name, kind, features, density, poses, camera, priority)
-        return self._send(_calls.map_recording(recording, fields))
+        return self._send(change(parse_job, "POST", "recordings", recording, "jobs", body=without_none(fields)))
 
     def put_waypoints(self, recording: str, waypoints: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Set a stored recording's measured waypoints, as the service's ``/docs`` describe them."""
         body = {"waypoints": [dict(one) for one in waypoints]}
-        return self._send(_calls.send("PUT", "recordings", recording, "waypoints", body=body))
+        return self._send(change(dict, "PUT", "recordings", recording, "waypoints", body=body))
 
     def delete_waypoints(self, recording: str) -> dict[str, Any]:
         """Remove the waypoints that were set; those of the recording itself count again."""
-        return self._send(_calls.send("DELETE", "recordings", recording, "waypoints"))
+        return self._send(change(dict, "DELETE", "recordings", recording, "waypoints"))
 
     def delete_recording(self, recording: str) -> None:
         """Delete a stored recording, or abandon an upload; maps that were made from it stay."""
-        self._send(_calls.send("DELETE", "recordings", recording))
+        self._send(change(dict, "DELETE", "recordings", recording))
 
     def job_events(self, job_id: str) -> Iterator[Job]:
         """A job as it is now, and whenever it has changed, until it ends."""
@@ -551,23 +574,24 @@ class Client:
 
     def jobs(self, before: str | None = None) -> list[Job]:
         """The newest 500 jobs, the newest first; ``before``: only those older than the job with this id."""
-        return self._send(_calls.list_jobs(before))
+        return self._send(fetch_list("jobs", parse_job, "jobs", before=before))
 
     def job(self, job_id: str) -> Job:
         """One job."""
-        return self._send(_calls.get_job(job_id))
+        return self._send(fetch(parse_job, "jobs", job_id))
 
     def cancel_job(self, job_id: str) -> Job:
         """End a job; its recording is kept."""
-        return self._send(_calls.cancel_job(job_id))
+        return self._send(change(parse_job, "DELETE", "jobs", job_id))
 
     def retry_job(self, job_id: str) -> Job:
         """Queue a failed or cancelled job again."""
-        return self._send(_calls.retry_job(job_id))
+        return self._send(change(parse_job, "POST", "jobs", job_id, "retry"))
 
     def prioritize_job(self, job_id: str, priority: str) -> Job:
         """Change how soon a queued job's turn comes: "high", "normal" or "low"."""
-        return self._send(_calls.prioritize_job(job_id, priority))
+        body = {"priority": priority}
+        return self._send(change(parse_job, "PATCH", "jobs", job_id, body=body, idempotent=True))
 
     def wait_for_job(
         self,
@@ -598,43 +622,43 @@ class Client:
 
     def health(self) -> dict[str, Any]:
         """The service's name and version; it answers as soon as it runs."""
-        return self._send(_calls.fetch_root("/healthz"))
+        return self._send(Call("GET", "/healthz", _calls.json_of(dict)))
 
     def metrics(self) -> str:
         """Counters and timings in Prometheus's text format."""
-        return self._send(_calls.fetch_plain("/metrics"))
+        return self._send(Call("GET", "/metrics", lambda answer: answer.text))
 
     def audit(self, *, limit: int | None = None, map_name: str | None = None) -> list[dict[str, Any]]:
         """The last requests that changed something, or a map, the newest first."""
-        return self._send(_calls.fetch_list("changes", "audit", limit=limit, map=map_name))
+        return self._send(fetch_list("changes", dict, "audit", limit=limit, map=map_name))
 
     def streams(self) -> list[dict[str, Any]]:
         """The streams that are open to the server, the oldest first."""
-        return self._send(_calls.fetch_list("streams", "streams"))
+        return self._send(fetch_list("streams", dict, "streams"))
 
     def close_stream(self, stream: str) -> None:
         """Close an open stream."""
-        self._send(_calls.send("DELETE", "streams", stream))
+        self._send(change(dict, "DELETE", "streams", stream))
 
     def keys(self) -> list[dict[str, Any]]:
         """Names and scopes of the service's keys."""
-        return self._send(_calls.fetch_list("keys", "keys"))
+        return self._send(fetch_list("keys", dict, "keys"))
 
     def key(self, name: str) -> dict[str, Any]:
         """A key's scope, limits and use."""
-        return self._send(_calls.fetch("keys", name))
+        return self._send(fetch(dict, "keys", name))
 
     def hand_on_key(self, key: Mapping[str, Any]) -> dict[str, Any]:
         """Make a key that lives for a while, such as a visitor's: ``scope``, ``lifetime_s``, ``site``, ``limits``."""
-        return self._send(_calls.send("POST", "keys", body=key))
+        return self._send(change(dict, "POST", "keys", body=key))
 
     def limit_key(self, name: str, limits: Mapping[str, Any]) -> dict[str, Any]:
         """Set a key's limits: ``requests_per_s``, ``burst``, ``maps``, ``stored_bytes``, ``jobs``."""
-        return self._send(_calls.send("PUT", "keys", name, "limits", body=limits))
+        return self._send(change(dict, "PUT", "keys", name, "limits", body=limits))
 
     def delete_key(self, name: str) -> None:
         """Revoke a key."""
-        self._send(_calls.send("DELETE", "keys", name))
+        self._send(change(dict, "DELETE", "keys", name))
 
     def draw_qr(self, text: str) -> str:
         """A QR code of a text, as SVG."""
@@ -678,11 +702,11 @@ class Client:
             outcome = self._attempt(call)
             wait_s = attempts.wait_s(outcome)
             if wait_s is None:
-                return result_of(call, outcome)
+                return _calls.result_of(call, outcome)
             time.sleep(wait_s)
 
     def _attempt(self, call: Call[T]) -> Outcome:
         try:
-            return self._http.send(request(self._http, call))
+            return self._http.send(_calls.request(self._http, call))
         except httpx.TransportError as error:
             return error
