@@ -19,8 +19,6 @@ end it prints, side by side, these figures, those of the weights in use, and how
 built alike: other ones are the hardest pictures of other rooms.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Iterable

@@ -7,8 +7,6 @@ in this process and localizes every third frame of the second, as JPEG, without 
 worst and the spread over all.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -20,8 +20,6 @@ version, or said that the service cannot at present. Workers use the pipeline of
 problem is reported with the seed of its run, and the exit status is 1 then. Filling a disk needs root.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import json

@@ -13,8 +13,6 @@ that the schema does not know, or not within a minute; where /healthz took more 
 2 GiB; or where no frame is localized afterwards.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import json

@@ -1,7 +1,5 @@
 """Requests that the service accepts, of every route, and the same requests after something has befallen them."""
 
-from __future__ import annotations
-
 import base64
 import json
 import random

@@ -13,8 +13,6 @@ within half a second, honest frames within twice their time and none refused, al
 `internal` or broken off. Several rounds, because times depend on what else the machine does; stop other work on it.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import json

@@ -9,8 +9,6 @@ which share of the other walk's frames is localized within 5 cm and 5° in the m
 builds no map); then the medians and the worst of all walks.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from pathlib import Path

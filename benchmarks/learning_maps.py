@@ -10,8 +10,6 @@ places with nothing moved. Printed are the share of these 60 within 5 cm and 5°
 cm, the median error of what is answered, and the map's size. The last lines have the worst and the mean of the seeds.
 """
 
-from __future__ import annotations
-
 import argparse
 import pickle
 import tempfile

@@ -19,8 +19,6 @@ rotation. With ``--write`` the first walk's errors, others as multiples of the p
 benchmarks/results/lenses.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

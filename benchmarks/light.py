@@ -8,8 +8,6 @@ artificial light, and in daylight and artificial light. With ``--write`` they go
 into the documents.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -21,8 +21,6 @@ requests take turns. What asks runs on the cores that are measured, which costs 
 JSON object.
 """
 
-from __future__ import annotations
-
 import argparse
 import asyncio
 import heapq

@@ -3,8 +3,6 @@
 Run it after changing the drawing: ``python benchmarks/make_icons.py``. Needs Debian's chromium.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from playwright.sync_api import sync_playwright

@@ -9,8 +9,6 @@ from video, IMU and waypoints. The pictures are of the second walk; their true p
 so that a test can tell how far off the answers are.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import replace
 from pathlib import Path

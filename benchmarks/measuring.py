@@ -1,7 +1,5 @@
 """What benchmarks share: the data, a port, pictures as they are sent, tables as they are printed."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Sequence
 from pathlib import Path

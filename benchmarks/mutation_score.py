@@ -8,8 +8,6 @@ share of the drawn mutants that some test notices is an estimate of the share of
 (one standard deviation at 85 %). Some survivors no test could notice (an einsum's order, a message); they count.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import json

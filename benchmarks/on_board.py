@@ -8,8 +8,6 @@ be refused. Disk is the size of the files in all wheels that `pip install rholoc
 track` at its peak. `--write` keeps the figures in `benchmarks/results/onboard.json`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

@@ -9,8 +9,6 @@ between all pairs, on the pictures that `python benchmarks/figures.py pictures` 
 figures go to benchmarks/results, and from there into the documents.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import tempfile
 import time

@@ -7,8 +7,6 @@ some three minutes. With ``--every-look`` also on a tablet, and the pages as the
 for the documents. Needs Chromium.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

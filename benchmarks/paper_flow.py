@@ -10,8 +10,6 @@ constant and of the fit, and how frames localize: by the densities alone (Figure
 `--write` the figures go to benchmarks/results/paper.json, and from there into the documents.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from collections.abc import Iterator

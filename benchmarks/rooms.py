@@ -4,8 +4,6 @@ Real recordings, simulated rooms, and a simulated building; each belongs to the 
 what is fitted to some recordings can be checked on another. Trajectories, simulated walks and maps are kept in a cache.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

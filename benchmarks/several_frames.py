@@ -8,8 +8,6 @@ way, their relative poses the true ones with the noise of odometry (5 mm and 0.2
 5°, and the median error.
 """
 
-from __future__ import annotations
-
 import argparse
 from itertools import pairwise
 from pathlib import Path

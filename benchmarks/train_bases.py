@@ -11,8 +11,6 @@ share of the variance that is kept, in the rooms of the training and in another 
 distances between different points.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Messages of a bag of ROS 2, read by Foxglove's library."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """An S3 server that fails when it is told to."""
 
-from __future__ import annotations
-
 import threading
 import time
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """A pipeline that is quick, can be held at any point, and notes what it did. Run as a script it is a real worker."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

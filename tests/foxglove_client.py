@@ -1,7 +1,5 @@
 """A client of Foxglove's WebSocket protocol, which decodes messages by the schemas that it is told."""
 
-from __future__ import annotations
-
 import json
 import struct
 from contextlib import suppress

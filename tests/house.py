@@ -1,7 +1,5 @@
 """A house of three rooms whose maps are placed by the points that they share."""
 
-from __future__ import annotations
-
 from fake_pipeline import tiny_map
 from rholoc.library.maps import MapLibrary
 from rholoc.library.sites import SiteLibrary

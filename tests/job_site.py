@@ -1,7 +1,5 @@
 """A place for jobs, with real workers in processes of their own."""
 
-from __future__ import annotations
-
 import math
 import signal
 import subprocess

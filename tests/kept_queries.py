@@ -1,7 +1,5 @@
 """Queries as a service keeps them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

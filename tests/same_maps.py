@@ -1,7 +1,5 @@
 """Maps held against each other, column by column."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.maps import Map

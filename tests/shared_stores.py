@@ -1,7 +1,5 @@
 """Stores that several processes share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 

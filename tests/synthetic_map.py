@@ -1,7 +1,5 @@
 """A synthetic map of a room."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

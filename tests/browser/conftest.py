@@ -1,7 +1,5 @@
 """Debian's Chromium, driven by playwright; and the fake phone that the recorder runs on."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket

@@ -1,7 +1,5 @@
 """Every page for everybody: axe finds nothing, it fits at 200 % and on a narrow phone, and needs no mouse."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

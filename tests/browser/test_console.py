@@ -1,7 +1,5 @@
 """The console in Chromium: what it shows, what it asks, and that it stays on its feet."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

@@ -1,7 +1,5 @@
 """A map made right on its page: drawn with the pointer, typed, undone."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

@@ -1,7 +1,5 @@
 """Links with a key that expires: a map that is shown to somebody, a walk that goes on with the phone."""
 
-from __future__ import annotations
-
 import re
 
 import httpx

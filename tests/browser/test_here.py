@@ -1,7 +1,5 @@
 """A visitor's page in Chromium: the fake camera shows a place of a site, and the page says where it is and the way."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The example page of @rholoc/client in Chromium: a waypoint is drawn where it is in the fake camera's picture."""
 
-from __future__ import annotations
-
 import functools
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Who asks for poses now, and where requests failed, on a map's page."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """A map's page and the list of maps: trust first, where it works, and names that are in use already."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

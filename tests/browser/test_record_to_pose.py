@@ -3,8 +3,6 @@
 The phone (:mod:`walking_phone`) sees and feels the simulated walk from its beginning to its first stop.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace

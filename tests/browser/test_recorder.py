@@ -1,7 +1,5 @@
 """The recorder as a person uses it, on a fake phone: recordings arrive whole, and whatever goes wrong is reported."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -1,7 +1,5 @@
 """The recorder's modules apart from its page: what they write, the service's readers read."""
 
-from __future__ import annotations
-
 import base64
 import io
 import os

@@ -1,7 +1,5 @@
 """Recordings in the console: what they are, their waypoints corrected, mapped again; and lists in groups."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

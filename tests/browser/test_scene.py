@@ -1,7 +1,5 @@
 """A map in 3-D: drawn by the processor as by a graphics card, with more points and pictures on demand, and levelled."""
 
-from __future__ import annotations
-
 import base64
 import re
 from contextlib import closing

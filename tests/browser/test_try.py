@@ -1,7 +1,5 @@
 """Trying a map: what is shown belongs to what was asked last, and says how far it can be relied on."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

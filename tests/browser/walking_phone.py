@@ -5,8 +5,6 @@ machine film and sensors drift apart. This camera chooses each picture by the mo
 leaves out what would come late, as a camera does; the sensors' readings carry the times at which they were taken.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Pictures of boards, rendered with known intrinsics and distortion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """A board's pictures give back the camera that they were rendered with, or one line on why not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """``rholoc camera``, and commands that name a camera."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """``rholoc demo`` as a process, and what it says of a map."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """How errors leave the command: one line, the right status, never a traceback."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """``rholoc recording info``."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import partial

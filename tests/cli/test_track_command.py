@@ -1,7 +1,5 @@
 """``rholoc track`` and ``rholoc localize`` with bags: what is written, what is refused; no network is needed."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The clients against a running service; arrays become PNG files."""
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 import threading

@@ -1,7 +1,5 @@
 """When the client asks again, and when it must not. The service is played by a transport."""
 
-from __future__ import annotations
-
 import asyncio
 
 import httpx

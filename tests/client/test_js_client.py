@@ -1,7 +1,5 @@
 """The JavaScript client against a real service: the same answers as Python's, and pages of other sites."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

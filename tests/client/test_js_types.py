@@ -1,7 +1,5 @@
 """The declarations of @rholoc/client: they are those of the service's OpenAPI document, and TypeScript takes them."""
 
-from __future__ import annotations
-
 import runpy
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A map that is uploaded over a line that loses answers replaces the map before it once."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import hashlib

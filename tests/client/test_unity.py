@@ -1,7 +1,5 @@
 """The client for Unity, compiled and run by Mono: handedness, the session beside JavaScript's, and a real service."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

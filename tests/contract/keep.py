@@ -3,8 +3,6 @@
 ``PYTHONPATH=tests python tests/contract/keep.py`` writes ``kept/VERSION``, and refuses if there is one.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3

@@ -1,7 +1,5 @@
 """What rholoc offers to programs and people: routes, commands, settings and Python names, as one kind of list."""
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import importlib

@@ -1,7 +1,5 @@
 """What earlier versions made is read, and what they offered is still there; see CONTRIBUTING.md."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sqlite3

@@ -1,7 +1,5 @@
 """Densities fitted by loss (5) to observations, and the same coefficients estimated one observation at a time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The ray density: information sums add, and the gradient is the density's own."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How densities change with a small motion of the camera: against finite differences, for every form of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What a file keeps of densities, what Table 5 says of them, and which of them can be no densities."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tensor density: where it peaks, what it is worth elsewhere, its gradients."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Descriptions of deployments: well-formed, and about this service."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

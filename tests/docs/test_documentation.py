@@ -1,7 +1,5 @@
 """What users can do is documented, and what is documented can be done."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Figures in documents are those that were measured."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the library's page shows, runs; what it offers is there; the site builds without a warning."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

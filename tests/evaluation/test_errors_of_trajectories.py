@@ -1,7 +1,5 @@
 """Errors, recall and medians: known values and invariants; which estimated pose is compared with which true one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every extractor keeps its promises on a picture with colour and texture."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """XFeat: its network, its weights read without PyTorch, and what is said where they are not installed."""
 
-from __future__ import annotations
-
 import pickle
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Matching finds what it must, within channels only; pictures as vectors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

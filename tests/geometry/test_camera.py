@@ -1,7 +1,5 @@
 """Cameras: round trips, and what is refused; lenses: rays and pixels of each model, against OpenCV's and COLMAP's."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

@@ -1,7 +1,5 @@
 """Places on Earth: known distances, and round trips; national grids and heights above the sea, against pyproj."""
 
-from __future__ import annotations
-
 import struct
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Poses: heading, roll and quaternion say the same as the matrix."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

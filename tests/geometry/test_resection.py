@@ -1,7 +1,5 @@
 """Poses from rays: of narrow and of wide lenses, of one camera and of several."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Bodies that are small to send and large to read: refused at once, and kept from whoever asks next."""
 
-from __future__ import annotations
-
 import json
 
 import httpx

@@ -1,7 +1,5 @@
 """Clients that dribble, watch in crowds, and storage that fails: the others are answered."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import shutil

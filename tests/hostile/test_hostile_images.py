@@ -1,7 +1,5 @@
 """Pictures that are small to send and slow to decode: refused by their headers, or left when their time is over."""
 
-from __future__ import annotations
-
 import io
 import json
 import threading

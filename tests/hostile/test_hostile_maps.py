@@ -1,7 +1,5 @@
 """Map files that say what no reader can use: refused before they replace anything, and harmless where they lie."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import threading

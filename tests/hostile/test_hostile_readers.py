@@ -1,7 +1,5 @@
 """Every reader, fed what nobody wrote down beforehand: it answers in one line, or reads it."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recordings that are small to send and large to read: refused in one line, before memory is taken for them."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """Uploads that go on at whichever server they reach."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

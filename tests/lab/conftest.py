@@ -1,7 +1,5 @@
 """A wall with a picture on it, and recordings of walks along it: exact geometry at the price of one warp a frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

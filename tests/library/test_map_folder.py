@@ -1,7 +1,5 @@
 """A folder as a catalogue of maps: a change is made whole or not at all, wherever a process is killed in it."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import shutil

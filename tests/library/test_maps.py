@@ -1,7 +1,5 @@
 """The library of maps: names, replacing, and what bad input leaves alone."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Kept queries: bounded, spread over places and askers, read back as they were, and deleted when they have to be."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from pathlib import Path

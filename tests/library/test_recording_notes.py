@@ -1,7 +1,5 @@
 """What is known of a stored recording: noted when it is read, and corrected by people without touching its files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Recordings on disk: complete or not there."""
 
-from __future__ import annotations
-
 import errno
 import os
 import time

@@ -1,7 +1,5 @@
 """Cameras and keys that several processes share; named cameras beside the maps."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

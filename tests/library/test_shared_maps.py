@@ -1,7 +1,5 @@
 """Maps that several processes share: what one does the others see, whole."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Two servers that share a PostgreSQL database and an S3 bucket: they are one service."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,7 +1,5 @@
 """A map of the room of points, made from sixty views."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The ascent: its gradient is the density's, and it climbs to the truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The ascent's equations against ones that are written out independently, and against differences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Colours: right matches are as light as their landmarks' let expect, wrong ones are not, in whatever light."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Confidence: it follows what speaks for a pose and against it, and tells right answers from made-up ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """What a picture shows of why it was not localized."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

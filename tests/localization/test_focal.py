@@ -1,7 +1,5 @@
 """The focal length: a wrong one is noticed, an unknown one is found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

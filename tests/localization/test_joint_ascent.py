@@ -1,7 +1,5 @@
 """Links between frames: their equations against differences, and where they draw the frames."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

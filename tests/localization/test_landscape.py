@@ -1,7 +1,5 @@
 """Densities over pixels, positions and headings: what they are where they are known."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A large map: the place first, then as in any map."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

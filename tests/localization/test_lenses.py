@@ -1,7 +1,5 @@
 """Maps of wide lenses: views, landmarks, patches and answers, and pictures of one lens in the map of another."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The localizer, in a room of points."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

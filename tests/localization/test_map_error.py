@@ -1,7 +1,5 @@
 """The map's own uncertainty in an answer: against samples, and in maps that are displaced by as much as they say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

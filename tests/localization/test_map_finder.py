@@ -1,7 +1,5 @@
 """The index of a library's views follows the library, and outlives the process."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The map as localization needs it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

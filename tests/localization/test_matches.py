@@ -1,7 +1,5 @@
 """Matches: ordered, mutual, and how probable each is by its descriptors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Modes of one place: poses along an arc around what a picture shows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Orientation and size of what is matched: what they say of a match and of a pose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

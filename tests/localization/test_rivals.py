@@ -1,7 +1,5 @@
 """Look-alikes: places that show the same, things of a place in a picture of another."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

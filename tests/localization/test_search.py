@@ -1,7 +1,5 @@
 """What a search answers with: which candidate, how sure, and what is asked of a seed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Seeds: minimal samples that contain the true pose, places that matches vote for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

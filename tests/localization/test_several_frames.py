@@ -1,7 +1,5 @@
 """Several frames, one density: what one frame cannot tell, several do."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What a picture says for a pose, cell by cell."""
 
-from __future__ import annotations
-
 from dataclasses import astuple, replace
 from typing import Any
 

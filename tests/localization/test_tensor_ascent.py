@@ -3,8 +3,6 @@
 The layers forbid localization to import mapping; its tests may, as only a fitted map shows what the ascent does.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

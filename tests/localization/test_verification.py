@@ -1,7 +1,5 @@
 """Verification: the last steps go by what was seen from hereabouts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

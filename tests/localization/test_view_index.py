@@ -1,7 +1,5 @@
 """One index over the views of many maps, held against comparing all of them."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import cast
 

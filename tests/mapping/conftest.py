@@ -1,7 +1,5 @@
 """A walk through the room of points, as views."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

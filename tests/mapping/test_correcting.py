@@ -1,7 +1,5 @@
 """A map corrected by hand: answers move by exactly the transform that the map reports, and what is cut is gone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

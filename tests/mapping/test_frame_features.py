@@ -1,7 +1,5 @@
 """Frames that another step has decoded are not decoded again for their features."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import cv2

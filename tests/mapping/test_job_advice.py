@@ -1,7 +1,5 @@
 """What maps and failed jobs tell of their recordings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

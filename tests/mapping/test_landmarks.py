@@ -1,7 +1,5 @@
 """Tracks and landmarks against the points they should be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

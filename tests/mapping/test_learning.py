@@ -1,7 +1,5 @@
 """Recordings and maps that find their place in a map and are learned, and those that do not and are refused."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace

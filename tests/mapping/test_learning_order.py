@@ -1,7 +1,5 @@
 """What a map has learned does not depend on the order of learning, and can be forgotten, to 1e-6 m."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

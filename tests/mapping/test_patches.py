@@ -1,7 +1,5 @@
 """The patches that maps know of their landmarks: what every view that saw them measured, about."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

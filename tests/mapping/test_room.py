@@ -1,7 +1,5 @@
 """Depth of a room's views becomes its surfaces: where they are, facing the room, closed where nothing was measured."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where a site's maps lie: by links, which may contradict each other, by shared points, by overlap."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Places, and the densities fitted for them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How uncertain a map's views are, through all that is done with maps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Maps that learn from the queries they answered: what is new, what is gone, and what is not believed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from contextlib import nullcontext

@@ -1,7 +1,5 @@
 """Table 5: maps as CSV and back."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import astuple, replace
 from pathlib import Path

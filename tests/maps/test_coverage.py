@@ -1,7 +1,5 @@
 """Coverage: what a camera would see from where, by geometry alone; the report as a picture."""
 
-from __future__ import annotations
-
 import io
 import json
 from dataclasses import replace

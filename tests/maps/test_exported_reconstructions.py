@@ -1,7 +1,5 @@
 """Maps as reconstructions of other programs: what is written there is what the map knows."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """PLY, VTP, glTF and the picture from above."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """Tables 4 and 6 as CSV."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path

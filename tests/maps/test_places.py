@@ -1,7 +1,5 @@
 """Named points and areas as GeoJSON, and floor plans of other programs: round trips, other readers, damaged files."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """The native map file: what is written is read back, and what is damaged is refused."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

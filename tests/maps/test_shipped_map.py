@@ -1,7 +1,5 @@
 """The map that is shipped: it loads, and its report is understood."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

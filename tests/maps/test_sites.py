@@ -1,7 +1,5 @@
 """Sites as documents: what they may hold, how they are kept, where they lie on Earth."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

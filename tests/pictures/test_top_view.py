@@ -1,7 +1,5 @@
 """The top view shows what it is given."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

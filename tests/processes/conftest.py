@@ -1,7 +1,5 @@
 """What tests of processes start."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A program for tests: says who it is and whom it started, answers lines, and ends when it is asked to, or never."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A function in a child process; how much memory a container, or a service of systemd, leaves a process."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

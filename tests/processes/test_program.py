@@ -1,7 +1,5 @@
 """Programs beside this one."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,7 +1,5 @@
 """Extractors on real pairs of lights: which of them keeps what it saw."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

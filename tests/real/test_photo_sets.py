@@ -1,7 +1,5 @@
 """Sets of real pictures without times."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recordings of real phones and rigs, read as what they are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recordings as phones and cameras made them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The kitchen: mapped from frames with poses, localized from frames that are easy and frames that are hard."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frame poses of a real hand-held walk from its images and four waypoints in order, against its true poses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

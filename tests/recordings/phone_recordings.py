@@ -4,8 +4,6 @@ The walk: 24 frames at 20 a second whose frame i has shade 10 i, and a phone in 
 is thrust to and fro, sampled 100 times a second in the axes of iOS and Android (x right, y up, z out of the screen).
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable

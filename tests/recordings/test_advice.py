@@ -1,7 +1,5 @@
 """What to do better: each advice from its own measured figure."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bags that rosbags' own writers made: pictures of every encoding, cameras, IMUs, odometry and poses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass

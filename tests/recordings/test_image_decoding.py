@@ -1,7 +1,5 @@
 """Images from bytes: what is read, and what is refused without taking memory for it."""
 
-from __future__ import annotations
-
 import io
 import resource
 import struct

@@ -1,7 +1,5 @@
 """An IMU's table in any unit, order and state: seconds, m/s² and rad/s come of it, and problems are reported."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A live camera: the newest frame counts, and one that ends says so. The camera is a stream of motion JPEG."""
 
-from __future__ import annotations
-
 import threading
 import time
 from contextlib import contextmanager

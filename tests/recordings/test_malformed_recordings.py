@@ -1,7 +1,5 @@
 """What was fed and what came back: one clear line each, never a traceback, and nothing left behind."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Every format: the same walk comes back from each, with what the format holds of it."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Whole recordings: folders of images, videos, rholoc's own folder and ZIP file."""
 
-from __future__ import annotations
-
 import errno
 import gc
 import shutil

@@ -1,7 +1,5 @@
 """imu.csv, frames.csv, camera.json, poses.txt: what is written is read back, and what is broken is reported."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from pathlib import Path

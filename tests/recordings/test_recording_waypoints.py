@@ -1,7 +1,5 @@
 """waypoints.csv; measured distances between places of the camera, in a table or as text."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

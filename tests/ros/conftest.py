@@ -1,7 +1,5 @@
 """The node on a stand-in of rclpy's interface, in one process and without waiting."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A robot that drives an arc, and a service that answers with the truth; poses by SciPy, not by the client's code."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

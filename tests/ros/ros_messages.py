@@ -1,7 +1,5 @@
 """ROS messages as rosbags defines them, with the defaults that rclpy's have; and the same as types of DDS."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A stand-in of what the node uses of rclpy and tf2_ros. SciPy evaluates the transforms, not the client."""
 
-from __future__ import annotations
-
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A map's floor plan for map_server, and what is installed where ROS looks for it."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

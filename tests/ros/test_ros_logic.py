@@ -1,7 +1,5 @@
 """The node's plain logic: frames, odometry, corrections, cameras, pictures."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import cv2

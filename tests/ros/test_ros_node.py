@@ -1,7 +1,5 @@
 """The thin node on a stand-in of rclpy's interface: what it publishes, and above all when it does not."""
 
-from __future__ import annotations
-
 import importlib
 
 import numpy as np

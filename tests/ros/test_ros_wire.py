@@ -1,7 +1,5 @@
 """Two processes on the loopback's DDS: the node in one, in the other a robot that also evaluates what comes back."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """ROS topics on DDS, as ROS 2 has them: topics rt/NAME, types pkg::msg::dds_::Type_."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """The node in a process of its own, on DDS: python wire_node.py PARAMETERS. It runs until its input is closed."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """What tests of routes and streams share."""
 
-from __future__ import annotations
-
 import pytest
 
 from rholoc.service.settings import KeyPolicy

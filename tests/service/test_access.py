@@ -1,7 +1,5 @@
 """Every route declares who may use it, the guard holds it to that, and the documents and OpenAPI say the same."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import socket

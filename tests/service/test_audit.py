@@ -1,7 +1,5 @@
 """Who changed what: noted once for each change, readable, bounded."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Backups: everything comes back, into folders or a shared storage; nothing is replaced; what is damaged is refused."""
 
-from __future__ import annotations
-
 import io
 import os
 import tarfile

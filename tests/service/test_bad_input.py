@@ -1,7 +1,5 @@
 """Bad input: a clear error in one shape, nothing lost, and the service goes on."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

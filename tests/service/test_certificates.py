@@ -1,7 +1,5 @@
 """The certificate that phones see: made once, used again, renewed when it does not do any more."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

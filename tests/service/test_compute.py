@@ -1,7 +1,5 @@
 """Compute threads are shared fairly: by time on a core, whoever sends how much."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import sys

@@ -1,7 +1,5 @@
 """Maps corrected over HTTP: every kind, its answer, its undoing, and what is refused."""
 
-from __future__ import annotations
-
 import cv2
 import httpx
 import numpy as np

@@ -1,7 +1,5 @@
 """Metrics by map, and the dashboard that shows them; liveness, readiness, logs."""
 
-from __future__ import annotations
-
 import json
 import logging
 import re

@@ -1,7 +1,5 @@
 """The requests that `benchmarks/fuzz.py` damages: of every route and stream, and accepted until they are damaged."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from pathlib import Path

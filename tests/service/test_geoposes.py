@@ -1,7 +1,5 @@
 """GeoPoses of answers, against pyproj and SciPy; and OSCP's GeoPoseProtocol, versions 1 and 2."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import replace
 

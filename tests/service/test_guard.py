@@ -1,7 +1,5 @@
 """Who is let in: keys and their scopes, requests of other sites, the headers of every answer."""
 
-from __future__ import annotations
-
 import asyncio
 from contextlib import suppress
 

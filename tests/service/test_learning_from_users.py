@@ -1,7 +1,5 @@
 """Maps that learn from their users, over HTTP: what is kept of whose queries, and how it is learned and deleted."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 
 import httpx

@@ -1,7 +1,5 @@
 """Several frames go in, their poses come out: over a real socket."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

@@ -1,7 +1,5 @@
 """A frame goes in, a pose comes out: the three ways to send it, over a real socket."""
 
-from __future__ import annotations
-
 import base64
 import json
 import threading

@@ -1,7 +1,5 @@
 """Of many maps, those are asked that a frame is most like; localizers live as long as their maps are in memory."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from types import SimpleNamespace

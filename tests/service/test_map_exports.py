@@ -1,7 +1,5 @@
 """Maps over HTTP in other formats, and back from CSV."""
 
-from __future__ import annotations
-
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """Maps are listed by the headers of their files; what is stored again makes no version; PUT takes If-Match."""
 
-from __future__ import annotations
-
 import io
 import zlib
 from contextlib import nullcontext, suppress

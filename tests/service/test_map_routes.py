@@ -1,7 +1,5 @@
 """Maps over HTTP: listed, uploaded, renamed, deleted, taken away."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from dataclasses import replace

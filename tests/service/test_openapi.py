@@ -1,7 +1,5 @@
 """The OpenAPI document: complete, with examples, and true."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """While frames are worked on, other requests take a share of the time, and wait for the rest of it."""
 
-from __future__ import annotations
-
 import asyncio
 
 import httpx

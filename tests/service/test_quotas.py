@@ -1,7 +1,5 @@
 """What keys may hold: counted whoever stores it and however, freed when it goes."""
 
-from __future__ import annotations
-
 import base64
 import json
 from dataclasses import dataclass

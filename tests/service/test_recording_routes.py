@@ -1,7 +1,5 @@
 """Recordings and jobs over HTTP, on the real store and queue; no worker runs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Refused pictures: kept only where the setting says so, bounded, and compared with the map."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Resumable uploads as tus 1.0 has them, by a client of our own making, on the real store and queue."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import io

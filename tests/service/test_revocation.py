@@ -1,7 +1,5 @@
 """What is revoked is gone, with all that was handed on by it; what one client holds open is bounded."""
 
-from __future__ import annotations
-
 import base64
 import threading
 import time

@@ -1,7 +1,5 @@
 """A database or a storage that is silent: connections stay open, and nothing answers."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import statistics

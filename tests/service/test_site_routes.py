@@ -1,7 +1,5 @@
 """Sites over HTTP: stored, linked, asked; answers in the site's frame and on Earth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import httpx

@@ -1,7 +1,5 @@
 """A stream of frames over a WebSocket: poses come back, bad input ends it with a clear error, and it has bounds."""
 
-from __future__ import annotations
-
 import json
 from contextlib import contextmanager
 from typing import Any

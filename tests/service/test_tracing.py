@@ -1,7 +1,5 @@
 """Traces: a request with its stages and what the storage did; a job, linked to what asked for it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

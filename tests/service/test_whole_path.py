@@ -1,7 +1,5 @@
 """The whole path, nothing mocked: a recording is uploaded, a worker maps it, a frame gets its pose."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

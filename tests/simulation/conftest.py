@@ -1,7 +1,5 @@
 """A room that is lit quickly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Pictures agree with the geometry they are drawn from."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """What is written reads back, and is the same each time."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

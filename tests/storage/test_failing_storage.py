@@ -1,7 +1,5 @@
 """A storage that is gone, slow, unavailable or breaks off: nothing is torn, and it is said what is wrong."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from pathlib import Path

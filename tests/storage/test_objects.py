@@ -1,7 +1,5 @@
 """Objects in a storage: whole or not there."""
 
-from __future__ import annotations
-
 import errno
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Steps of a track that is played."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

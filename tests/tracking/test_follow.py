@@ -1,7 +1,5 @@
 """A camera is followed in a map on this machine: poses from the first recognized frame, answers whenever they come."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from dataclasses import replace

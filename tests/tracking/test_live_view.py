@@ -1,7 +1,5 @@
 """The live view, read by a client of Foxglove's WebSocket protocol and the decoder of Foxglove's own library."""
 
-from __future__ import annotations
-
 import json
 import re
 import time

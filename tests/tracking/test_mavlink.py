@@ -1,7 +1,5 @@
 """MAVLink messages, decoded by pymavlink: frames, covariance, resets, origin, and silence while lost."""
 
-from __future__ import annotations
-
 import math
 import socket
 import time

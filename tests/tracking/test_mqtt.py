@@ -1,7 +1,5 @@
 """Poses by MQTT, through mosquitto: VDA 5050's fields, nothing while lost, and a last will."""
 
-from __future__ import annotations
-
 import getpass
 import json
 import os

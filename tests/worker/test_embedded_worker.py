@@ -1,7 +1,5 @@
 """The worker beside a server: it starts, and it ends with its server; A worker's traces, as a collector gets them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Workers that are killed: the next one finishes their jobs, and publishes once."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Updates as jobs: published once, atomically, and never over a change that they do not know of."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``rholoc map correct``: every kind of correction, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

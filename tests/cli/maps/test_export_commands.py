@@ -1,7 +1,5 @@
 """``rholoc map export``, ``import`` and ``report``."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``rholoc map info``: a page for people, the most important first."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """``rholoc backup`` and ``rholoc restore``."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What ``rholoc doctor`` finds, and that it says what to do."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The command's processes: a server that starts, answers and stops with whoever started it."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

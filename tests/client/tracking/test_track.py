@@ -1,7 +1,5 @@
 """A track: odometry carries a pose, answers correct it, wrong ones do not, and every jump is counted."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -1,7 +1,5 @@
 """The trackers against a running service, and the motion of pictures."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """``rholoc map density``: what it draws can be read, and what it cannot draw it says; ``rholoc paper``."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from functools import partial

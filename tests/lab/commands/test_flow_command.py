@@ -1,7 +1,5 @@
 """``rholoc recording flow``: what moves by known pixels is found to."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The comparison on walks along a wall: every method answers, and right."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

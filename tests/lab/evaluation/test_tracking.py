@@ -1,7 +1,5 @@
 """A tracker run over a recording: it keeps its pose by odometry, by pictures, and through an outage."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

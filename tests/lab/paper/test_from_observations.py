@@ -1,7 +1,5 @@
 """Table 4 → map; A recording → Table 4."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The building of many rooms: one can walk through it and see into its rooms by the doors, not through its walls."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

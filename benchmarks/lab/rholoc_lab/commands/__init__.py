@@ -1,7 +1,5 @@
 """The commands that rholoc-lab adds to ``rholoc``."""
 
-from __future__ import annotations
-
 import typer
 
 from rholoc_lab.commands import compare, density, evaluate, evaluate_track, flow, paper, simulate

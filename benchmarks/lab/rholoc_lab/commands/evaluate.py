@@ -1,7 +1,5 @@
 """``rholoc evaluate``: a trajectory against the truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

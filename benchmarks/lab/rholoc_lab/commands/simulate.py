@@ -1,7 +1,5 @@
 """``rholoc simulate``: a simulated recording of a phone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

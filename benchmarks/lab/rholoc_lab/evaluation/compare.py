@@ -1,7 +1,5 @@
 """Compare the density with the baselines in one run, on the same features and matches of each query."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

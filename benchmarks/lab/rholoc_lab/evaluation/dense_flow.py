@@ -1,7 +1,5 @@
 """Dense optical flow between two pictures (the paper's Table 1)."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 import cv2

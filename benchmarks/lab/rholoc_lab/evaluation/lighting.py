@@ -3,8 +3,6 @@
 Frame poses are the true ones: this measures features, not how well a walk can be reconstructed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -5,8 +5,6 @@ One folder per scene, with any of ``right_default.png`` and ``right_changed.png`
 the largest disparity in pixels.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Drift of odometry from the truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

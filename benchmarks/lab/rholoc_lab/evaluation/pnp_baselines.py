@@ -6,8 +6,6 @@ worth more than any other setting. OpenCV's USAC with a MAGSAC score was tried t
 RANSAC followed by Levenberg–Marquardt.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """Run a tracker over a recording as a robot would, with delayed answers."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

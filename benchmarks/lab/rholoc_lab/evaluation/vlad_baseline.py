@@ -5,8 +5,6 @@ descriptor, the query is matched with each of them alone, and the 2D–3D matche
 points are those of a SIFT map: landmarks triangulated from the views' given poses.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The paper's equations as they stand, which the product computes in other ways."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.density import Densities, Evidence, TensorDensities

@@ -1,7 +1,5 @@
 """Table 4 → map: the paper's map generator (Figure 8), the densities fitted by loss (5) to the observations."""
 
-from __future__ import annotations
-
 import hashlib
 import uuid
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A recording → Table 4: what was seen at which pixel from where, before there is a map (the paper's Figure 6)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.features import FeatureSet, get_extractor, widened

@@ -1,7 +1,5 @@
 """Reader of Table 4: observations as CSV, by rholoc or by another program."""
 
-from __future__ import annotations
-
 from array import array
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Values on a regular grid as a VTK XML ImageData file, which ParaView opens as a volume."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

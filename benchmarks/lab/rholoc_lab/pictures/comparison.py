@@ -1,7 +1,5 @@
 """Plots of a comparison: recall curves, error by distance to the nearest view, the top view."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

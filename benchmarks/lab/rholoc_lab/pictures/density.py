@@ -1,7 +1,5 @@
 """Densities as pictures: a feature's ρ, a frame's product with the ascent to its maximum, a density that sharpens."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

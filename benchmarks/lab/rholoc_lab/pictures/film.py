@@ -1,7 +1,5 @@
 """Films of pictures as files: GIF or MP4."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path

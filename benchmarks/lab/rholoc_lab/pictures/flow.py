@@ -1,7 +1,5 @@
 """Optical flow over a picture: tracks as lines, a dense field as colours."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

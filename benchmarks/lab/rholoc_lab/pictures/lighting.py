@@ -1,7 +1,5 @@
 """Heat maps of the lighting experiments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A tracker's run as a plot: its error at every frame, and how far it expected to be off."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ floors. The rooms differ in what a person would go by: the numbers at the doors,
 hangs on the walls.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import cv2

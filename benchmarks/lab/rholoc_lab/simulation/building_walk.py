@@ -1,7 +1,5 @@
 """Walks through the building of many rooms: along the corridor, around each room, up the stairs and back."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

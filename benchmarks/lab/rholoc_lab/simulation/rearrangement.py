@@ -1,7 +1,5 @@
 """Rearrange a room's furniture."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

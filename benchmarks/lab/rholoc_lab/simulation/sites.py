@@ -1,7 +1,5 @@
 """The places that can be walked through, each with its walks."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
