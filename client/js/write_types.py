@@ -16,6 +16,7 @@ from typing import Any
 FOLDER = Path(__file__).parent
 TYPES = FOLDER / "types"
 ROOTS = ("LocalizationOut", "LocalizeOptions", "MapSummary", "MapDetail", "JobOut")
+_MIN_SHARED = 5  # members of a type that another extends; fewer may be the same by chance
 _NOTE = "// Written by client/js/write_types.py: run `make format`.\n"
 _PLAIN = {"string": "string", "number": "number", "integer": "number", "boolean": "boolean", "null": "null"}
 _REFERENCE = re.compile(r"#/components/schemas/(\w+)")
@@ -32,7 +33,8 @@ def api_types(schemas: dict[str, Any]) -> str:
         if name not in names:
             names.add(name)
             waiting += _REFERENCE.findall(json.dumps(schemas[name]))
-    return _NOTE + "".join(_declaration(name, schemas[name]) for name in sorted(names))
+    members = {name: _members(schemas[name]) for name in names}
+    return _NOTE + "".join(_declaration(name, schemas[name], members) for name in sorted(names))
 
 
 def written_types(schemas: dict[str, Any]) -> dict[str, str]:
@@ -57,16 +59,24 @@ def _without_types(text: str) -> str:
     return _ALONE.sub(r"/** \1 */", _DECLARED.sub("", text))
 
 
-def _declaration(name: str, schema: dict[str, Any]) -> str:
-    comment = _comment(schema, "")
-    if "properties" not in schema:
+def _declaration(name: str, schema: dict[str, Any], members: dict[str, list[str]]) -> str:
+    """One type; it extends the one of ``members`` that has most of its own."""
+    comment, own = _comment(schema, ""), members[name]
+    if not own:
         return f"\n{comment}export type {name} = {_type(schema)};\n"
+    within = [one for one in members if set(members[one]) < set(own) and len(members[one]) >= _MIN_SHARED]
+    base = max(within, key=lambda one: len(members[one]), default=None)
+    extends = f" extends {base}" if base else ""
+    further = "".join(one for one in own if base is None or one not in members[base])
+    return f"\n{comment}export interface {name}{extends} {{\n{further}}}\n"
+
+
+def _members(schema: dict[str, Any]) -> list[str]:
     required = set(schema.get("required", ()))
-    members = [
+    return [
         f"{_comment(one, '  ')}  {_key(key)}{'' if key in required else '?'}: {_type(one)};\n"
-        for key, one in schema["properties"].items()
+        for key, one in schema.get("properties", {}).items()
     ]
-    return f"\n{comment}export interface {name} {{\n{''.join(members)}}}\n"
 
 
 def _type(schema: dict[str, Any]) -> str:

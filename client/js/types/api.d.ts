@@ -22,23 +22,7 @@ export interface Camera {
 }
 
 /** Intrinsics, or the name of a stored camera instead: then ``width`` and ``height`` are the image's. */
-export interface CameraChoice {
-  /** px; default: the image's */
-  width?: number | null;
-  /** px; default: the image's */
-  height?: number | null;
-  /** px */
-  fx?: number | null;
-  /** px; default: fx */
-  fy?: number | null;
-  /** px; default: the middle of the image */
-  cx?: number | null;
-  /** px; default: the middle of the image */
-  cy?: number | null;
-  /** OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]; of a fisheye its k1, k2, k3, k4 */
-  distortion?: number[];
-  /** how the camera projects */
-  lens?: Lens;
+export interface CameraChoice extends CameraIn {
   /** a stored camera, instead of intrinsics */
   name?: string | null;
 }
@@ -317,37 +301,7 @@ export interface LocalizeOptions {
 }
 
 /** A map with its sources and its extent. */
-export interface MapDetail {
-  name: string;
-  /** unique for each built map */
-  id: string;
-  version: number;
-  density: DensityKind;
-  /** the extractor's name */
-  features: string;
-  scale: Scale;
-  /** whether z points up */
-  upright: boolean;
-  /** when this version was made, ISO 8601, UTC */
-  created: string;
-  /** how many features it holds */
-  landmarks: number;
-  /** how many keyframes it was seen from */
-  views: number;
-  /** how many vertices the surfaces of its room have; 0 until they are drawn */
-  room: number;
-  size_bytes: number;
-  /** whether the frame poses that it was built on passed every check; null where it does not say */
-  trusted: boolean | null;
-  /** why it is trusted, or which checks failed */
-  trust_reason: string;
-  /** how far its poses are expected to be from the truth, root mean square, m; null where unknown */
-  expected_error_m: number | null;
-  /** median distance, m, between where frames of the walk that were held out of the map are localized and where the walk has them: how well the map agrees with itself, not how right it is; null if none were held out */
-  consistency_m: number | null;
-  camera: CameraIn;
-  /** its site, floor and tags, as people set them */
-  labels: MapLabels;
+export interface MapDetail extends MapSummary {
   sources: Source[];
   waypoints: MapWaypoint[];
   /** the lowest and the highest x, y, z of its landmarks */
