@@ -52,7 +52,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+
+_WORD_START = re.compile(r"(?<!^)(?=[A-Z])")
 
 
 class RholocClientError(Exception):
@@ -87,9 +90,15 @@ class WaitTimedOut(RholocClientError):
 
 
 class ServiceError(RholocClientError):
-    """The service answered with an error. ``request_id`` finds it in the service's log."""
+    """The service answered with an error. ``request_id`` finds it in the service's log.
+
+    The ``code`` of a class below is its name in snake case.
+    """
 
     code = "error"
+
+    def __init_subclass__(cls) -> None:
+        cls.code = _WORD_START.sub("_", cls.__name__).lower()
 
     def __init__(self, message: str, hint: str = "", request_id: str = "", status: int = 0, code: str = "") -> None:
         super().__init__(f"{message} {hint}".strip())
@@ -103,235 +112,157 @@ class ServiceError(RholocClientError):
 class InvalidInput(ServiceError):
     """What was sent cannot be used."""
 
-    code = "invalid_input"
-
 
 class InvalidRequest(InvalidInput):
     """A parameter or the body is missing, malformed or of the wrong type."""
-
-    code = "invalid_request"
 
 
 class InvalidImage(InvalidInput):
     """The bytes are not an image, are truncated, or claim more pixels than allowed."""
 
-    code = "invalid_image"
-
 
 class InvalidCamera(InvalidInput):
     """Intrinsics are missing or physically impossible."""
-
-    code = "invalid_camera"
 
 
 class InvalidDescriptors(InvalidInput):
     """A descriptor set has the wrong length, shape, channel or number."""
 
-    code = "invalid_descriptors"
-
 
 class InvalidName(InvalidInput):
     """A map name is not valid."""
-
-    code = "invalid_name"
 
 
 class InvalidRecording(InvalidInput):
     """A recording that cannot be read."""
 
-    code = "invalid_recording"
-
 
 class InvalidWaypoints(InvalidInput):
     """Waypoints are malformed, fewer than three, or collinear."""
-
-    code = "invalid_waypoints"
 
 
 class InvalidTrajectory(InvalidInput):
     """A pose table that cannot be read."""
 
-    code = "invalid_trajectory"
-
 
 class NotInstalled(InvalidInput):
     """The features asked for need a package that is not installed where the service runs."""
-
-    code = "not_installed"
 
 
 class UnsupportedMediaType(InvalidInput):
     """The body is of a type that the route does not read."""
 
-    code = "unsupported_media_type"
-
 
 class InvalidMap(ServiceError):
     """A map file is corrupt, truncated, of a later version, or not a map at all."""
-
-    code = "invalid_map"
 
 
 class NotFound(ServiceError):
     """What was asked for does not exist."""
 
-    code = "not_found"
-
 
 class UnknownMap(NotFound):
     """No map has this name."""
-
-    code = "unknown_map"
 
 
 class UnknownCamera(NotFound):
     """No camera has this name."""
 
-    code = "unknown_camera"
-
 
 class UnknownRecording(NotFound):
     """No recording has this id."""
-
-    code = "unknown_recording"
 
 
 class UnknownSite(NotFound):
     """No site has this name."""
 
-    code = "unknown_site"
-
 
 class UnknownPicture(NotFound):
     """No picture of this is kept, or the service does not show it."""
-
-    code = "unknown_picture"
 
 
 class UnknownJob(NotFound):
     """No job has this id."""
 
-    code = "unknown_job"
-
 
 class UnknownRoute(NotFound):
     """The service has no such route: an older service, or a wrong base URL."""
-
-    code = "unknown_route"
 
 
 class Unauthorized(ServiceError):
     """The service requires an API key, and none was sent, or one that is unknown, was revoked or has expired."""
 
-    code = "unauthorized"
-
 
 class Forbidden(ServiceError):
     """The API key's scope does not allow this."""
-
-    code = "forbidden"
 
 
 class CrossSite(ServiceError):
     """The request looks as if a page of another site had sent it."""
 
-    code = "cross_site"
-
 
 class MethodNotAllowed(ServiceError):
     """The route does not take this method: an older service, or a wrong base URL."""
-
-    code = "method_not_allowed"
 
 
 class Conflict(ServiceError):
     """The request contradicts the present state."""
 
-    code = "conflict"
-
 
 class PreconditionFailed(ServiceError):
     """What is to be replaced was changed meanwhile."""
-
-    code = "precondition_failed"
 
 
 class MappingFailed(ServiceError):
     """No map that can be trusted could be made from a recording."""
 
-    code = "mapping_failed"
-
 
 class Cancelled(ServiceError):
     """The work was cancelled on request."""
-
-    code = "cancelled"
 
 
 class TooLarge(ServiceError):
     """The upload exceeds the service's limit."""
 
-    code = "too_large"
-
 
 class StorageFull(ServiceError):
     """The service's disk is full; nothing stored was changed."""
-
-    code = "storage_full"
 
 
 class StorageUnavailable(ServiceError):
     """The service's storage or database cannot be used at present; nothing stored was changed."""
 
-    code = "storage_unavailable"
-
 
 class RequestTimeout(ServiceError):
     """The request reached the service too slowly, or stopped half-way."""
-
-    code = "request_timeout"
 
 
 class TooManyRequests(ServiceError):
     """The API key asks more often than it may, and did so at every retry."""
 
-    code = "too_many_requests"
-
 
 class QuotaExceeded(TooManyRequests):
     """The API key would hold more maps, bytes or jobs than it may."""
-
-    code = "quota_exceeded"
 
 
 class Busy(ServiceError):
     """The service's queue is full, and stayed so at every retry."""
 
-    code = "busy"
-
 
 class DeadlineExceeded(ServiceError):
     """The deadline passed before an answer was found."""
-
-    code = "deadline_exceeded"
 
 
 class UnsupportedVersion(ServiceError):
     """The service speaks another version of the upload protocol: an older or newer service."""
 
-    code = "unsupported_version"
-
 
 class ChecksumMismatch(ServiceError):
     """The bytes of an upload were changed on the way, repeatedly."""
 
-    code = "checksum_mismatch"
-
 
 class Internal(ServiceError):
     """The service failed."""
-
-    code = "internal"
 
 
 def _all(kind: type[ServiceError]) -> Iterator[type[ServiceError]]:
