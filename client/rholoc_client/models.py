@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
+from functools import cache, partial
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from rholoc_client._images import ImageLike
 
+T = TypeVar("T")
 Vector3 = tuple[float, float, float]
 
 
@@ -430,138 +433,77 @@ class Job:
         return self.state in ("published", "failed", "cancelled")
 
 
-def parse_pose(answer: Mapping[str, Any]) -> Pose:
-    """The JSON of a pose → :class:`Pose`."""
-    return Pose(
-        position=tuple(answer["position"]),
-        heading=tuple(answer["heading"]),
-        roll_deg=answer["roll_deg"],
-        quaternion_xyzw=tuple(answer["quaternion_xyzw"]),
-        T_map_camera=tuple(tuple(row) for row in answer["T_map_camera"]),
-    )
+def parsed(kind: Callable[..., T], answer: Mapping[str, Any]) -> T:
+    """A JSON object as a dataclass: lists become tuples, objects dataclasses, as its fields' types say.
+
+    Further members are ignored; a member of null counts as missing where its field has a default.
+
+    Raises:
+        KeyError: a member is missing.
+    """
+    given = {}
+    for name, read, required in _members(kind):
+        value = answer[name] if required else answer.get(name)
+        if value is not None:
+            given[name] = read(value)
+        elif required:
+            given[name] = None
+    return kind(**given)
+
+
+@cache
+def _members(kind: Any) -> list[tuple[str, Callable[[Any], Any], bool]]:
+    """Each field's name, how its value is read, and whether it has no default."""
+    hints = get_type_hints(kind)
+    return [
+        (one.name, _reader(hints[one.name]), one.default is MISSING and one.default_factory is MISSING)
+        for one in fields(kind)
+    ]
+
+
+def _reader(hint: Any) -> Callable[[Any], Any]:
+    """How a value that is not null is read as a type."""
+    if isinstance(hint, UnionType):
+        return _reader(get_args(hint)[0])
+    if get_origin(hint) is tuple:
+        read = _reader(get_args(hint)[0])
+        return tuple if read is _as_it_is else lambda values: tuple(map(read, values))
+    return partial(parsed, hint) if isinstance(hint, type) and is_dataclass(hint) else _as_it_is
+
+
+def _as_it_is(value: Any) -> Any:
+    return value
 
 
 def parse_localization(answer: Mapping[str, Any]) -> Localization:
     """The JSON of an answer → :class:`Localization`."""
-    covariance, diagnosis, camera = answer["covariance"], answer.get("diagnosis"), dict(answer.get("camera") or {})
-    focal_sigma_px = camera.pop("focal_sigma_px", None)
-    return Localization(
-        localized=answer["localized"],
-        reason=answer["reason"],
-        pose=None if answer["pose"] is None else parse_pose(answer["pose"]),
-        covariance=_matrix(covariance),
-        recognized=answer["recognized"],
-        confidence=answer["confidence"],
-        matches=answer["matches"],
-        inliers=answer["inliers"],
-        map=answer["map"],
-        map_id=answer["map_id"],
-        map_version=answer["map_version"],
-        scale=answer["scale"],
-        timings_ms=dict(answer["timings_ms"]),
-        map_trusted=answer.get("map_trusted"),
-        expected_error_m=answer.get("expected_error_m"),
-        diagnosis=None if diagnosis is None else Diagnosis(**diagnosis),
-        near_prior=answer.get("near_prior"),
-        camera=Camera(**camera) if camera else None,
-        focal_sigma_px=focal_sigma_px,
-        frames=tuple(
-            FramePose(None if one["pose"] is None else parse_pose(one["pose"]), one["inliers"])
-            for one in answer.get("frames") or ()
-        ),
-        agreeing=_matches(answer.get("agreeing")),
-        areas=tuple(answer.get("areas", ())),
-        near=tuple(answer.get("near", ())),
-        site=_site_pose(answer.get("site")),
-        alternatives=tuple(
-            Alternative(one["weight"], parse_pose(one["pose"]), _matrix(one["covariance"]))
-            for one in answer["alternatives"]
-        ),
-        geopose=answer.get("geopose"),
-    )
-
-
-def _matrix(rows: Sequence[Sequence[float]] | None) -> tuple[tuple[float, ...], ...] | None:
-    return None if rows is None else tuple(tuple(row) for row in rows)
-
-
-def _site_pose(answer: Mapping[str, Any] | None) -> SitePose | None:
-    if answer is None:
-        return None
-    x, y, z = answer["position"]
-    hx, hy, hz = answer["heading"]
-    qx, qy, qz, qw = answer["quaternion_xyzw"]
-    earth = answer["earth"]
-    return SitePose(
-        site=answer["site"],
-        version=answer["version"],
-        floor=answer["floor"],
-        position=(x, y, z),
-        heading=(hx, hy, hz),
-        quaternion_xyzw=(qx, qy, qz, qw),
-        covariance=_rows(answer["covariance"]),
-        earth=None if earth is None else OnEarth(**{name: earth[name] for name in OnEarth.__dataclass_fields__}),
-    )
+    focal_sigma_px = (answer.get("camera") or {}).get("focal_sigma_px")
+    return parsed(Localization, {**answer, "focal_sigma_px": focal_sigma_px})
 
 
 def parse_site(answer: Mapping[str, Any]) -> Site:
     """The JSON of a site → :class:`Site`."""
-    maps = tuple(
-        SiteMap(
-            one["map"],
-            one["floor"],
-            None if one["pose"] is None else tuple(one["pose"]["position"]),
-            None if one["pose"] is None else tuple(one["pose"]["quaternion_xyzw"]),
-            one["given"],
-            _rows(one["covariance"]),
-            one["present"],
-        )
-        for one in answer["maps"]
-    )
-    return Site(answer["name"], answer["version"], maps, tuple(answer["links"]), answer["earth"])
-
-
-def _rows(matrix: Sequence[Sequence[float]] | None) -> tuple[tuple[float, ...], ...] | None:
-    return None if matrix is None else tuple(tuple(row) for row in matrix)
-
-
-def _matches(agreeing: Mapping[str, Any] | None) -> Matches | None:
-    if agreeing is None:
-        return None
-    return Matches(tuple(map(tuple, agreeing["pixels"])), tuple(map(tuple, agreeing["landmarks"])))
+    nowhere = {"position": None, "quaternion_xyzw": None}
+    return parsed(Site, {**answer, "maps": [{**one, **(one["pose"] or nowhere)} for one in answer["maps"]]})
 
 
 def parse_place(answer: Mapping[str, Any]) -> Place:
     """The JSON of a place → :class:`Place`."""
-    plain = {name: answer[name] for name in Place.__dataclass_fields__ if name != "pose"}
-    return Place(**plain, pose=parse_pose(answer["pose"]))
+    return parsed(Place, answer)
 
 
 def parse_map(answer: Mapping[str, Any]) -> MapSummary:
     """The JSON of a map → :class:`MapSummary`."""
-    plain = {name: answer[name] for name in MapSummary.__dataclass_fields__ if name in answer and name != "camera"}
-    return MapSummary(**plain, camera=_camera(answer["camera"]))
+    return parsed(MapSummary, answer)
 
 
 def parse_profile(answer: Mapping[str, Any]) -> CameraProfile:
     """The JSON of a stored camera → :class:`CameraProfile`."""
-    intrinsics = {name: answer[name] for name in Camera.__dataclass_fields__ if name in answer}
-    return CameraProfile(answer["name"], _camera(intrinsics), dict(answer["calibration"]))
-
-
-def _camera(values: Mapping[str, Any]) -> Camera:
-    return Camera(**{**values, "distortion": tuple(values["distortion"])})
+    return parsed(CameraProfile, {**answer, "camera": answer})
 
 
 def parse_job(answer: Mapping[str, Any]) -> Job:
     """The JSON of a job → :class:`Job`."""
     error = answer["error"] or {}
-    apart = ("log", "warnings", "error_code", "error_message", "error_hint")
-    return Job(
-        **{name: answer[name] for name in Job.__dataclass_fields__ if name in answer and name not in apart},
-        log=tuple(answer["log"]),
-        warnings=tuple(answer.get("warnings", ())),
-        error_code=error.get("code"),
-        error_message=error.get("message"),
-        error_hint=error.get("hint"),
-    )
+    apart = {f"error_{name}": error.get(name) for name in ("code", "message", "hint")}
+    return parsed(Job, {"warnings": (), **answer, **apart})
