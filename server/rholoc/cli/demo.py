@@ -40,40 +40,13 @@ _WORKER_FAILS = "worker_fails"  # an obstacle of jobs
 _TITLE = "Walk 2, localized in the map of walk 1"
 
 
-@dataclass(frozen=True)
 class _Files:
-    """Files that the demo writes to its folder."""
+    """Files that the demo writes to its folder. True poses are kept apart from the recordings: uploads hold none."""
 
-    folder: Path
-
-    @property
-    def recordings(self) -> Path:
-        return self.folder / "recordings"
-
-    @property
-    def truth(self) -> Path:
-        """Folder of the true poses, kept apart from the recordings: uploads hold none."""
-        return self.folder / "truth"
-
-    @property
-    def maps(self) -> Path:
-        return self.folder / "maps"
-
-    @property
-    def data(self) -> Path:
-        return self.folder / "data"
-
-    @property
-    def log(self) -> Path:
-        return self.folder / "server.log"
-
-    @property
-    def trajectory(self) -> Path:
-        return self.folder / "trajectory.csv"
-
-    @property
-    def top_view(self) -> Path:
-        return self.folder / "top_view.png"
+    def __init__(self, folder: Path) -> None:
+        self.recordings, self.truth = folder / "recordings", folder / "truth"
+        self.maps, self.data, self.log = folder / "maps", folder / "data", folder / "server.log"
+        self.trajectory, self.top_view = folder / "trajectory.csv", folder / "top_view.png"
 
     def clear(self) -> None:
         """Remove the demo's own files and folders, and make the folders anew, empty; others in its folder stay."""
@@ -92,7 +65,7 @@ def demo(
     leave_open: Annotated[
         bool, typer.Option("--open", help="Leave the server running and open its pages, until Ctrl-C.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
+    as_json: options.Json = False,
 ) -> None:
     """Simulate two walks, map the first through the server, localize the second over HTTP, print the errors."""
     import fastapi  # noqa: F401 - of the extra "server": a demo without it would end after its simulation

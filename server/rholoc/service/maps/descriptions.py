@@ -122,7 +122,7 @@ def list_of(library: MapLibrary) -> MapList:
     unreadable: dict[str, str] = {}
     for name in library.names():
         try:
-            fields = _summary_fields(name, library.outline(name), library.stat(name).size_bytes)
+            fields = _fields(MapSummary, name, library.outline(name), library.stat(name).size_bytes)
             maps.append(MapSummary.model_validate(fields))
         except UnknownMap:
             continue  # deleted meanwhile
@@ -137,18 +137,14 @@ def versions_of(library: MapLibrary, name: str) -> MapVersions:
     return MapVersions(versions=[_previous(number, info) for number, info in library.versions(name).items()])
 
 
-def _summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str, object]:
+def _fields(kind: type[MapSummary], name: str, outline: MapOutline, size_bytes: int) -> dict[str, object]:
+    """Members of a summary, and those of ``kind`` that the map's info has as they are."""
     info = outline.info
     trust = trust_of(info)
     return {
+        **{member: getattr(info, member) for member in kind.model_fields if hasattr(info, member)},
         "name": name,
-        "id": info.id,
-        "version": info.version,
-        "density": info.density,
-        "features": info.features,
         "scale": Scale.METRIC if info.metric else Scale.ARBITRARY,
-        "upright": info.upright,
-        "created": info.created,
         "landmarks": outline.landmarks,
         "views": outline.views,
         "room": outline.room,
@@ -158,7 +154,6 @@ def _summary_fields(name: str, outline: MapOutline, size_bytes: int) -> dict[str
         "expected_error_m": expected_error_m(info),
         "consistency_m": consistency_m(info),
         "camera": CameraIn(**info.camera.to_dict()),
-        "labels": info.labels,
     }
 
 
@@ -169,19 +164,13 @@ def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> 
     if len(map_):
         bounds = [map_.landmarks.positions.min(axis=0).tolist(), map_.landmarks.positions.max(axis=0).tolist()]
     fields = {
-        "sources": map_.info.sources,
-        "waypoints": map_.info.waypoints,
         "bounds_m": bounds,
         "previous": None if before is None else _previous(1, before),
-        "names": map_.info.names,
-        "corrections": map_.info.corrections,
-        "plan": map_.info.plan,
-        "earth": map_.info.earth,
         "points": len(map_.cloud),
         "pictures": map_.views.pictures is not None,
         "levelling": None if rotation is None else rotation.tolist(),
     }
-    return MapDetail.model_validate({**_summary_fields(name, outline, size_bytes), **fields})
+    return MapDetail.model_validate({**_fields(MapDetail, name, outline, size_bytes), **fields})
 
 
 def _previous(number: int, info: MapInfo) -> PreviousMap:
