@@ -224,7 +224,7 @@ class Fuzzer:
         for case in self._operations.made_up(label, MADE_UP, number):
             with suppress(Exception):  # not every case can be written as a request
                 yield self._made_up(label, case)
-        good = good_requests(world)[label]
+        good = good_requests(world, label)
         for place in range(BATCH - MADE_UP):
             choices = random.Random(f"{self._seed} {label} {number} {place}")
             yield self._damaged(label, befallen(choices.choice(good), choices))

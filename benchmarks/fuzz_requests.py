@@ -15,7 +15,9 @@ JSON, JPEG, BINARY = "application/json", "image/jpeg", "application/octet-stream
 MAP, SITE, CAMERA = "testsite", "campus", "phone"
 TUS = {"Tus-Resumable": "1.0.0"}
 POSE = {"position": [1.0, 0.5, 0.0], "quaternion_xyzw": [0.0, 0.0, 0.6, 0.8]}
-NO_STREAM = "0" * 32  # streams end with the request that opened them
+NAMED = {  # parameters of paths; streams end with the request that opened them
+    "map_name": MAP, "site": SITE, "camera": CAMERA, "feature": "7", "view": "1", "number": "0", "stream": "0" * 32,
+}  # fmt: skip
 SAME = {"position": [0.0, 0.0, 0.0], "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}
 INTRINSICS = {"width": 640, "height": 480, "fx": 520.0, "fy": 520.0, "cx": 320.0, "cy": 240.0}
 UPLOAD_BYTES = 100
@@ -189,8 +191,16 @@ def collection(*features: dict[str, object]) -> dict[str, object]:
     return {"type": "FeatureCollection", "frame": "map", "features": [{"type": "Feature", **one} for one in features]}
 
 
-def good_requests(world: World) -> dict[str, list[Request]]:
-    """Requests that are accepted, by the operation of OpenAPI; those of a dictionary's later entries may undo them."""
+def good_requests(world: World, operation: str) -> list[Request]:
+    """Requests of an operation of OpenAPI that are accepted; those of later operations may undo them."""
+    method, path = operation.split(" ")
+    of_world = {"recording": world.recording, "job": world.job, "name": world.key}
+    plain = request(method, path.format(**NAMED, **of_world))
+    return further_requests(world).get(operation, [plain])
+
+
+def further_requests(world: World) -> dict[str, list[Request]]:
+    """The good requests of operations that take more than the names in their path, or other names."""
     of_map, of_recording = f"/v1/maps/{MAP}", f"/v1/recordings/{world.recording}"
     of_upload, of_job = f"/v1/recordings/{world.upload}", f"/v1/jobs/{world.job}"
     corrections = [
@@ -228,31 +238,22 @@ def good_requests(world: World) -> dict[str, list[Request]]:
         ],
         "POST /v1/places": [replace(one, query=(("maps", MAP),)) for one in asked("/v1/places")[:3:2]],
         "POST /v1/maps/{map_name}/landscape": asked(f"{of_map}/landscape")[:2],
-        "GET /v1/maps": [request("GET", "/v1/maps")],
-        "GET /v1/maps/{map_name}": [request("GET", of_map)],
         "PUT /v1/maps/{map_name}": [map_request("uploaded")],
         "PATCH /v1/maps/{map_name}": [request("PATCH", "/v1/maps/uploaded", {"name": "renamed"})],
         "DELETE /v1/maps/{map_name}": [request("DELETE", "/v1/maps/renamed")],
         "GET /v1/maps/{map_name}/download": [
             request("GET", f"{of_map}/download", format=form) for form in ("rho", "ply", "vtp", "trajectory")
         ],
-        "GET /v1/maps/{map_name}/report": [request("GET", f"{of_map}/report")],
-        "GET /v1/maps/{map_name}/report.png": [request("GET", f"{of_map}/report.png")],
-        "GET /v1/maps/{map_name}/coverage": [request("GET", f"{of_map}/coverage")],
         "POST /v1/maps/{map_name}/corrections": [request("POST", f"{of_map}/corrections", one) for one in corrections],
-        "GET /v1/maps/{map_name}/versions": [request("GET", f"{of_map}/versions")],
         "POST /v1/maps/{map_name}/restore": [request("POST", f"{of_map}/restore", number=1)],
         "PUT /v1/maps/{map_name}/plan": [
             request("PUT", f"{of_map}/plan", drawing(".png"), "image/png", x=1.5, y=-2, turn_deg=3, m_per_unit=0.01),
             request("PUT", f"{of_map}/plan", json.dumps(plan).encode(), "application/geo+json"),
             request("PUT", f"{of_map}/plan", zipped(imdf), "application/zip", x=0, level="1"),
         ],
-        "GET /v1/maps/{map_name}/names": [request("GET", f"{of_map}/names")],
         "PUT /v1/maps/{map_name}/names": [
             request("PUT", f"{of_map}/names", json.dumps(places).encode(), "application/geo+json"),
         ],
-        "GET /v1/maps/{map_name}/plan": [request("GET", f"{of_map}/plan")],
-        "DELETE /v1/maps/{map_name}/plan": [request("DELETE", f"{of_map}/plan")],
         "POST /v1/maps/{map_name}/update": [
             request("POST", f"{of_map}/update", {"recording": world.recording, "camera": "60,61,31.5,23.5"})
         ],
@@ -260,69 +261,32 @@ def good_requests(world: World) -> dict[str, list[Request]]:
         "POST /v1/maps/{map_name}/forget": [request("POST", f"{of_map}/forget", {"source": "walk-1"})],
         "GET /v1/maps/{map_name}/room": [request("GET", f"{of_map}/room", level="true")],
         "GET /v1/maps/{map_name}/scene": [request("GET", f"{of_map}/scene", landmarks=100, level="true")],
-        "GET /v1/maps/{map_name}/features/{feature}": [request("GET", f"{of_map}/features/7")],
-        "GET /v1/maps/{map_name}/points": [request("GET", f"{of_map}/points")],
-        "GET /v1/maps/{map_name}/views/{view}/picture.jpg": [request("GET", f"{of_map}/views/1/picture.jpg")],
-        "GET /v1/maps/{map_name}/preview.png": [request("GET", f"{of_map}/preview.png")],
-        "POST /v1/maps/{map_name}/learn": [request("POST", f"{of_map}/learn")],
-        "GET /v1/maps/{map_name}/learning": [request("GET", f"{of_map}/learning")],
         "DELETE /v1/maps/{map_name}/learning": [request("DELETE", f"{of_map}/learning", asker="127.0.0.1")],
-        "GET /v1/maps/{map_name}/live": [request("GET", f"{of_map}/live")],
-        "GET /v1/maps/{map_name}/failures": [request("GET", f"{of_map}/failures")],
-        "GET /v1/maps/{map_name}/refusals": [request("GET", f"{of_map}/refusals")],
-        "GET /v1/maps/{map_name}/refusals/{number}": [request("GET", f"{of_map}/refusals/0")],
-        "GET /v1/maps/{map_name}/refusals/{number}/picture.jpg": [request("GET", f"{of_map}/refusals/0/picture.jpg")],
-        "GET /v1/here/{site}": [request("GET", f"/v1/here/{SITE}")],
-        "GET /v1/here/{site}/rooms/{map_name}": [request("GET", f"/v1/here/{SITE}/rooms/{MAP}")],
         "POST /v1/here/{site}/localize": asked(f"/v1/here/{SITE}/localize")[::2],
-        "GET /geopose": [request("GET", "/geopose")],
         "POST /geopose": [geopose_request()],
-        "GET /v1/sites": [request("GET", "/v1/sites")],
-        "GET /v1/sites/{site}": [request("GET", f"/v1/sites/{SITE}")],
         "PUT /v1/sites/{site}": [site_request()],
         "POST /v1/sites/{site}/links": [request("POST", f"/v1/sites/{SITE}/links", {"first": MAP, "second": "annex"})],
-        "POST /v1/sites/{site}/place": [request("POST", f"/v1/sites/{SITE}/place")],
-        "DELETE /v1/sites/{site}": [request("DELETE", f"/v1/sites/{SITE}")],
-        "GET /v1/cameras": [request("GET", "/v1/cameras")],
-        "GET /v1/cameras/{camera}": [request("GET", f"/v1/cameras/{CAMERA}")],
         "PUT /v1/cameras/{camera}": [camera_request()],
-        "DELETE /v1/cameras/{camera}": [request("DELETE", f"/v1/cameras/{CAMERA}")],
-        "GET /v1/recordings": [request("GET", "/v1/recordings")],
         "POST /v1/recordings": [recording_request(), upload_request()],
         "OPTIONS /v1/recordings": [replace(bare, method="OPTIONS")],
-        "GET /v1/recordings/{recording}": [request("GET", of_recording)],
         "HEAD /v1/recordings/{recording}": [request("HEAD", of_upload, headers=TUS)],
         "PATCH /v1/recordings/{recording}": [
             request("PATCH", of_upload, b"x" * 10, "application/offset+octet-stream", {**TUS, "Upload-Offset": "0"}),
         ],
         "DELETE /v1/recordings/{recording}": [request("DELETE", of_upload, headers=TUS)],
-        "GET /v1/recordings/{recording}/thumbnail.jpg": [request("GET", f"{of_recording}/thumbnail.jpg")],
         "PUT /v1/recordings/{recording}/waypoints": [
             request("PUT", f"{of_recording}/waypoints", {"waypoints": waypoints})
         ],
-        "DELETE /v1/recordings/{recording}/waypoints": [request("DELETE", f"{of_recording}/waypoints")],
         "POST /v1/recordings/{recording}/jobs": [
             request("POST", f"{of_recording}/jobs", {"map": "walked", "features": "gray", "frames": "0:20"})
         ],
         "GET /v1/jobs": [request("GET", "/v1/jobs", limit=20)],
-        "GET /v1/jobs/{job}": [request("GET", of_job)],
         "PATCH /v1/jobs/{job}": [request("PATCH", of_job, {"priority": "high"})],
-        "GET /v1/jobs/{job}/events": [request("GET", f"{of_job}/events")],
-        "DELETE /v1/jobs/{job}": [request("DELETE", of_job)],
         "POST /v1/jobs/{job}/retry": [request("POST", f"/v1/jobs/{world.cancelled}/retry")],
-        "GET /v1/keys": [request("GET", "/v1/keys")],
         "POST /v1/keys": [request("POST", "/v1/keys", keyed)],
-        "GET /v1/keys/{name}": [request("GET", f"/v1/keys/{world.key}")],
         "PUT /v1/keys/{name}/limits": [request("PUT", f"/v1/keys/{world.key}/limits", keyed["limits"])],
-        "DELETE /v1/keys/{name}": [request("DELETE", f"/v1/keys/{world.key}")],
-        "GET /v1/streams": [request("GET", "/v1/streams")],
-        "DELETE /v1/streams/{stream}": [request("DELETE", f"/v1/streams/{NO_STREAM}")],
-        "GET /v1/uploads": [request("GET", "/v1/uploads")],
         "POST /v1/qr": [request("POST", "/v1/qr", {"text": "https://maps.example/record"})],
         "GET /v1/audit": [request("GET", "/v1/audit", limit=10)],
-        "GET /healthz": [request("GET", "/healthz")],
-        "GET /readyz": [request("GET", "/readyz")],
-        "GET /metrics": [request("GET", "/metrics")],
     }
 
 
