@@ -1,7 +1,5 @@
 """Write the blocking client from the one for asyncio: ``python client/write_sync.py``, part of ``make format``."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

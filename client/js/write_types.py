@@ -4,8 +4,6 @@
 declares of the sources.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

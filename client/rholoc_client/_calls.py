@@ -1,7 +1,5 @@
 """What both clients share: each method's request, and how its answer is read."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

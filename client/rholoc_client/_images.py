@@ -1,7 +1,5 @@
 """Pictures → what is sent: files and bytes as they are, arrays as PNG."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Floor plans and GeoJSON as files: their content and media type."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

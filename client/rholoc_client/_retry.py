@@ -1,7 +1,5 @@
 """When to ask again, and after how long."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Uploads over a line that breaks: recordings piece by piece, and maps that replace the map before them once."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import zipfile

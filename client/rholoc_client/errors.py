@@ -50,8 +50,6 @@
         └── Internal                the service itself failed
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Requests and answers as frozen dataclasses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """The disk: atomic and durable files, folders that are locked or temporary, and full disks reported as such."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

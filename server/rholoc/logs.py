@@ -1,7 +1,5 @@
 """Logs: one JSON object a line, on the standard error."""
 
-from __future__ import annotations
-
 import json
 import logging
 from datetime import UTC, datetime

@@ -1,7 +1,5 @@
 """Progress of long work: the stages of mapping, and the listener to which they are reported."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """Where pixels are measured: on the image plane of a pinhole; of other lenses on a plane across each ray."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

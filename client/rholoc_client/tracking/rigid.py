@@ -1,8 +1,6 @@
 """Rigid motions as 4×4 matrices, and small motions as six numbers: position in metres, then a rotation vector in
 radians applied from the left, both in the map frame. The covariances of answers are covariances of such motions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, TypeAlias

@@ -3,8 +3,6 @@
 Pinholes by Zhang's method (2000, with OpenCV), fisheyes by :mod:`rholoc.calibration.fisheye`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Views of a board → a fisheye camera: poses by resection from guessed focal lengths, then all together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Frames → the views of a board that a calibration is made from: sharp ones, and different ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 

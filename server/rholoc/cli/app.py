@@ -1,7 +1,5 @@
 """The command tree, and error reports: one line and an exit status, never a traceback."""
 
-from __future__ import annotations
-
 import os
 import sys
 from typing import Annotated

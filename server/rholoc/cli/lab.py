@@ -1,7 +1,5 @@
 """Commands of rholoc-lab, a distribution of its own: they are there where it is installed."""
 
-from __future__ import annotations
-
 from importlib.metadata import entry_points
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``rholoc recording``: inspects recordings before a map is made from them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

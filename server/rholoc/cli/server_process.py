@@ -1,7 +1,5 @@
 """Child processes of a command that do not outlive it: a server as users start it, and programs in the background."""
 
-from __future__ import annotations
-
 import socket
 import subprocess
 import time

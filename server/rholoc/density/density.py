@@ -4,8 +4,6 @@ A form is a class that implements :class:`Densities`, in a module of its own, an
 :mod:`rholoc.density`. Localization, files and mapping use nothing else of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum

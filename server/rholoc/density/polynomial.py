@@ -4,8 +4,6 @@ For n variables there are (P + 1)ⁿ monomials, in the order of Table 5: a_{0,�
 counting fastest, a_{P,…,P} last.
 """
 
-from __future__ import annotations
-
 from functools import reduce
 
 import numpy as np

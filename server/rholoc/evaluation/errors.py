@@ -1,7 +1,5 @@
 """Errors of poses against the truth, and summary figures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 

@@ -1,7 +1,5 @@
 """Read tables of poses: ``poses.txt`` and Table 6."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Formats to which a map can be exported."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence

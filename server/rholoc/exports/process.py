@@ -4,8 +4,6 @@ One JSON object on the standard input says what to export; the file comes out on
 option does not allow is one JSON object on the standard error, with exit status 3.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

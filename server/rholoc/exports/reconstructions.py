@@ -3,8 +3,6 @@
 A map does not keep its pictures' files: view k is the picture ``000123.jpg`` for k = 123.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile

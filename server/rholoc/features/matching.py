@@ -1,7 +1,5 @@
 """Descriptor distances and mutual matches. Descriptors match only within their channel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Places on Earth: a local east–north–up frame, latitude and longitude (WGS 84), and national grids."""
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

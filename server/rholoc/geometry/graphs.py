@@ -1,7 +1,5 @@
 """Connected components of index pairs. Apart from the package, because importing scipy's graphs takes time."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components

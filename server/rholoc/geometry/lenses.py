@@ -5,8 +5,6 @@ radial and tangential distortion (Brown and Conrady; with eight coefficients the
 Kannala and Brandt's. An equirectangular picture has longitude and latitude for coordinates.
 """
 
-from __future__ import annotations
-
 import math
 from enum import StrEnum
 from functools import lru_cache

@@ -4,8 +4,6 @@ Errors are taken on the plane that touches the unit sphere at the observed ray, 
 same problem (Chum, Matas and Kittler 2003, Locally optimized RANSAC; Chum and Matas 2005, PROSAC).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ landmark's position that makes a vector in the map frame: across the camera's ra
 the patch's diameter. From any other pose it predicts the orientation and size of the detected patch.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry.arrays import FloatArray, IntArray

@@ -6,8 +6,6 @@ Rays of wide lenses have no place on one image plane. They are divided among the
 cameras at one centre: a rig, for which poselib has a solver.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

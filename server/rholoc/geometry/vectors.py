@@ -1,7 +1,5 @@
 """Vectors of three (``UP`` is the map's z axis), and angles and distances between rotations, directions and poses."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation

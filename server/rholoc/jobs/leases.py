@@ -1,7 +1,5 @@
 """Leases of workers on jobs: a job's row names the worker that has it, and only that worker changes the row."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Collection, Sequence

@@ -1,7 +1,5 @@
 """The queue of mapping jobs, for the server and the command. Workers run the jobs."""
 
-from __future__ import annotations
-
 import time
 import uuid
 from collections import Counter

@@ -1,7 +1,5 @@
 """The database table of jobs, as users see and change it. Workers change it by :mod:`rholoc.jobs.leases`."""
 
-from __future__ import annotations
-
 import time
 import uuid
 from collections.abc import Sequence

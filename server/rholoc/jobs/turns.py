@@ -1,7 +1,5 @@
 """The order in which queued jobs are taken."""
 
-from __future__ import annotations
-
 from rholoc.jobs.job import JobPriority
 
 _DAY_S = 24 * 3600.0

@@ -3,8 +3,6 @@
 An upload can continue at any server, and becomes a recording once complete.
 """
 
-from __future__ import annotations
-
 import shutil
 import threading
 import time

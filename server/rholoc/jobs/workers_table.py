@@ -1,7 +1,5 @@
 """The database table of workers: heartbeats, and reasons of repeated deaths."""
 
-from __future__ import annotations
-
 import math
 import os
 import socket

@@ -1,7 +1,5 @@
 """Named cameras: intrinsics that requests and commands refer to by name, kept beside the maps."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Copy a single server's folders into other stores."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

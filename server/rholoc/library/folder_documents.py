@@ -1,7 +1,5 @@
 """Small files by name, in a folder."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """In-memory cache of maps with least-recently-used eviction."""
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Catalogue of maps: name → file. A folder (:mod:`map_folder`), or a database and objects (:mod:`shared_maps`)."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager

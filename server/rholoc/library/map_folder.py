@@ -1,7 +1,5 @@
 """A folder as a catalogue of maps: a map's name is its file's."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat

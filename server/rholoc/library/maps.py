@@ -1,7 +1,5 @@
 """The library of maps: read, publish, replace and restore maps by name, over any catalogue."""
 
-from __future__ import annotations
-
 import filecmp
 import math
 import threading

@@ -4,8 +4,6 @@ The number of queries is bounded, and spread over places, times and askers. An o
 time and asker, so that eviction needs only a list of a map's objects.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -3,8 +3,6 @@
 They are hidden files, which no upload can name.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import tempfile

@@ -1,7 +1,5 @@
 """Small files by name, in the catalogue that several servers share."""
 
-from __future__ import annotations
-
 import sqlalchemy as sa
 
 from rholoc.library.folder_documents import Accepts, Documents

@@ -1,7 +1,5 @@
 """The catalogue of maps that several servers share: files in object storage, their names in the database."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress

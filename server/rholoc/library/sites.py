@@ -1,7 +1,5 @@
 """The library of sites."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The stores of a service: its own folders, or a storage and database shared by several servers."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

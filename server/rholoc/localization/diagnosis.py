@@ -1,7 +1,5 @@
 """Diagnosis of a refused frame: the likeliest cause, from the picture and from the best pose that the search found."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import StrEnum

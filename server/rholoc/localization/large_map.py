@@ -5,8 +5,6 @@ votes, and those that share most features with them, are cut out as a map of the
 per frame grows with the square root of the map's size at most; memory grows linearly.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

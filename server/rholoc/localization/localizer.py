@@ -1,7 +1,5 @@
 """Frame → pose: the localizer of one map."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Place recognition without a pose: the views of a map that look most like a picture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ directions. A landmark counts if it is expected from there (presence π_f, :mod:
 field of view. Occlusions between the views are unknown.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A map's description: its sources, its report, and what people corrected in it."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field

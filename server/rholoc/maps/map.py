@@ -1,7 +1,5 @@
 """The map: features with their densities, and the views that observed them; and parts of a large one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

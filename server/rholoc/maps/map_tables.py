@@ -1,7 +1,5 @@
 """The tables of a map. Each column declares its type and shape once, for selection, concatenation and checks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import Field, dataclass, field, fields, replace
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """Rules for the names of maps, cameras and sites."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

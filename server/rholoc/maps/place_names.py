@@ -1,7 +1,5 @@
 """Names of a map's points and areas, and labels of the map."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Trust in a map, from its report on the trajectories that it was built on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rholoc.maps.info import MapInfo

@@ -1,7 +1,5 @@
 """Check a map's arrays: shapes, types, finite values, consistent indices."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.errors import InvalidMap, RholocError

@@ -1,7 +1,5 @@
 """Walks: sequences of a map's views that follow one another."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.distance import pdist
 

@@ -4,8 +4,6 @@ Nothing else is asked: no sample is solved for a pose, no pose is verified, no r
 :class:`rholoc.localization.Localizer` adds to it is what separates the two in figures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

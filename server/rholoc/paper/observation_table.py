@@ -1,7 +1,5 @@
 """Table 4 of what a map remembers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.maps import Map, ObservationTable, check_memory

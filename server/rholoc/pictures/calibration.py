@@ -1,7 +1,5 @@
 """A calibration as a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.collections import PolyCollection
 

@@ -1,7 +1,5 @@
 """A map from above, as a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection

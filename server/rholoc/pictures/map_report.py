@@ -1,7 +1,5 @@
 """A map's report as a picture: coverage, errors of held-out frames, uncertainty of views and landmarks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

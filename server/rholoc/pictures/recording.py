@@ -1,7 +1,5 @@
 """A recording as a picture: IMU, intervals between frames, waypoints and pauses on one axis of time."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 

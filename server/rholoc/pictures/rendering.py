@@ -5,8 +5,6 @@ with a line, ``{}`` once the rendering is in the file ``target``, else ``{"code"
 input.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

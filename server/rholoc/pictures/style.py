@@ -1,7 +1,5 @@
 """The style of all pictures: colours, figures, scale bars."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

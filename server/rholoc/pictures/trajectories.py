@@ -1,7 +1,5 @@
 """Plots of trajectories, with matplotlib's object API: no global state, no display."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

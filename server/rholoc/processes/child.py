@@ -1,7 +1,5 @@
 """Runs a function in a child process, so that native code can be killed, or crash, without harm to this process."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

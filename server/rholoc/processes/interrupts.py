@@ -1,7 +1,5 @@
 """SIGINT and SIGTERM in a command that has processes to end."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Limits of a process's time and memory."""
 
-from __future__ import annotations
-
 import math
 import os
 import resource

@@ -1,7 +1,5 @@
 """A ``python -m`` program as a child process, which is ended with everything that it started."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The processes of this machine: those that a process started, and how much memory a process group holds."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from contextlib import suppress

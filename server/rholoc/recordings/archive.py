@@ -1,7 +1,5 @@
 """Unpack untrusted ZIP files of recordings."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat

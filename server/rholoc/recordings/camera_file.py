@@ -1,7 +1,5 @@
 """``camera.json``: intrinsics and mounting of the recording device."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """JSON description of a recording, for users to check before mapping."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Checks an uploaded file's name and first bytes before anything is decoded."""
 
-from __future__ import annotations
-
 from pathlib import PurePath
 
 from rholoc.errors import InvalidRecording

@@ -1,7 +1,5 @@
 """A choice of a recording's frames by their numbers."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Read recordings of any format."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """A recording: frames with their times, and what else was measured during the walk."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Reports to JSON and back."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Check clients' JSON before it is stored: only values that every JSON reader and writer can handle."""
 
-from __future__ import annotations
-
 import math
 
 MAX_DEPTH = 16

@@ -1,7 +1,5 @@
 """Report on a map."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rholoc.reports.trajectory import TrajectoryReport

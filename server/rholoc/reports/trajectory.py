@@ -1,7 +1,5 @@
 """Report on a trajectory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 

@@ -1,7 +1,5 @@
 """Report on a walk, with advice for the next one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated

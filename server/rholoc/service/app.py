@@ -1,7 +1,5 @@
 """The application: assembles the parts and turns errors into responses."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import AsyncIterator

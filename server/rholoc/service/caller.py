@@ -1,7 +1,5 @@
 """Who sent the request that is being answered."""
 
-from __future__ import annotations
-
 from contextvars import ContextVar
 
 ASKER: ContextVar[str] = ContextVar("asker", default="")

@@ -3,8 +3,6 @@
 Every error of :mod:`rholoc.errors` has a status here; errors that only exist over HTTP are :class:`HttpError`.
 """
 
-from __future__ import annotations
-
 import errno
 import math
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Regular background work: remove expired data, and let maps learn at night."""
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import logging

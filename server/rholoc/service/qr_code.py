@@ -1,7 +1,5 @@
 """QR codes of links, as a picture and for a terminal."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

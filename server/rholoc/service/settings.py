@@ -1,7 +1,5 @@
 """The settings of the service, each an environment variable with the prefix ``RHOLOC_``."""
 
-from __future__ import annotations
-
 import ipaddress
 import math
 import os

@@ -1,7 +1,5 @@
 """The parts of the service that its routes share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Parts of rooms: painted walls with their decor, boxes, and furniture made of boxes."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass, field
 

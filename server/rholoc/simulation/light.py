@@ -5,8 +5,6 @@ point lights (Keller 1997), and a uniform remainder for all later bounces. Colou
 and luminance in cd/m², per channel, scaled so that white light of 1 lux has 1 in every channel.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import StrEnum

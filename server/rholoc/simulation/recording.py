@@ -1,7 +1,5 @@
 """A phone's recording of a simulated walk, with the truth beside it, in rholoc's own recording format."""
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Rooms to walk through: the test site of the paper's Figure 7, similar rooms from other seeds, and a blank wall."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Model of a phone's camera: exposure, white balance, noise, gamma."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -3,8 +3,6 @@
 Images are (H, W, 3) BGR bytes, gamma-encoded reflectance; sizes are pixels.
 """
 
-from __future__ import annotations
-
 import colorsys
 from collections.abc import Callable
 

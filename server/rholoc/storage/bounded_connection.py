@@ -1,7 +1,5 @@
 """A PostgreSQL connection with a timeout for every answer, in case the server's machine hangs."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 import psycopg

@@ -4,8 +4,6 @@ All waits are bounded. If PostgreSQL does not answer within seconds, a query rai
 and :func:`open_database` raises :class:`rholoc.errors.StorageUnavailable`.
 """
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import threading

@@ -1,7 +1,5 @@
 """Database table of the maps, recordings and jobs that API keys hold."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from enum import StrEnum

@@ -3,8 +3,6 @@
 Copies are evicted before the disk is full, to leave room for files that cannot be evicted.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading

@@ -1,7 +1,5 @@
 """Object storage: S3, Google Cloud Storage, Azure, or a folder. Stored objects never change."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -3,8 +3,6 @@
 A change of a table needs an update of older databases (``UPDATES``), which a test opens.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

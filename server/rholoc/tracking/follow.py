@@ -1,7 +1,5 @@
 """The client's tracker on a map of this machine: it follows moments, and a localizer answers its questions."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,5 @@
 """Moments that a tracker follows: a frame, and what else is known about the camera's motion since the frame before."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass

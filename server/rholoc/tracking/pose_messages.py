@@ -17,8 +17,6 @@
 Frames are those of REP 103 and REP 105: base_link has x forward, y left and z up.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import deque
 from typing import Any

@@ -1,7 +1,5 @@
 """Users of a track's steps: counts, Table 6, messages."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Protocol
 

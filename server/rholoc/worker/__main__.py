@@ -1,7 +1,5 @@
 """A server's worker process: reads its configuration from standard input and ends when that closes."""
 
-from __future__ import annotations
-
 import sys
 import threading
 

@@ -1,7 +1,5 @@
 """Run a job's build in a child process, so that it can be killed and a native crash does not end the worker."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass

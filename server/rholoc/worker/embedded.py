@@ -1,7 +1,5 @@
 """A server's own worker: a separate process, so that mapping does not slow requests down."""
 
-from __future__ import annotations
-
 import json
 import logging
 import threading

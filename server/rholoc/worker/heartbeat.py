@@ -1,7 +1,5 @@
 """Heartbeats of workers, and their intervals and timeouts. Each worker requeues the jobs of dead ones."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 

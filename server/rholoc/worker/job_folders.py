@@ -1,7 +1,5 @@
 """Folders with the inputs of a worker's jobs, and with built files until they are published."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path

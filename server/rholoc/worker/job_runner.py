@@ -1,7 +1,5 @@
 """Runs one job: builds its map in a process of its own, publishes the map, and records how the job ended."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

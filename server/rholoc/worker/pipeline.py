@@ -3,8 +3,6 @@
 What makes maps is loaded where a job needs it: a worker that waits for jobs, or for their processes, keeps no solvers.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

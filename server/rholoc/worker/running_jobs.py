@@ -1,7 +1,5 @@
 """A worker's present jobs, and the division of its memory between them."""
 
-from __future__ import annotations
-
 import threading
 
 from rholoc.jobs.job import Capacity

@@ -1,7 +1,5 @@
 """Place the maps of a site: look for links between them, then store the links."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from contextlib import suppress

@@ -4,8 +4,6 @@ A job's row is its lease (:mod:`rholoc.jobs.leases`). A worker takes the next jo
 row. Each step of a job writes a file, so that a repeated step does nothing.
 """
 
-from __future__ import annotations
-
 import logging
 import signal
 import threading

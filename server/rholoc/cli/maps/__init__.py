@@ -1,7 +1,5 @@
 """``rholoc map``: builds maps, makes them learn and forget, inspects and exports them."""
 
-from __future__ import annotations
-
 import typer
 
 from rholoc.cli.lab import CommandsOfTheLab

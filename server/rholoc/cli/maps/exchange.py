@@ -1,7 +1,5 @@
 """``rholoc map export`` and ``import``: maps for and from other programs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """``rholoc map list``, ``info`` and ``report``: what maps say about themselves."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """``rholoc doctor``: what is wrong with a server, and what to do."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import typer

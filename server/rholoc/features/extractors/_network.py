@@ -1,7 +1,5 @@
 """Small convolutional networks, written as ONNX graphs and run by OpenCV."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from itertools import count

@@ -1,7 +1,5 @@
 """Arrays out of a file that PyTorch saved, without PyTorch and without running anything that the file names."""
 
-from __future__ import annotations
-
 import pickle
 import zipfile
 from collections import OrderedDict

@@ -1,7 +1,5 @@
 """Withhold poses whose place is too doubtful, or that are less exact than the query demands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from rholoc.localization.diagnosis import too_inexact

@@ -14,8 +14,6 @@ likelier (:mod:`rholoc.localization.pose.rivals`). The focal length is a separat
 (:mod:`rholoc.localization.pose.focal`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Add to an answer the uncertainty that a frame's own covariance lacks: the map's own error, and other poses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from rholoc.geometry import FloatArray

@@ -5,8 +5,6 @@ pose are displaced alike, so more matches do not average this error out: it is a
 and lowers the probability that the pose is right.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

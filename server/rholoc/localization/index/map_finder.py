@@ -4,8 +4,6 @@ Each kind of features has an index of its own. The model that turns pictures int
 and trained again while the library is small and grows; all views are then converted again.
 """
 
-from __future__ import annotations
-
 import random
 import sqlite3
 import time

@@ -1,7 +1,5 @@
 """Index of a map for localization: search descriptors, project landmarks, vote for places."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree

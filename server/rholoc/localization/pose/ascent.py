@@ -10,8 +10,6 @@ therefore maximize 1 / (1 + d_f) instead of 1 − d_f, with the tolerance of a d
 (:func:`refined`). The landmark's covariance then counts as well as the detection's.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ compared directly. The test is whether some linear function, fitted to this pict
 lightness from the map's colours.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import ByteArray, FloatArray

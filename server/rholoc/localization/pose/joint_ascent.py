@@ -5,8 +5,6 @@ squared error over 2σ². Stiff links make it the density of one rig; links from
 may be wrong.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

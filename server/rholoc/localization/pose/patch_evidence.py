@@ -5,8 +5,6 @@ Eight of ten true matches have the predicted orientation and size; of false matc
 in three the size (the weak geometric consistency of Jégou, Douze and Schmid, ECCV 2008, made exact by the pose).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.features import FeatureSet

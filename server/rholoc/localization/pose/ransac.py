@@ -1,7 +1,5 @@
 """LO-RANSAC: absolute pose from matches with many outliers, by poselib (Larsson and contributors)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import FloatArray

@@ -5,8 +5,6 @@ is better than the best alternative, which is searched for among the matches tha
 among the other landmarks that its own features resemble.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import islice
 

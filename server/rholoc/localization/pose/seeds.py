@@ -1,7 +1,5 @@
 """Seeds: places that matches vote for, and poses from minimal samples within a place, ranked by density."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice

@@ -1,7 +1,5 @@
 """Assemble views and landmarks into a map."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.features import Metric

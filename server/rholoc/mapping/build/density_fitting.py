@@ -1,7 +1,5 @@
 """Fit a map's densities in a given form."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Features of a recording's frames, extracted while another step decodes the video, so that it is decoded only once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Advice of a mapping job on its recordings: problems, figures of the walk, and what to do better next time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

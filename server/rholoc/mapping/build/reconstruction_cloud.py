@@ -2,8 +2,6 @@
 display.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import BoolArray, IntArray, evenly

@@ -1,7 +1,5 @@
 """A map's report on itself, including how consistent it is with frames that were held out while it was built."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

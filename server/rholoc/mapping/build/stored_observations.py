@@ -1,7 +1,5 @@
 """The observations that a map remembers: as rays, and the landmarks triangulated from them."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Choose the frames of a trajectory that become views, and those held out for the report."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import FloatArray, IntArray, pose_distances

@@ -1,7 +1,5 @@
 """Covariances of a map's view poses: when built, when learning, and when moved."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import FloatArray

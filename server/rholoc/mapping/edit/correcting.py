@@ -3,8 +3,6 @@
 Each function returns the map's next version, with the correction recorded in ``info.corrections``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime

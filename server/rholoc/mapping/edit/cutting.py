@@ -1,7 +1,5 @@
 """Remove parts of a map: the landmarks of a region, or the views of a piece of a walk."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Similarities that align a map with what people say about its frame: origin, direction, up, length, floor plan."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """Move a map to another frame: every answer moves by exactly the transform."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

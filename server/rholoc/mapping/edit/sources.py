@@ -4,8 +4,6 @@ The result does not depend on the order of learning: A joined with B has the sam
 map built from both, and a map without a recording has the landmarks of a map that never had it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import TypeVar
 

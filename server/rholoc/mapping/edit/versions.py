@@ -1,7 +1,5 @@
 """Next version of a map that has learned, forgotten, or been corrected."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime
 

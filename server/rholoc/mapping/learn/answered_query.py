@@ -1,7 +1,5 @@
 """An answered query as far as the map may learn from it: features and pose, not the picture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from rholoc.features import FeatureSet

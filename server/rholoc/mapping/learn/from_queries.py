@@ -1,7 +1,5 @@
 """Learn from users: from confidently answered queries, without their pictures."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace

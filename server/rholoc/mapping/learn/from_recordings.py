@@ -1,7 +1,5 @@
 """Learn a further recording of the same place into a map."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Merge two maps of overlapping rooms."""
 
-from __future__ import annotations
-
 import uuid
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Assign the detections of registered views to landmarks of a map, or to new landmarks."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.features.matching import LIMITS

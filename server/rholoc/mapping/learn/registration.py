@@ -1,7 +1,5 @@
 """Register new frames in a map: localize them one by one, or align their own trajectory."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

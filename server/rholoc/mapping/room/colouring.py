@@ -1,7 +1,5 @@
 """Colours of a mesh's vertices: means over the views that see them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Recordings of a map → the surfaces of its room."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Depth views → truncated signed distances on a grid (Curless and Levoy, SIGGRAPH 1996)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

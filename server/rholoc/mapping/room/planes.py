@@ -1,7 +1,5 @@
 """The floor and the walls of a room: planes fitted to its mesh, which close the gaps where pictures show no texture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

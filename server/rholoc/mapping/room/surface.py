@@ -1,7 +1,5 @@
 """Signed distances → a mesh of quadrilaterals, by surface nets (Gibson, MICCAI 1998)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

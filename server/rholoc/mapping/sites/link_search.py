@@ -1,7 +1,5 @@
 """Links between the maps of a site: search pair by pair until all maps have a pose."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """The link between two maps: their relative pose, from the maps themselves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.errors import InvalidInput, MappingFailed

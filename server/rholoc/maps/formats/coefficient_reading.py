@@ -1,7 +1,5 @@
 """Read a map from Table 5."""
 
-from __future__ import annotations
-
 import codecs
 import math
 import uuid

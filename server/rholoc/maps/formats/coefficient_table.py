@@ -7,8 +7,6 @@ seen from several places, has several rows: each of its descriptors and each of 
 maps/README.md describes every column.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Named points and areas as GeoJSON (RFC 7946), in both directions."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeGuard

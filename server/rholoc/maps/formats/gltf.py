@@ -3,8 +3,6 @@
 glTF's y axis points up; the root node rotates the map, so that the numbers stay the map's own.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from typing import Any

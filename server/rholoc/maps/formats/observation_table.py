@@ -1,7 +1,5 @@
 """Table 4: observations as CSV."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A direction is a point of the octahedron's unfolded surface (Meyer et al. 2010, 
 length is logarithmic. Directions are kept to 1° and lengths to 5 %: a detector's are ten times as far off.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Floor plans as other programs write them: IMDF archives, and pictures with the yaml of ROS's ``map_server``."""
 
-from __future__ import annotations
-
 import io
 import json
 import lzma

@@ -1,7 +1,5 @@
 """A map's landmarks and views as PLY and VTP (VTK's XML PolyData), for ParaView."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from enum import StrEnum

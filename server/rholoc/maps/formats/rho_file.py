@@ -4,8 +4,6 @@ Its metadata holds ``format``, ``format_version``, ``info`` (JSON) and ``checksu
 arrays. It contains no code, and nothing is unpickled. maps/README.md describes every array.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

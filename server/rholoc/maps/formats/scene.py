@@ -1,7 +1,5 @@
 """Compact binary form of a map for a 3-D viewer."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import FloatArray, IntArray

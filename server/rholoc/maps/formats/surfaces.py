@@ -4,8 +4,6 @@ Around its landmark a ``ray`` density seen from the feature's views is constant 
 covariance Λ⁻¹ (:mod:`rholoc.density.ray`). The surface drawn is three standard deviations wide.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Table 6: an estimated trajectory as CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Image files → arrays. Images with more pixels than allowed are refused before memory is allocated for them."""
 
-from __future__ import annotations
-
 import io
 import re
 import struct

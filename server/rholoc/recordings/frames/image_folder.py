@@ -1,7 +1,5 @@
 """Frames that are image files in a folder."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence

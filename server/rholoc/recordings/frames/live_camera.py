@@ -1,7 +1,5 @@
 """The frames of a live camera: a device, or a stream from the network."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time

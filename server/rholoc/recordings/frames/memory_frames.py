@@ -1,7 +1,5 @@
 """Frames without files: pictures in memory, and times without pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Pictures of several cameras, sizes, orientations or changing intrinsics as frames of one camera."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Frames of a video file."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

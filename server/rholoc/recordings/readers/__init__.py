@@ -5,8 +5,6 @@ A new format is one new file with ``recognises`` and ``read``, and one line here
 folder each; rholoc's own layout and ROS bags are here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

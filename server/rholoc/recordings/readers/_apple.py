@@ -4,8 +4,6 @@ CoreMotion's axes belong to the device held upright: x right, y up, z out of the
 device on its side, as its images are: x right, y up, looking along −z. ARKit's world has y up.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

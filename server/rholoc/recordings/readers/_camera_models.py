@@ -1,7 +1,5 @@
 """Camera models by their names in COLMAP, kapture, nerfstudio and others."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

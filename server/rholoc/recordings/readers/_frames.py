@@ -1,7 +1,5 @@
 """Frames for the readers: videos with tables of times, images in lists, files by name, pictures of a rig."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Warn about files of a recording's folder that no reader uses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from itertools import groupby

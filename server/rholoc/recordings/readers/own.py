@@ -11,8 +11,6 @@
     odometry.csv                     timestamp,x,y,z,qx,qy,qz,qw            optional
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

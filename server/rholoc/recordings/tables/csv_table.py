@@ -1,7 +1,5 @@
 """Tables of numbers in CSV files, with errors that name the file and say what is wrong in it."""
 
-from __future__ import annotations
-
 import csv
 import json
 from array import array

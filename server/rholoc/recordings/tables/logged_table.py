@@ -1,7 +1,5 @@
 """Tables of recorder apps: with or without a header, comments, units in names, commas or spaces."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The tables of rholoc's own format: frames.csv, imu.csv (the paper's Table 3), odometry.csv, lengths.csv."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``poses.txt``: poses that came with a recording, or a dataset's ground truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

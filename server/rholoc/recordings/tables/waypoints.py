@@ -1,7 +1,5 @@
 """``waypoints.csv``: measured points of the walk."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Advice for the next walk, each piece from one measured figure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from rholoc.reports import Advice, AdviceKind, WalkFigures

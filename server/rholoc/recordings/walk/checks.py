@@ -1,7 +1,5 @@
 """Problems of a whole recording, whatever its format."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import FloatArray

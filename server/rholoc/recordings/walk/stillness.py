@@ -1,7 +1,5 @@
 """Pauses of a walk, from the IMU."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter1d
 

@@ -1,7 +1,5 @@
 """Figures of a walk, for :mod:`rholoc.recordings.walk.advice`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

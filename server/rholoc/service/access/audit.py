@@ -1,7 +1,5 @@
 """Audit log: a database row for each request that changed something."""
 
-from __future__ import annotations
-
 import logging
 import time
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """Access control: API keys, requests from other sites, and security headers for browsers."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Collection, Sequence
 from urllib.parse import urlsplit

@@ -1,7 +1,5 @@
 """Open streams: counted for each client, listed, and ended when their key is revoked."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import time

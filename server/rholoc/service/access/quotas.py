@@ -1,7 +1,5 @@
 """Quotas of API keys for maps, bytes and jobs, counted over all servers that share a database."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager, nullcontext, suppress

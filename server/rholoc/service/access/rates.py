@@ -1,7 +1,5 @@
 """Rate limits of API keys: a token bucket for each key, in every server."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

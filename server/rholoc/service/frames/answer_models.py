@@ -1,7 +1,5 @@
 """The models of answers to frames."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np

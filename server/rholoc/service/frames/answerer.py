@@ -1,7 +1,5 @@
 """Answers frames in compute threads, each by its deadline."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

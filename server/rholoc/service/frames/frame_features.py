@@ -1,7 +1,5 @@
 """A frame's features, found once by each extractor."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A camera's pose on Earth as OGC GeoPose 1.0."""
 
-from __future__ import annotations
-
 import time
 from enum import StrEnum
 

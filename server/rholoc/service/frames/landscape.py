@@ -1,7 +1,5 @@
 """Landscape of the densities around a frame's pose. Runs in a compute thread."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

@@ -1,7 +1,5 @@
 """The localizers of the served maps: one for each loaded map, replaced between two requests."""
 
-from __future__ import annotations
-
 import threading
 from typing import Protocol
 

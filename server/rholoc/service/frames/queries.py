@@ -1,7 +1,5 @@
 """Convert requests to queries: images and descriptor sets, intrinsics, priors."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import math

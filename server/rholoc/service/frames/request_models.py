@@ -1,7 +1,5 @@
 """The models of a request for a pose: options, cameras, priors, descriptor sets, several frames."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import FailFast, Field

@@ -1,7 +1,5 @@
 """Localize one frame, with the time of each stage. Runs in a compute thread."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rholoc import telemetry

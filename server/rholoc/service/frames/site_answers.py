@@ -1,7 +1,5 @@
 """Answers in the frame of the site that a map belongs to, and on Earth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Request bodies: read with a limit, streamed, multipart split into its parts."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The outermost layer: a request id in every answer, every error in one shape."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import re

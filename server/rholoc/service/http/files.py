@@ -1,7 +1,5 @@
 """Cacheable responses, and responses with files that may be replaced or deleted while they are sent."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

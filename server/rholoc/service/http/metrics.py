@@ -1,7 +1,5 @@
 """The service's metrics for Prometheus, and the traces of requests (W3C ``traceparent``)."""
 
-from __future__ import annotations
-
 import logging
 import math
 import threading

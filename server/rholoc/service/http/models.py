@@ -1,7 +1,5 @@
 """Base classes and common types of requests and answers: numbers, vectors, intrinsics."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated, Any

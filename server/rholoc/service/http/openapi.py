@@ -1,7 +1,5 @@
 """OpenAPI for bodies that routes parse themselves, and for the errors of each route."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ Localization often needs the interpreter, which runs one thread at a time: any o
 it down, regardless of cores and priorities.
 """
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Time of each stage of a request."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 :class:`rholoc.jobs.UploadStore` keeps the uploads themselves.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import hmac

@@ -1,8 +1,6 @@
 """The web page: the console, the recorder, the API's description. Their files are under ``/web``, and those of the
 JavaScript client, which they import, under ``/js``."""
 
-from __future__ import annotations
-
 import mimetypes
 import os
 from collections.abc import Awaitable, Callable

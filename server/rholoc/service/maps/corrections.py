@@ -1,7 +1,5 @@
 """Applies corrections, as a client sends them, to a map."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

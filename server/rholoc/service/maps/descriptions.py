@@ -1,7 +1,5 @@
 """Descriptions of maps for clients."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from rholoc.errors import RholocError, UnknownMap

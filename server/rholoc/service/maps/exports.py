@@ -1,7 +1,5 @@
 """Long exports of maps, each in a child process that ends when the client disconnects."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

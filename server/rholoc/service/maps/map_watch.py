@@ -1,7 +1,5 @@
 """A low-priority thread that keeps the index of all maps' views up to date."""
 
-from __future__ import annotations
-
 import logging
 import threading
 

@@ -1,7 +1,5 @@
 """Publish an uploaded map after a check that the service can use it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -4,8 +4,6 @@ One low-priority process draws them, so the threads that localize are not involv
 with an ETag, until the map changes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import hashlib
 import json

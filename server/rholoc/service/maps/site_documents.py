@@ -1,7 +1,5 @@
 """Models of sites in requests and answers."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 from pydantic import Field

@@ -4,8 +4,6 @@ The file is a tar archive. Its last entry, the manifest, has the size and SHA-25
 file is detected.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import io

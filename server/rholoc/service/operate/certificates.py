@@ -4,8 +4,6 @@ Browsers give camera and motion sensors to pages over HTTPS only. The authority 
 phone that trusts it also trusts later certificates, whatever address the machine then has.
 """
 
-from __future__ import annotations
-
 import ipaddress
 import socket
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Check a server's environment. Each finding says what to do."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import time

@@ -1,7 +1,5 @@
 """Last known state of database, storage and disks, for probes and metrics."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import shutil

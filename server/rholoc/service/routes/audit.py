@@ -1,7 +1,5 @@
 """Who changed what."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import APIRouter, Query

@@ -1,7 +1,5 @@
 """Open streams and unfinished uploads of clients, for administrators."""
 
-from __future__ import annotations
-
 from fastapi import APIRouter
 from pydantic import Field
 

@@ -1,7 +1,5 @@
 """Named cameras: intrinsics that requests refer to by name."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from fastapi import APIRouter, Response

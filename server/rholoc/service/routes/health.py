@@ -1,7 +1,5 @@
 """Whether the service is alive, and whether it can work."""
 
-from __future__ import annotations
-
 from fastapi import APIRouter, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool

@@ -1,7 +1,5 @@
 """What a visitor of a site needs, and nothing else: where one may walk, what has a name, and where the camera is."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import numpy as np

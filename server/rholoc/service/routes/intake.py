@@ -1,7 +1,5 @@
 """The options of an upload, and whether they are possible."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

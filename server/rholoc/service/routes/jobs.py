@@ -1,7 +1,5 @@
 """Mapping jobs: watched by polling, cancelled, tried again."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from typing import Annotated

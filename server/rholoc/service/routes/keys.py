@@ -1,7 +1,5 @@
 """Temporary keys to hand on, to a phone or to someone who is to see a map, and QR codes for their links."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import asdict
 from typing import Any

@@ -1,7 +1,5 @@
 """Maps that learn from their users: what is kept of their queries, and the jobs that learn from it."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Who is asking for poses, and where requests failed."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """Recordings: uploaded as a stream, mapped by a job."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import AsyncExitStack
 from dataclasses import asdict

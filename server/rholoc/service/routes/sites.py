@@ -1,7 +1,5 @@
 """Sites: maps of rooms and floors in one frame."""
 
-from __future__ import annotations
-
 from fastapi import APIRouter, Request, Response
 from pydantic import Field
 

@@ -1,7 +1,5 @@
 """Resumable uploads of recordings: tus 1.0, beside the plain upload at the same path."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import AsyncIterator
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Threads whose work can wait."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

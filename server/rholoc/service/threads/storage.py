@@ -1,7 +1,5 @@
 """Threads for calls that block on database, storage or disk, so that the event loop never does."""
 
-from __future__ import annotations
-
 import asyncio
 import contextvars
 import threading

@@ -8,8 +8,6 @@
     gyroscope.csv        timestamp_ns,gx,gy,gz      rad/s
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu

@@ -12,8 +12,6 @@
 MotARH.txt is preferred: Apple's fusion has the gyroscope's bias out of it, and one clock for both sensors.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rholoc.geometry import FloatArray

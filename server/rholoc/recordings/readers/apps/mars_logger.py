@@ -11,8 +11,6 @@ On iOS times are ``Timestamp[sec]``, and the frames' table also has ``cx[px], cy
 turns Apple's sign round itself.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

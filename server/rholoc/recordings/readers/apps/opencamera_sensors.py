@@ -8,8 +8,6 @@
     NAME_timestamps.csv        time               row i is frame i; older: NAME_imu_timestamps.csv
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rholoc.errors import InvalidRecording

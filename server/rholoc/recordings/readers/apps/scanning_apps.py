@@ -17,8 +17,6 @@ the world in a camera with OpenCV's axes, z up. All of them drift. The focal len
 Record3D's depth, compressed by LZFSE or as OpenEXR, is not read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

@@ -12,8 +12,6 @@
 On iOS the sign is Apple's unless the app was set to standardise.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -8,8 +8,6 @@
     calibration.json   {"cameras": [{"focalLengthX": …, "model": "pinhole", "imuToCamera": 4×4}]}
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

@@ -12,8 +12,6 @@ Poses are in metres with y up, of a camera with OpenCV's axes. The app's own des
 its code writes it in g with Apple's sign, so unit and sign are measured.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -12,8 +12,6 @@ The dataset's page has the acceleration in g; the files have it in m/s². Its ow
 ARKit from the first frame, and those of the IMU as they are; so do we.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rholoc.recordings.imu_normalisation import (

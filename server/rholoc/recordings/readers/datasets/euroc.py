@@ -13,8 +13,6 @@ likewise, are read where there is neither an IMU nor ground truth and both files
 used. Other cameras are ignored.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -9,8 +9,6 @@
 The colour camera's intrinsics are not in the folder; which way is up is not known.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

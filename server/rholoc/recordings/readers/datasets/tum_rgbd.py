@@ -10,8 +10,6 @@
 Depth is in units of 1/5000 m; a frame has that of the nearest time. Intrinsics are not in the folder.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

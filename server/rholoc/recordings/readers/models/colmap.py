@@ -12,8 +12,6 @@ Poses are of the world in the camera; pixel (0.5, 0.5) is the centre of the top-
 stated.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -15,8 +15,6 @@ are mounted on a rig and there is no IMU; without times, all pictures are. The u
 metres. Partial poses, of a rotation or a translation alone, count as unknown.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path

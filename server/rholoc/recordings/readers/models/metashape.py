@@ -13,8 +13,6 @@ by its label, with or without its suffix; cameras that were not aligned are igno
 label, whose photos cannot be told apart.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -10,8 +10,6 @@ top-left one. Each frame may have its own intrinsics instead. ``applied_transfor
 world into this one, is undone. The unit of length is not stated.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

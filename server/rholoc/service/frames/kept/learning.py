@@ -1,7 +1,5 @@
 """Keep the features of confident answers for maps to learn from, in a background thread."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import queue

@@ -1,7 +1,5 @@
 """Live askers and failed requests, in memory only, if the settings enable it."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections import deque

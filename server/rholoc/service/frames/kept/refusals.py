@@ -1,7 +1,5 @@
 """Refused pictures, in memory only, for people to see why. Kept only if the setting ``keep_refused`` says how many."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from dataclasses import dataclass

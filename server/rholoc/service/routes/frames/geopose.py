@@ -1,7 +1,5 @@
 """OSCP's GeoPoseProtocol, versions 1 and 2: a picture → a GeoPose."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import re

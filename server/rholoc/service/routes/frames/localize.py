@@ -1,7 +1,5 @@
 """Frame → pose."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request

@@ -1,7 +1,5 @@
 """A request's body and query → a frame, or several."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

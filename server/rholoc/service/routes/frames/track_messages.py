@@ -1,7 +1,5 @@
 """The messages of a stream of frames (a WebSocket), as JSON text; pictures are binary messages between them."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

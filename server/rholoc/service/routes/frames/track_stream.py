@@ -1,7 +1,5 @@
 """A stream of frames over a WebSocket → a pose for each. Its state lives as long as the connection."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time

@@ -1,7 +1,5 @@
 """The maps that a request is for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

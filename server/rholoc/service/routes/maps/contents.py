@@ -1,7 +1,5 @@
 """A map's contents for people: reports, pictures, scenes, points, its floor plan."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from typing import Annotated, Any

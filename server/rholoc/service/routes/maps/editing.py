@@ -1,7 +1,5 @@
 """Maps changed: corrected, taught, merged; recordings forgotten; floor plans."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import APIRouter, Body, Query, Request, Response

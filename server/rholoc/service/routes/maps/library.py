@@ -1,7 +1,5 @@
 """Maps: listed, uploaded, downloaded, renamed, corrected, merged, deleted."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
