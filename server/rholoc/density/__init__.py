@@ -3,7 +3,7 @@
 A form is a module with a class that implements :class:`Densities`; ``FORMS`` names it.
 """
 
-from rholoc.density.density import Densities, DensityKind, DensityRows, LocalDensities, Sightings, Slopes
+from rholoc.density.density import Densities, DensityKind, DensityRows, LocalDensities, Sightings
 from rholoc.density.evidence import Evidence
 from rholoc.density.observed import ObservedDensities
 from rholoc.density.ray import RayDensities
@@ -24,6 +24,5 @@ __all__ = [
     "ObservedDensities",
     "RayDensities",
     "Sightings",
-    "Slopes",
     "TensorDensities",
 ]

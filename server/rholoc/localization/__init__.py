@@ -1,9 +1,8 @@
 """Frame → pose: search the map for a place, find the pose there, and decide how much to believe it."""
 
 from rholoc.localization.belief.confidence import MIN_RECOGNIZED
-from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause, Diagnosis
+from rholoc.localization.diagnosis import TOO_LITTLE_TIME, Cause
 from rholoc.localization.index.map_finder import VECTORS_FILE, MapFinder
-from rholoc.localization.index.view_index import LikelyMap
 from rholoc.localization.large_map import AnyLocalizer, LargeMapLocalizer, localizer_of
 from rholoc.localization.localizer import Localizer
 from rholoc.localization.several_frames import (
@@ -13,7 +12,7 @@ from rholoc.localization.several_frames import (
     check_frame_count,
     localize_together,
 )
-from rholoc.localization.similar_views import LikelyView, likeliest_views
+from rholoc.localization.similar_views import likeliest_views
 from rholoc.localization.types import (
     NO_BELIEF,
     Alternative,
@@ -36,13 +35,10 @@ __all__ = [
     "AnyLocalizer",
     "Belief",
     "Cause",
-    "Diagnosis",
     "Dof",
     "Intrinsics",
     "JointLocalization",
     "LargeMapLocalizer",
-    "LikelyMap",
-    "LikelyView",
     "Localization",
     "Localizer",
     "MapFinder",

@@ -1,7 +1,7 @@
 """The map and its file formats; sites of maps."""
 
 from rholoc.density import DensityKind
-from rholoc.maps.coverage import Coverage, coverage_of
+from rholoc.maps.coverage import coverage_of
 from rholoc.maps.display import Cloud, Room
 from rholoc.maps.floor_plan import MAX_PLAN_BYTES, FloorPlan, check_plan
 from rholoc.maps.formats.coefficient_reading import is_coefficient_table, read_coefficient_table
@@ -22,7 +22,6 @@ from rholoc.maps.formats.trajectory_table import (
 )
 from rholoc.maps.info import Correction, CorrectionKind, MapInfo, MapWaypoint, Source
 from rholoc.maps.kept_observations import (
-    Memory,
     check_memory,
     memory_of,
     packed_pixels,
@@ -65,7 +64,6 @@ __all__ = [
     "Cloud",
     "Correction",
     "CorrectionKind",
-    "Coverage",
     "DensityKind",
     "FloorPlan",
     "FramePose",
@@ -81,7 +79,6 @@ __all__ = [
     "MapPart",
     "MapViews",
     "MapWaypoint",
-    "Memory",
     "NamedArea",
     "NamedPoint",
     "ObservationTable",

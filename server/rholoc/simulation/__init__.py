@@ -5,14 +5,13 @@ from rholoc.simulation.recording import PHONE_CAMERA, SimulatedRecording, render
 from rholoc.simulation.render import Renderer
 from rholoc.simulation.rooms import make_blank_wall, make_test_site
 from rholoc.simulation.scene import Building, Scene
-from rholoc.simulation.walk import ImuErrors, Motion, Walk, make_walk, measure_imu, measure_waypoints
+from rholoc.simulation.walk import ImuErrors, Walk, make_walk, measure_imu, measure_waypoints
 
 __all__ = [
     "PHONE_CAMERA",
     "Building",
     "ImuErrors",
     "Light",
-    "Motion",
     "Renderer",
     "Scene",
     "SimulatedRecording",

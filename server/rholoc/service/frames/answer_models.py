@@ -223,15 +223,7 @@ def _estimated_camera(found: Localization) -> EstimatedCameraOut | None:
     camera = found.camera
     if camera is None or found.focal_sigma_px is None:
         return None
-    return EstimatedCameraOut(
-        width=camera.width,
-        height=camera.height,
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        focal_sigma_px=found.focal_sigma_px,
-    )
+    return EstimatedCameraOut.model_validate({**camera.to_dict(), "focal_sigma_px": found.focal_sigma_px})
 
 
 def _agreeing(localizer: AnyLocalizer, found: Localization) -> MatchesOut:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
 from fastapi import Depends, Query, Request
@@ -26,6 +26,8 @@ READ_BY_HAND = (LocalizeOptions, DescriptorQuery, FramesQuery)
 
 _PARTS_HINT = "Send a file part 'image' and, if you like, a JSON part 'request'."
 _FRAMES_HINT = "Send a JSON part 'request', and pictures as file parts 'image0', 'image1', …"
+_LISTS = ("distortion", "prior_position", "prior_heading", "prior_quaternion_xyzw", "gravity")  # of numbers
+_OF_CAMERA = ("fx", "fy", "cx", "cy", "distortion", "lens")
 _NUMBERED_IMAGE = re.compile(r"image(\d{1,2})")  # a part of one with several frames
 
 
@@ -73,43 +75,18 @@ class OptionParameters:
 
     def options(self) -> dict[str, Any]:
         """The given options as fields of :class:`LocalizeOptions`. Raises InvalidRequest for a list not of numbers."""
-        camera = _given(
-            name=self.camera,
-            fx=self.fx,
-            fy=self.fy,
-            cx=self.cx,
-            cy=self.cy,
-            distortion=_numbers("distortion", self.distortion),
-            lens=self.lens,
-        )
-        prior = _given(
-            position=_numbers("prior_position", self.prior_position),
-            heading=_numbers("prior_heading", self.prior_heading),
-            quaternion_xyzw=_numbers("prior_quaternion_xyzw", self.prior_quaternion_xyzw),
-            radius_m=self.prior_radius_m,
-            radius_deg=self.prior_radius_deg,
-        )
-        return _given(
-            camera=camera or None,
-            prior=prior or None,
-            dof=int(self.dof) if self.dof is not None and self.dof.isdecimal() else self.dof,
-            intrinsics=self.intrinsics,
-            gravity=_numbers("gravity", self.gravity),
-            deadline_ms=self.deadline_ms,
-            max_sigma_m=self.max_sigma_m,
-            max_sigma_deg=self.max_sigma_deg,
-            with_matches=self.with_matches,
-            geopose=self.geopose,
-        )
+        given = {name: value for name, value in asdict(self).items() if value is not None}
+        given |= {name: _numbers(name, given[name]) for name in _LISTS if name in given}
+        camera = {name: given.pop(name) for name in _OF_CAMERA if name in given}
+        if "camera" in given:
+            camera["name"] = given.pop("camera")
+        prior = {name.removeprefix("prior_"): given.pop(name) for name in [*given] if name.startswith("prior_")}
+        if given.get("dof", "").isdecimal():
+            given["dof"] = int(given["dof"])
+        return {**given, **({"camera": camera} if camera else {}), **({"prior": prior} if prior else {})}
 
 
-def _given(**values: Any) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def _numbers(name: str, text: str | None) -> list[float] | None:
-    if text is None:
-        return None
+def _numbers(name: str, text: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError as error:
