@@ -144,16 +144,23 @@ def _waypoints(pictures: Sequence[int]) -> tuple[Waypoint, ...]:
 
 def test_pieces_join_by_their_waypoints() -> None:
     starts = _start(_FIRST, _AWAY), [_start(_LAST)]
-    (state, members), used = joined_by_waypoints(*starts, np.arange(12.0), _waypoints([0, 2, 5, 6, 9, 11]))
-    assert len(used) == 1
+    (state, members), sizes = joined_by_waypoints(*starts, np.arange(12.0), _waypoints([0, 2, 5, 6, 9, 11]))
+    assert sizes == (6, 6)
     np.testing.assert_array_equal(members, np.arange(_COUNT))
     np.testing.assert_allclose(state.positions, arc(_COUNT)[:, :3, 3], atol=1e-6)
 
 
+def test_pictures_of_both_pieces_are_counted_once() -> None:
+    """Pieces of one mapper may have pictures in common that show too few points to join them."""
+    starts = _start(_FIRST, _AWAY), [_start(np.arange(4, 12))]
+    _, sizes = joined_by_waypoints(*starts, np.arange(12.0), _waypoints([0, 2, 5, 6, 9, 11]))
+    assert sizes == (6, 6)
+
+
 def test_a_piece_with_two_waypoints_does_not_join() -> None:
     starts = _start(_FIRST, _AWAY), [_start(_LAST)]
-    (_, members), used = joined_by_waypoints(*starts, np.arange(12.0), _waypoints([0, 2, 5, 6, 11]))
-    assert used == ()
+    (_, members), sizes = joined_by_waypoints(*starts, np.arange(12.0), _waypoints([0, 2, 5, 6, 11]))
+    assert sizes == (6,)
     np.testing.assert_array_equal(members, _FIRST)
 
 

@@ -49,11 +49,11 @@ def with_pieces_joined(
         return part
     (waypoints,), times = walk.waypoints, walk.sights.times
     try:
-        start, used = joined_by_waypoints(part.start, apart, times, waypoints)
+        start, sizes = joined_by_waypoints(part.start, apart, times, waypoints)
     except MappingFailed:
         return part
     found = _adjusted_whole(part, start, waypoints, walk, whole, progress)
-    return part if found is part else replace(found, by_waypoints=tuple(len(one[1]) for one in (part.start, *used)))
+    return part if found is part else replace(found, by_waypoints=sizes)
 
 
 def _groups(pieces: Sequence[Start], walk: Pictured, whole: Observations) -> list[Start]:
@@ -142,7 +142,7 @@ def joined_by_points(
 
 def joined_by_waypoints(
     start: Start, others: Sequence[Start], times: FloatArray, waypoints: tuple[Waypoint, ...]
-) -> tuple[Start, tuple[Start, ...]]:
+) -> tuple[Start, tuple[int, ...]]:
     """Join to the start the others whose pictures were taken at three waypoints or more, in the waypoints' frame.
 
     Args:
@@ -152,22 +152,24 @@ def joined_by_waypoints(
         waypoints: with times.
 
     Returns:
-        The start in the waypoints' frame, without points, and those of the others that joined.
+        The start in the waypoints' frame, without points; the number of its pictures, and of those that each joined
+        piece adds.
 
     Raises:
         MappingFailed: the start misses the waypoints, or was not taken at enough of them.
     """
     whole = _at_waypoints(start, times, waypoints)
-    found: list[Start] = []
+    sizes = [len(start[1])]
     for other in others:
         if np.isin(other[1], whole[1]).all():
             continue
         try:
-            whole = _merged(whole, _at_waypoints(other, times, waypoints), Similarity.identity())
+            joined = _merged(whole, _at_waypoints(other, times, waypoints), Similarity.identity())
         except MappingFailed:
             continue
-        found.append(other)
-    return whole, tuple(found)
+        sizes.append(len(joined[1]) - len(whole[1]))
+        whole = joined
+    return whole, tuple(sizes)
 
 
 def _at_waypoints(start: Start, times: FloatArray, waypoints: tuple[Waypoint, ...]) -> Start:
