@@ -31,6 +31,7 @@ from rholoc.trajectory.reconstruction import (
     reconstruct_from_poses,
     unmoved_frame,
 )
+from rholoc.trajectory.reconstruction.outcome import WELL_PLACED
 from rholoc.trajectory.reconstruction.sights import DENSER
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
 from rholoc.trajectory.visual.calibration_report import calibration_report
@@ -47,7 +48,6 @@ _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
 _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD = 0.002, 0.002  # of cameras on a rig
 _MIN_PLACED = 0.5  # the share of a walk's keyframes that a map must have …
 _MIN_OF_SET, _ENOUGH_OF_SET = 0.25, 8  # … and of a set, which may show several places: a share, or so many pictures
-_WELL_PLACED = 0.9  # … and minimum share for a trajectory to be trusted
 _MAX_EXPECTED_ERROR_M = 0.10  # of a trajectory that is trusted
 _MAX_EXPECTED_ERROR_DEG = 2.0
 _MAX_WAYPOINT_MISS_M = 0.10
@@ -465,7 +465,7 @@ def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
     ``missing`` a text on the others.
     """
     doubts = list(found.frame.doubts)
-    if share < _WELL_PLACED:
+    if share < WELL_PLACED:
         doubts.append(f"Only {share:.0%} of the keyframes could be placed. {missing}".strip())
     error_m = _expected_error_m(found)
     if error_m is None:

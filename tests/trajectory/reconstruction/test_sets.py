@@ -223,6 +223,19 @@ def test_pieces_that_nothing_confirms_are_no_reason_to_trust_a_map(
     assert found.agreement.common == confirmed
 
 
+@pytest.mark.parametrize(("placed", "common", "joined"), [(18, 16, []), (18, 12, [20]), (17, 16, [20])])
+def test_a_map_that_may_be_trusted_alone_gets_no_pictures_that_would_take_its_trust(
+    placed: int, common: int, joined: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of twenty pictures, 18 placed and 16 confirmed suffice for trust, until two more join that nothing confirms."""
+    pieces = pieces_given(monkeypatch)
+    sizes = {Mapper.OWN: 20, Mapper.INCREMENTAL: placed}
+    found = taken(sizes, lambda *_: Agreement(0.001, 0.002, 0.1, common, placed), monkeypatch)
+    assert pieces == joined
+    assert found.agreement is not None
+    assert found.agreement.same is (common >= 0.7 * placed)
+
+
 @pytest.mark.parametrize(("pictures", "reached"), [(18, True), (12, False)])
 def test_waypoints_whose_pictures_are_missing_are_not_used_and_the_map_says_so(
     pictures: int, reached: bool, monkeypatch: pytest.MonkeyPatch

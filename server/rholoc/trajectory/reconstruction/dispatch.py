@@ -16,7 +16,7 @@ from rholoc.trajectory.inertial.gyroscope import camera_rotations
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.from_imu import calibrated, solve_with_imu, start_with_imu
 from rholoc.trajectory.reconstruction.from_pictures import solve_from_pictures, solve_from_set
-from rholoc.trajectory.reconstruction.outcome import Reconstruction
+from rholoc.trajectory.reconstruction.outcome import WELL_PLACED, Reconstruction
 from rholoc.trajectory.reconstruction.part import Pictured
 from rholoc.trajectory.reconstruction.sights import ADVICE, Evidence, Sights, gather_evidence
 from rholoc.trajectory.visual.focal_guess import camera_by_matches, guess_camera, zoom_by_matches
@@ -24,7 +24,6 @@ from rholoc.trajectory.visual.matching import with_poses_anew
 from rholoc.trajectory.visual.tracks import followed_corners
 from rholoc.trajectory.visual.unzooming import unzoomed_features
 
-_WELL_PLACED = 0.9  # share of a film's keyframes, below which other ways to place them are tried
 _SAME_VIEW = (
     "Pictures of several sizes came without focal lengths, and were assumed to show the same angle of view: "
     "keep the EXIF data of the originals, or map each camera's pictures alone."
@@ -137,7 +136,7 @@ def _from_film(walk: Pictured, steps: AdjustmentProgress) -> Reconstruction:
     except MappingFailed as error:
         failure = error
     contradicted = found is not None and found.agreement is not None and found.agreement.contradicts
-    if found is not None and not contradicted and found.placed.mean() >= _WELL_PLACED:
+    if found is not None and not contradicted and found.placed.mean() >= WELL_PLACED:
         return found
     as_set = replace(walk.sights, is_film=False)
     try:

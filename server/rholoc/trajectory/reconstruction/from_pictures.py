@@ -23,7 +23,7 @@ from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.joining import with_pieces_joined
 from rholoc.trajectory.reconstruction.measured_scale import scale_by_depth, scale_by_steps, scales_by_lengths
-from rholoc.trajectory.reconstruction.outcome import Reconstruction, finished
+from rholoc.trajectory.reconstruction.outcome import WELL_PLACED, Reconstruction, finished
 from rholoc.trajectory.reconstruction.pair_fit import MAX_PAIR_ERROR, pair_error
 from rholoc.trajectory.reconstruction.part import (
     Part,
@@ -72,7 +72,8 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     Each mapper's first poses are adjusted to the same sightings, after the pictures that it left out are placed where
     they see enough points. The reconstruction of which another one confirms most pictures is taken. If it is confirmed,
     further pieces are joined to it. If fewer than 90 % of all pictures are confirmed, so are the pictures that another
-    agreeing reconstruction adds. With joined pictures, fewer than 90 % leave the map untrusted.
+    agreeing reconstruction adds. With joined pictures, fewer than 90 % leave the map untrusted: one that may be trusted
+    without them gets none.
 
     Raises:
         MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
@@ -104,7 +105,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if agreement is not None and agreement.same:  # else a wrong part would grow
         pieces = [one for some in parts for one in some.apart]
         if agreement.common < _MOST_OF_JOINED * count:  # too few for a map with joined pictures to be trusted
-            pieces = [*_agreeing(best, parts), *pieces]
+            pieces = [] if _suffices(refined, agreement, count) else [*_agreeing(best, parts), *pieces]
         part = with_pieces_joined(refined, pieces, walk, whole, progress)
     least = _MOST * len(part.members) if part is refined else _MOST_OF_JOINED * count
     if refined is not best:  # zooms of one that more features bend would be as wrong
@@ -123,6 +124,14 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
     in_map_frame = comparison_with(found.T_map_camera, found.placed, found.median_depth, other)
     return replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
+
+
+def _suffices(part: Part, agreement: Agreement, count: int) -> bool:
+    """Whether a part without joined pieces may be trusted: it places 90 % of ``count`` pictures, of which another
+    reconstruction confirms 70 %.
+    """
+    placed = len(part.members)
+    return placed >= WELL_PLACED * count and agreement.common >= _MOST * placed
 
 
 def _agreeing(best: Part, parts: Sequence[Part]) -> list[Start]:

@@ -18,6 +18,7 @@ from rholoc.trajectory.optimization.rounds import MIN_PX, OUTLIER
 from rholoc.trajectory.reconstruction.figures import median_depth_of, spread_covariances
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS
 
+WELL_PLACED = 0.9  # minimum share of the keyframes for a trajectory to be trusted
 _SEEN, _FIXED = 12, 8  # minimum sightings to fix a keyframe, and minimum of these with a known distance
 _CARRIED_SIGMA_M = 0.05  # maximum, for a keyframe fixed by the IMU alone
 _SHARED = 0.0012  # of the median depth: sigma of errors that sightings share, which no number of them averages out
