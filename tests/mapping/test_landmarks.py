@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from rholoc.features import Metric
+from rholoc.errors import MappingFailed
+from rholoc.features import Metric, get_extractor
 from rholoc.mapping.build.landmarks import (
     Landmarks,
     are_stable,
@@ -17,7 +18,9 @@ from rholoc.mapping.build.landmarks import (
     triangulate,
     with_ranged,
 )
+from rholoc.mapping.build.pipeline import reconstruct
 from rholoc.mapping.build.tracks import Views, link_observations, neighbour_pairs
+from rholoc.progress import silent
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +69,13 @@ def test_split_tracks_are_merged(landmarks: Landmarks, walked: Views) -> None:
     split = triangulate(walked, labels)
     merged = extend_and_merge(walked, split, Metric.HAMMING)
     assert len(merged) < len(split)
+
+
+def test_pictures_from_nearly_one_place_make_no_map_and_the_message_says_why(walked: Views) -> None:
+    """Of pictures a few centimetres apart one "features are stable"; who took them was told to walk slower."""
+    still = replace(walked, T_map_camera=np.repeat(walked.T_map_camera[:1], len(walked.T_map_camera), axis=0))
+    with pytest.raises(MappingFailed, match=r"Too few points .*: 0 of the 60 .* farther and sideways"):
+        reconstruct(still, get_extractor("gray"), silent)
 
 
 def test_wrong_observations_lose_their_label(walked: Views, landmarks: Landmarks) -> None:

@@ -984,10 +984,10 @@ export const GERMAN_OF_SERVER = {
     "Nur {0} Bilder mit verschiedenen Ansichten haben eine Pose; eine Karte braucht mindestens {1}.",
   "Record a longer walk, or give poses for more frames.":
     "Einen längeren Rundgang aufnehmen oder Posen für mehr Bilder angeben.",
-  "Only {0} features are stable; a map needs at least {1}.":
-    "Nur {0} Merkmale sind beständig; eine Karte braucht mindestens {1}.",
-  "Walk slower and sideways rather than turning on the spot, with more light and texture in view.":
-    "Langsamer und seitwärts gehen statt auf der Stelle zu drehen, mit mehr Licht und Struktur im Bild.",
+  "Too few points have a well-known position: {0} of the {1} that a map needs.":
+    "Von zu wenigen Punkten ist die Lage gut bekannt: {0} der {1}, die eine Karte braucht.",
+  "Walk slowly, farther and sideways rather than turning on the spot, with more light and texture in view.":
+    "Langsam gehen, aber weiter und seitwärts statt auf der Stelle zu drehen, mit mehr Licht und Struktur im Bild.",
   "A job is using the recording.": "Ein Auftrag verwendet die Aufnahme.",
   "Cancel the job, or wait until it has ended.": "Den Auftrag abbrechen oder warten, bis er beendet ist.",
   "This link is for another site.": "Dieser Link gilt für einen anderen Standort.",

@@ -224,8 +224,8 @@ def reconstruct(
     count = int(stable.sum())
     if count < _MIN_FEATURES:
         raise MappingFailed(
-            f"Only {count} features are stable; a map needs at least {_MIN_FEATURES}.",
-            "Walk slower and sideways rather than turning on the spot, with more light and texture in view.",
+            f"Too few points have a well-known position: {count} of the {_MIN_FEATURES} that a map needs.",
+            "Walk slowly, farther and sideways rather than turning on the spot, with more light and texture in view.",
         )
     return landmarks, stable
 
