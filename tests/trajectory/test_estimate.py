@@ -14,9 +14,10 @@ from synthetic_walk import DELAY_S, SyntheticWalk, estimated
 from rholoc.errors import InvalidRecording, InvalidWaypoints, MappingFailed
 from rholoc.geometry import ByteArray, Camera, FloatArray, align_poses, pose_distances, umeyama
 from rholoc.progress import Stage, silent
-from rholoc.recordings import GivenPoses, KnownLength, MemoryFrames, Recording, Waypoint, read_recording
+from rholoc.recordings import GivenPoses, KnownLength, MemoryFrames, PoseKind, Recording, Waypoint, read_recording
 from rholoc.simulation import PHONE_CAMERA, Renderer, Scene, make_walk
 from rholoc.trajectory import PoseMethod, Scale, Trajectory
+from rholoc.trajectory.checks.given_poses import PoseAxes, PoseCheck
 from rholoc.trajectory.child import ReconstructionBroken, run_in_child
 from rholoc.trajectory.estimate import estimate_trajectory
 from rholoc.trajectory.reconstruction import Sights
@@ -107,6 +108,29 @@ def test_a_rolling_shutter_is_corrected_before_the_reconstruction(monkeypatch: p
     late_s = ((as_read[:, 1] + 0.5) / 240 - 0.5) * 0.015
     np.testing.assert_allclose(at_once[:, 0] - as_read[:, 0], 180 * late_s, atol=0.1)
     np.testing.assert_allclose(at_once[:, 1], as_read[:, 1], atol=0.1)
+
+
+def test_weak_features_count_in_a_set_of_dim_pictures_whose_given_poses_drift(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses by ARKit of a dim room were adjusted to the few features that such pictures show plainly."""
+    noise = np.random.default_rng(0).normal(0, 1, (240, 400)).astype(np.float32)
+    wall = (100 + 20 * cv2.GaussianBlur(noise, (0, 0), 2)).round().clip(0, 255).astype(np.uint8)
+    pictures = [np.repeat(wall[:, 10 * k : 10 * k + 320, None], 3, axis=2) for k in range(6)]
+    T = np.tile(np.eye(4), (6, 1, 1))
+    T[:, 0, 3] = 0.1 * np.arange(6)
+    drifting = _recording(pictures, GivenPoses(np.ones(6, bool), T, kind=PoseKind.ODOMETRY))
+    found: list[int] = []
+
+    def stop(function: object, sights: Sights, *_: object, **__: object) -> None:
+        found.append(min(map(len, sights.features)))
+        raise MappingFailed("far enough")
+
+    usable = PoseCheck(PoseAxes.AS_DOCUMENTED, 0.005, 10)
+    monkeypatch.setattr("rholoc.trajectory.estimate.check_given_poses", lambda *_: usable)
+    monkeypatch.setattr("rholoc.trajectory.estimate.run_in_child", stop)
+    for recording in (replace(drifting, poses=None), drifting):
+        with pytest.raises(MappingFailed, match="far enough"):
+            estimate_trajectory(recording, PoseMethod.AUTO)
+    assert found[1] == found[0] > 200
 
 
 @pytest.mark.parametrize(

@@ -165,7 +165,7 @@ def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show
         flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
         rows = np.intersect1d(_chosen(recording, flow, features), np.flatnonzero(recording.poses.known))
         _require_keyframes(rows, len(recording.frames.times))
-        sights = _sights(recording, flow, rows, features.of(rows, progress))
+        sights = _sights(recording, flow, rows, _features_of(recording, flow, rows, features, progress))
     T = recording.poses.T_map_camera[rows]
     upright, up = _is_upright(T[:, :3, :3])
     scale = Scale.METRIC if recording.poses.metric else Scale.ARBITRARY
@@ -285,8 +285,7 @@ def _visual(
         frames = recording.frames
         flow = track_corners(frames, progress, features.foresee, recording.camera, may_be_film(frames))
         rows, choices = _keyframes(recording, imu, flow, features)
-        found = features.of(rows, progress) if _is_film(recording, flow) else features.of_set(rows, progress)
-        sights = _sights(recording, flow, rows, found)
+        sights = _sights(recording, flow, rows, _features_of(recording, flow, rows, features, progress))
     return _placed(recording, method, sights, imu, choices, progress)
 
 
@@ -342,6 +341,13 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
         None if second is None else second[kept],
         None if found.zooms is None else found.zooms[kept],
     )
+
+
+def _features_of(
+    recording: Recording, flow: Flow, rows: IntArray, features: KeyframeFeatures, progress: ProgressListener
+) -> list[FeatureSet]:
+    """Features of the keyframes ``rows`` (K,); of mostly dim pictures in a set, weak ones too."""
+    return features.of(rows, progress) if _is_film(recording, flow) else features.of_set(rows, progress)
 
 
 def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[FeatureSet]) -> Sights:
