@@ -52,6 +52,7 @@ _ANOTHER_PLACE = 4  # minimum pictures of a separate component that may show ano
 _WAYPOINTS_MISSED = (
     "The waypoints were not used: too few pictures at them could be placed. Take more pictures around each waypoint."
 )
+_SPACED = "Take pictures half a step apart, sideways where you can, and let each show half of the one before."
 _LOOSE = 0.1  # pose uncertainty as a share of the extent, above which a reconstruction is useless
 
 
@@ -115,7 +116,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if walk.waypoints and not reached:
         found = replace(found, frame=replace(found.frame, doubts=(*found.frame.doubts, _WAYPOINTS_MISSED)))
     if _is_loose(found):
-        raise MappingFailed("Too little ties these pictures together.", DENSER)
+        raise MappingFailed("Too few points are seen by several pictures from places far enough apart.", _SPACED)
     notes = found.note, _by_waypoints(part.by_waypoints), _elsewhere(found.placed, walk.evidence.sequential)
     found = replace(found, note=" ".join(note for note in notes if note))
     if agreement is None or other is None:
