@@ -71,13 +71,14 @@ def _place(span: MissingSpan) -> str:
 
 def _reason(flow: Flow, frames: IntArray) -> str:
     corners = np.diff(flow.starts)[frames]
-    if float(np.median(flow.brightness[frames])) < _DARK:
+    typical = np.median if flow.timed else np.max  # without times it is said of each picture
+    if typical(flow.brightness[frames]) < _DARK:
         return "is too dark"
-    if float(np.median(flow.contrast[frames])) < _PLAIN:
+    if typical(flow.contrast[frames]) < _PLAIN:
         return "shows a blank wall"  # where corners of noise come and go
-    if float(np.median(flow.sharpness[frames])) < _BLURRED * float(np.median(flow.sharpness)):
+    if typical(flow.sharpness[frames]) < _BLURRED * np.median(flow.sharpness):
         return "is blurred"
-    if float(np.median(corners)) < _FEW_CORNERS:
+    if typical(corners) < _FEW_CORNERS:
         return "shows a blank wall"
     return f"shows nothing that links it to {'the rest of the walk' if flow.timed else 'the other pictures'}"
 
