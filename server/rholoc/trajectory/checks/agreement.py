@@ -13,7 +13,7 @@ _MAX_LINE_WIDTH = 0.02  # of collinear positions: spread across the line over sp
 _MAX_DISTANCE = 0.02  # median distance of equal reconstructions, as a share of the median depth …
 _MAX_DISTANCE_OF_MOST = 0.04  # … and its 90th percentile: one part may be wrong, the rest right
 _MAX_ANGLE_DEG = 2.0
-_CONTRADICTION = 0.1  # of the median depth, between reconstructions of which at least one must be wrong
+_CONTRADICTION = 0.1  # of the median depth, between reconstructions or poses of which at least one must be wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +61,14 @@ class Agreement:
             f"Two reconstructions {verb}: {self.distance:.1%} of the median depth and {self.angle_deg:.1f}° apart, "
             f"nine in ten keyframes within {self.distance_of_most:.1%}."
         )
+
+
+def disputed(T: FloatArray, second_positions: FloatArray, median_depth: float) -> BoolArray:
+    """Mask (K,) of the poses T (K, 4, 4) whose position differs from the second one (K, 3) by over 10 % of the median
+    depth; false where that is NaN.
+    """
+    apart = np.linalg.norm(T[:, :3, 3] - second_positions, axis=1)
+    return np.asarray(apart > _CONTRADICTION * median_depth)
 
 
 def compare(

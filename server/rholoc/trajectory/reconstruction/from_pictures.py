@@ -10,7 +10,7 @@ import numpy as np
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, on_plane, pose_matrix
 from rholoc.geometry.graphs import components
-from rholoc.trajectory.checks.agreement import Agreement
+from rholoc.trajectory.checks.agreement import Agreement, disputed
 from rholoc.trajectory.frame.map_frame import up_by_pictures
 from rholoc.trajectory.frame.waypoint_alignment import fix_frame
 from rholoc.trajectory.initialization.global_positioning import global_positions
@@ -74,7 +74,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     they see enough points. The reconstruction of which another one confirms most pictures is taken. If it is confirmed,
     further pieces are joined to it. If fewer than 90 % of all pictures are confirmed, so are the pictures that another
     agreeing reconstruction adds. With joined pictures, fewer than 90 % leave the map untrusted: one that may be trusted
-    without them gets none.
+    without them gets none. Pictures that the confirming reconstruction places elsewhere are left out.
 
     Raises:
         MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
@@ -124,7 +124,22 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if agreement.common < least:
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
     in_map_frame = comparison_with(found.T_map_camera, found.placed, found.median_depth, other)
-    return replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
+    found = replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
+    return _without_disputed(found) if agreement.same else found
+
+
+def _without_disputed(found: Reconstruction) -> Reconstruction:
+    """Remove the pictures that the second reconstruction places elsewhere: both agree on the others, so that such a
+    picture is wrong in one of them.
+    """
+    if found.agreement is None or found.agreement.second_positions is None:
+        return found
+    out = found.placed & disputed(found.T_map_camera, found.agreement.second_positions, found.median_depth)
+    count = int(out.sum())
+    if count == 0:
+        return found
+    note = f"Left out: {count} picture{'s' if count > 1 else ''} that two reconstructions place differently."
+    return replace(found, placed=found.placed & ~out, note=f"{note} {found.note}".strip())
 
 
 def _suffices(part: Part, agreement: Agreement, count: int) -> bool:
