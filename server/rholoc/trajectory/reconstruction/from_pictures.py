@@ -40,6 +40,7 @@ from rholoc.trajectory.visual.focal_guess import focal_by_matches
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
 
+_POSITIONING_SIGHTINGS = 100  # per keyframe; more take its time, and make first positions hardly better
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
@@ -436,13 +437,13 @@ def _own_start(walk: Pictured, observations: Observations) -> Start:
     if len(kinds) == 0:
         raise MappingFailed("No two pictures overlap enough.", ADVICE)
     members = np.flatnonzero(both == kinds[sizes.argmax()])
-    positions = _positions_of(members, R, observations, camera.rays(observations.pixels))
+    positions = _positions_of(members, R, observations.thinned(_POSITIONING_SIGHTINGS), camera)
     return State(pose_matrix(R[members], positions), np.zeros((0, 3)), camera), members
 
 
-def _positions_of(members: IntArray, R: FloatArray, observations: Observations, rays: FloatArray) -> FloatArray:
+def _positions_of(members: IntArray, R: FloatArray, observations: Observations, camera: Camera) -> FloatArray:
     """Positions (N, 3) of the ``members`` (N,) by global positioning of the points that at least two of them see. R (K,
-    3, 3) are rotations of all keyframes, ``rays`` those of the observations. Raises MappingFailed.
+    3, 3) are rotations of all keyframes. Raises MappingFailed.
     """
     number = np.full(len(R), -1)
     number[members] = np.arange(len(members))
@@ -451,4 +452,5 @@ def _positions_of(members: IntArray, R: FloatArray, observations: Observations, 
     often = np.bincount(tracks, minlength=observations.points)[tracks] >= 2
     rows = np.flatnonzero(within)[often]
     _, tracks = np.unique(observations.tracks[rows], return_inverse=True)
-    return global_positions(R[members], number[observations.keyframes[rows]], tracks, rays[rows])
+    rays = camera.rays(observations.pixels[rows])
+    return global_positions(R[members], number[observations.keyframes[rows]], tracks, rays)
