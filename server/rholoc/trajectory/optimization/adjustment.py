@@ -29,7 +29,7 @@ from rholoc.trajectory.optimization.descent import (
     with_points_held,
 )
 from rholoc.trajectory.optimization.factors import graph_of
-from rholoc.trajectory.optimization.points import settled, triangulate, usable_points
+from rholoc.trajectory.optimization.points import settled, usable_points
 from rholoc.trajectory.optimization.problem import InertialState, Problem, State
 
 _IMU_COORDINATES = 9  # of a preintegrated interval: rotation, displacement, velocity change
@@ -142,7 +142,7 @@ def adjust(
 def _with_points_settled(values: gtsam.Values, problem: Problem, state: State, used: BoolArray) -> gtsam.Values:
     moved = _state_of(values, problem, state, used)
     sightings = problem.observations.at(used)
-    points = settled(triangulate(sightings, moved)[0], sightings, moved, problem.pixel_sigma_px)
+    points = settled(moved.points, sightings, moved, problem.pixel_sigma_px)
     there = gtsam.Values(values)
     for track in np.unique(sightings.tracks).tolist():
         there.update(L(track), points[track])

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, D, E, G, L, S, V, X
+from scipy.sparse import triu
 
 from rholoc.errors import MappingFailed
 from rholoc.geometry import BoolArray
 from rholoc.lazy import lazy
 from rholoc.trajectory.optimization.problem import State
-from rholoc.trajectory.visual.tracks import Observations
+from rholoc.trajectory.visual.tracks import Observations, shared_points
 
 _FIRST_DAMPING = 10.0
 _SHARES = (1.0, 0.5, 0.25)  # of a failed step, to retry with every point re-optimized
@@ -117,19 +118,18 @@ def elimination_order(values: gtsam.Values, observations: Observations, used: Bo
     """Elimination order: points, keyframes by nested dissection, shared unknowns. Ordering the whole graph would take
     longer than the step, because nearly every factor contains the intrinsics.
     """
-    by_track = np.lexsort((observations.keyframes[used], observations.tracks[used]))
-    tracks, keyframes = observations.tracks[used][by_track], observations.keyframes[used][by_track]
-    points, starts = np.unique(tracks, return_index=True)
-    together = {tuple(some.tolist()) for some in np.split(keyframes, starts[1:])}
-    inertial = [k for k in range(int(keyframes.max(initial=-1)) + 1) if values.exists(X(k))]
-    joined = [[C(k) for k in some] for some in sorted(together)]
+    sightings = observations.at(used)
+    count = int(sightings.keyframes.max(initial=-1)) + 1
+    together = np.column_stack(triu(shared_points(count, sightings)).nonzero())
+    inertial = [k for k in range(count) if values.exists(X(k))]
+    joined = [sorted({C(a), C(b)}) for a, b in together.tolist()]
     joined += [[C(k), X(k), V(k), B(k)] for k in inertial]
     joined += [[X(a), V(a), B(a), X(b), V(b), B(b)] for a, b in itertools.pairwise(inertial)]
     graph = gtsam.SymbolicFactorGraph()
     for keys in joined:
         graph.push_back(gtsam.SymbolicFactor.FromKeys(keys))
     dissected = gtsam.Ordering.MetisSymbolicFactorGraph(graph)
-    keys = [L(point) for point in points.tolist()]
+    keys = [L(point) for point in np.unique(sightings.tracks).tolist()]
     keys += [dissected.at(i) for i in range(dissected.size())]
     rest = set(values.keys()) - set(keys)
     shared = [key for key in (G(0), S(0), E(0), D(0)) if key in rest]
@@ -165,9 +165,9 @@ def held_points(
         away, tracks, np.linalg.norm(state.points[tracks] - state.positions[observations.keyframes[used]], axis=1)
     )
     held = gtsam.GaussianFactorGraph()
-    noise, nowhere = gtsam.noiseModel.Unit.Create(3), np.zeros(3)
+    noise, nowhere, same = gtsam.noiseModel.Unit.Create(3), np.zeros(3), np.eye(3)
     for track in np.unique(tracks).tolist():
-        held.push_back(gtsam.JacobianFactor(L(track), firmness / max(away[track], 1e-9) * np.eye(3), nowhere, noise))
+        held.push_back(gtsam.JacobianFactor(L(track), firmness / max(away[track], 1e-9) * same, nowhere, noise))
     return held
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.spatial.transform import Rotation
 
 from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, rotation_angles
@@ -241,16 +241,21 @@ def linked_features(first_feature: IntArray, pairs: Sequence[VerifiedPair]) -> t
     return links, components(int(first_feature[-1]), links)
 
 
+def shared_points(count: int, observations: Observations) -> csr_matrix:
+    """Number (K, K) of points that each two of ``count`` keyframes both see; on the diagonal, that each sees."""
+    seen = coo_matrix(
+        (np.ones(len(observations), np.float32), (observations.keyframes, observations.tracks)),
+        shape=(count, max(observations.points, 1)),
+    ).tocsr()
+    return (seen @ seen.T).tocsr()
+
+
 def pieces_of(count: int, observations: Observations) -> IntArray:
     """Connected component (K,) of each of ``count`` keyframes, numbered from the largest.
 
     Edges need ten common points. Components of fewer than three keyframes get -1.
     """
-    seen = coo_matrix(
-        (np.ones(len(observations), np.float32), (observations.keyframes, observations.tracks)),
-        shape=(count, max(observations.points, 1)),
-    ).tocsr()
-    shared = (seen @ seen.T).tocoo()
+    shared = shared_points(count, observations).tocoo()
     strong = shared.data >= _MIN_TOGETHER
     label = components(count, np.column_stack([shared.row[strong], shared.col[strong]]))
     sizes = np.bincount(label)
