@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Container
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from typing import Self
+from typing import Any, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -26,6 +26,8 @@ _FEATURES, _MAX_FEATURES = 1000, 1500  # of a keyframe, and of one in a small se
 _SMALL_SET = 100  # pictures
 
 _MAX_WAITING = 2 * _THREADS  # images in memory at a time
+
+Found = TypeVar("Found")
 
 ImageListener = Callable[[int, ByteArray], None]
 """Is shown an image (H, W, 3) BGR: the row of its frame, and the image."""
@@ -62,8 +64,8 @@ class KeyframeFeatures:
         self._show = show
         self._steps = KeyframeSteps(timed=frames.timed)
         self._sharpest: ByteArray | None = None
-        self._found: dict[int, Future[FeatureSet]] = {}
-        self._waiting: deque[Future[FeatureSet]] = deque()
+        self._found: dict[int, Future[tuple[FeatureSet, int]]] = {}
+        self._waiting: deque[Future[Any]] = deque()
         self._pool = ThreadPoolExecutor(_THREADS)
 
     def __enter__(self) -> Self:
@@ -102,7 +104,7 @@ class KeyframeFeatures:
             self._extract(row, image)
         features = []
         for row in rows.tolist():
-            features.append(self._found[row].result())
+            features.append(self._found[row].result()[0])
             progress(Stage.FEATURES, len(features) / len(rows), f"{len(features)} of {len(rows)} keyframes")
         return features
 
@@ -115,9 +117,9 @@ class KeyframeFeatures:
         plain = [i for i, features in enumerate(found) if len(features) < _FEATURES]
         if 2 * len(plain) <= len(found):
             return found
-        weak = []
-        for image in self._frames.images(rows[plain].tolist()):
-            weak.append(self._begin(_extract_weak, image, self._extractor, self._weak_extractor, self._longest_px))
+        weak, again = [], rows[plain].tolist()
+        for row, image in zip(again, self._frames.images(again), strict=True):
+            weak.append(self._begin(_extract_reduced, image, self._weak_extractor, self._found[row].result()[1]))
             progress(Stage.FEATURES, 1.0, f"{len(weak)} of {len(plain)} that show little, again")
         for i, features in zip(plain, weak, strict=True):
             found[i] = features.result()
@@ -128,14 +130,15 @@ class KeyframeFeatures:
         if row not in self._found:
             self._found[row] = self._begin(self._extracted, row, image)
 
-    def _begin(self, extract: Callable[..., FeatureSet], *arguments: object) -> Future[FeatureSet]:
+    def _begin(self, extract: Callable[..., Found], *arguments: object) -> Future[Found]:
         """Start an extraction in a thread; blocks while two per thread wait."""
         while len(self._waiting) >= _MAX_WAITING:
             self._waiting.popleft().result()
-        self._waiting.append(self._pool.submit(extract, *arguments))
-        return self._waiting[-1]
+        begun = self._pool.submit(extract, *arguments)
+        self._waiting.append(begun)
+        return begun
 
-    def _extracted(self, row: int, image: ByteArray) -> FeatureSet:
+    def _extracted(self, row: int, image: ByteArray) -> tuple[FeatureSet, int]:
         if self._show is not None:
             self._show(row, image)
         return _extract(image, self._extractor, self._longest_px)
@@ -146,19 +149,12 @@ def _features_each(pictures: int) -> int:
     return round(float(np.clip(_FEATURES * np.sqrt(_SMALL_SET / pictures), _FEATURES, _MAX_FEATURES)))
 
 
-def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
-    """Features of an image reduced to ``longest_px``; to twice as much if they are fewer than 600."""
+def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> tuple[FeatureSet, int]:
+    """Features of an image reduced to ``longest_px``, to twice as much if they are fewer than 600; and that size."""
     found = _extract_reduced(image, extractor, longest_px)
     if len(found) >= _FEW or max(image.shape[:2]) <= longest_px:
-        return found
-    return _extract_reduced(image, extractor, 2 * longest_px)
-
-
-def _extract_weak(image: ByteArray, usual: Extractor, weak: Extractor, longest_px: int) -> FeatureSet:
-    """Features by ``weak`` of an image reduced to the size at which :func:`_extract` finds those by ``usual``."""
-    if max(image.shape[:2]) > longest_px and len(_extract_reduced(image, usual, longest_px)) < _FEW:
-        longest_px *= 2
-    return _extract_reduced(image, weak, longest_px)
+        return found, longest_px
+    return _extract_reduced(image, extractor, 2 * longest_px), 2 * longest_px
 
 
 def _extract_reduced(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
