@@ -35,11 +35,10 @@ def graph_of(problem: Problem, state: State, used: BoolArray) -> tuple[gtsam.Non
     _add_fixes(graph, problem.fixes)
     _add_steps(graph, problem.steps)
     has_depths = _add_depths(graph, problem, state, used)
-    if (problem.steps or has_depths) and state.inertial is None and not problem.fixes:
-        first = gtsam.noiseModel.Isotropic.Sigma(6, GAUGE_SIGMA)
-        graph.add(gtsam.PriorFactorPose3(C(0), values.atPose3(C(0)), first))
-    elif not problem.fixes:
-        _fix_gauge(graph, values, state, metric=state.inertial is not None)
+    if not problem.fixes:
+        is_inertial = state.inertial is not None
+        has_scale = is_inertial or has_depths or bool(problem.steps)
+        _fix_gauge(graph, values, state, has_gravity=is_inertial, has_scale=has_scale)
     return graph, values
 
 
@@ -140,21 +139,23 @@ def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: Stat
     return len(rows) > 0
 
 
-def _fix_gauge(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: State, metric: bool) -> None:
-    """Add priors to ``graph`` on what no measurement fixes: the first camera's position and heading. Unless ``metric``,
-    also its tilt, and the scale by its distance to the farthest camera.
+def _fix_gauge(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: State, has_gravity: bool, has_scale: bool
+) -> None:
+    """Add priors to ``graph`` on what no measurement fixes: the first camera's position and heading; without gravity
+    its tilt, too; without a measured scale its distance to the farthest camera.
     """
-    first = values.atPose3(C(0))
-    if metric:
+    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Isotropic.Sigma(6, GAUGE_SIGMA)
+    if has_gravity:
         vertical = state.R_map_camera[0].T @ np.array([0.0, 0.0, 1.0])
         information = np.zeros((6, 6))
         information[:3, :3] = np.outer(vertical, vertical) + 1e-9 * np.eye(3)
         information[3:, 3:] = np.eye(3)
         noise = gtsam.noiseModel.Gaussian.Information(information / GAUGE_SIGMA**2)
-        graph.add(gtsam.PriorFactorPose3(C(0), first, noise))
+    graph.add(gtsam.PriorFactorPose3(C(0), values.atPose3(C(0)), noise))
+    if has_scale:
         return
-    graph.add(gtsam.PriorFactorPose3(C(0), first, gtsam.noiseModel.Isotropic.Sigma(6, GAUGE_SIGMA)))
     away = np.linalg.norm(state.positions - state.positions[0], axis=1)
     far = int(np.argmax(away))
-    noise = gtsam.noiseModel.Isotropic.Sigma(1, GAUGE_SIGMA * max(float(away[far]), 1e-9))
-    graph.add(gtsam.RangeFactorPose3(C(0), C(far), float(away[far]), noise))
+    sigma = gtsam.noiseModel.Isotropic.Sigma(1, GAUGE_SIGMA * max(float(away[far]), 1e-9))
+    graph.add(gtsam.RangeFactorPose3(C(0), C(far), float(away[far]), sigma))
