@@ -15,8 +15,6 @@ its number. No case begins after so many minutes. With ``--write`` the totals go
 ``--add`` together with those of other seeds that are there already.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

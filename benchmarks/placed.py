@@ -25,8 +25,6 @@ benchmarks/results/placed.json. ``--cache`` keeps simulated walks and pycolmap's
 answers there count, too, so that sets measured one after the other are judged together.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import multiprocessing

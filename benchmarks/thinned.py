@@ -9,8 +9,6 @@ relative to the first picture, where the map frame is, within their 95 % regions
 ``--write`` it goes to benchmarks/results/thinned.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from collections.abc import Iterator

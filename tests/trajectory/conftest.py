@@ -1,7 +1,5 @@
 """What the trajectory tests share lies in modules beside them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

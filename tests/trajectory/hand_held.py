@@ -1,7 +1,5 @@
 """Synthetic hand-held walks, along splines or from stop to stop, and what an IMU feels of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A cloud of points and cameras about it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """Recordings → frame poses: what is taken as it is, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The IMU between waypoints in one least-squares problem: better than leg by leg."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

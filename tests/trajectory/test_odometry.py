@@ -1,7 +1,5 @@
 """odometry.csv: read, made into steps, and adjusted together with what the pictures show."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

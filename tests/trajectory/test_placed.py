@@ -1,7 +1,5 @@
 """Around the reconstruction: which keyframes it is asked for, and what is made of its answer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Single steps of a reconstruction, by known values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a trajectory's report says of a reconstruction, and why one is not trusted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

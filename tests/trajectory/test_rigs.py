@@ -1,7 +1,5 @@
 """Pictures by cameras of a rig: readers know their mounting, and the walk is metric by it."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from dataclasses import replace

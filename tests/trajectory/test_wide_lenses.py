@@ -1,7 +1,5 @@
 """Fisheyes and panoramas: relative poses, positions, mappers and adjustments by rays in all directions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scene import descriptors_of, sift_like

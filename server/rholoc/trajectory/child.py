@@ -1,7 +1,5 @@
 """Run a reconstruction step in a child process, because its native code may crash or have to be killed."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from typing import Any, TypeVar

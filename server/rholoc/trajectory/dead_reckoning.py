@@ -1,7 +1,5 @@
 """The paper's own method: integrate the IMU between waypoints."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """A recording → its frame poses, by the method asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

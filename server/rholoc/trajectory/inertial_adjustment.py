@@ -5,8 +5,6 @@ them are preintegrated; waypoints measure positions; at every rest the velocity 
 :mod:`rholoc.trajectory.dead_reckoning`, which corrects leg by leg with constant biases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The frame poses of a recording."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """Two reconstructions of one walk, held against each other; waypoints held against all else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Seconds without a place, and what they show; given poses held against pictures."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace

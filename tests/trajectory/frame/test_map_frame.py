@@ -1,7 +1,5 @@
 """From a reconstruction's own frame to the map's: its origin, what is up, what fixes the scale, what is doubted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Similarities: round trips; pauses, and waypoints of which only the order is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The gyroscope against the cameras' rotations, on a synthetic spline."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

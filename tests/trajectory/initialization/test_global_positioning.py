@@ -1,7 +1,5 @@
 """Positions of cameras from what they see, their rotations known."""
 
-from __future__ import annotations
-
 import numpy as np
 from scene import arc, cloud, on_plane
 from scipy.spatial.transform import Rotation

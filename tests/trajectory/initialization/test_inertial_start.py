@@ -1,7 +1,5 @@
 """Positions from the IMU and the directions between keyframes: scale, gravity and bias come back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

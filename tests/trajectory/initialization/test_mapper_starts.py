@@ -1,7 +1,5 @@
 """pycolmap's mappers give all pieces of a set of pictures, the largest first."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scene import CAMERA, arc, cloud, descriptors_of, in_pixels, sift_like

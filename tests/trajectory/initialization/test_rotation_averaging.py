@@ -1,7 +1,5 @@
 """Rotation averaging: wrong pairs are outvoted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar

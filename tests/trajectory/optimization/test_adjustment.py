@@ -1,7 +1,5 @@
 """The joint least-squares problem: its own factor's derivatives, and synthetic walks given back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

@@ -1,7 +1,5 @@
 """What each measurement is worth in the joint problem: its error and its noise, by formulas of their own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gtsam

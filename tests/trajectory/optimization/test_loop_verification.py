@@ -1,7 +1,5 @@
 """Rooms that are furnished alike are told apart by the walk between them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Pictures that a reconstruction left out are placed by the points that it knows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scene import CAMERA, arc, in_pixels

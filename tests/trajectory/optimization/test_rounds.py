@@ -1,7 +1,5 @@
 """Adjusting in rounds: from far off, sightings that look wrong at first are right in the end."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

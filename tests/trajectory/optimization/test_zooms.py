@@ -1,7 +1,5 @@
 """Autofocus zooms pictures: their zooms are told from how near they were, and taken out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

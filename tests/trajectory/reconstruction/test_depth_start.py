@@ -1,7 +1,5 @@
 """Relative poses by depth pictures are metric, and chained and fitted to each other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """What an adjusted walk is made into: which keyframes count as placed, in which frame, and how sure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pieces of a set of pictures are put into one frame where several measurements say how."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

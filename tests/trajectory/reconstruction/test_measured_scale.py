@@ -1,7 +1,5 @@
 """Depth pictures and known lengths measure the scale of a reconstruction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

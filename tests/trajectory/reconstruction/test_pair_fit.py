@@ -1,7 +1,5 @@
 """Pictures that were added to a reconstruction at a place that only looks alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scene import CAMERA, arc, cloud, in_pixels

@@ -1,7 +1,5 @@
 """A phone's simulated walk without pictures: corners and features, IMU and waypoints → poses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which of several reconstructions of a set of pictures is taken, and when none is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """From what was seen and measured to a start, and which way a reconstruction goes: by the parts, put in by hand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The way between two cameras whose rotations are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

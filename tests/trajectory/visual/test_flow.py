@@ -1,7 +1,5 @@
 """Corners followed through pictures that move in a known way."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

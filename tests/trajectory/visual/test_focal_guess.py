@@ -1,7 +1,5 @@
 """A first guess of the focal length; what is said of a focal length that a walk was to show."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Keyframes: sharp frames at even steps of image motion."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Verified pairs of keyframes: neighbours, and places seen again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows that were read one after the other are put where they were at one time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 

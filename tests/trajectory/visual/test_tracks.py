@@ -1,7 +1,5 @@
 """Sightings of points by keyframes: followed corners, matched features, and what may be done with them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Relative poses, and what agrees with a rotation that is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scene import CAMERA, arc, cloud, descriptors_of, on_plane, rays, sift_like

@@ -1,7 +1,5 @@
 """Compare two reconstructions from different keyframes: without an IMU, a bent one has small residuals too."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parts of a recording without poses, and the probable cause."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

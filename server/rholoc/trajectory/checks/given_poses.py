@@ -1,7 +1,5 @@
 """Check a recording's own poses against its pictures, and find their axis convention."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass

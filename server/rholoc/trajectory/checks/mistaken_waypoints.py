@@ -1,7 +1,5 @@
 """Find mistaken waypoints: compare each with the walk estimated without it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

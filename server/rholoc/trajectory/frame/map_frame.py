@@ -1,7 +1,5 @@
 """Align a reconstruction with the map frame by the most reliable measurements."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum

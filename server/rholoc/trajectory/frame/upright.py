@@ -1,7 +1,5 @@
 """Upward direction by the no-roll prior."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

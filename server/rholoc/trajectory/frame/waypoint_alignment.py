@@ -1,7 +1,5 @@
 """Align a trajectory of arbitrary frame and scale with the waypoints' metric frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Times of waypoints whose order alone is known, from the pauses of the walk."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Calibrate the gyroscope against camera rotations: time offset, bias, mounting."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Odometry → measured steps between moments."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -3,8 +3,6 @@
 Pan et al., 2024, "Global Structure-from-Motion Revisited"; by pycolmap.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -5,8 +5,6 @@ so are measured directions. One sparse least-squares problem holds both: it need
 gives the scale, and the IMU bridges a second or two without usable pictures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """First poses of pictures by pycolmap's incremental and global mappers, from verified matches."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Robust rotation averaging: rotations of all keyframes from relative rotations and the gyroscope."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import gtsam

@@ -5,8 +5,6 @@ on the camera and its clock offset; the intrinsics if they were not given. IMU r
 preintegrated (Forster et al., 2017). Solved by gtsam; sightings and waypoints have Cauchy's loss.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """Descent to the least cost of a factor graph: Gauss–Newton steps, points eliminated first."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence

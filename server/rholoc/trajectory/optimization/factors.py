@@ -1,7 +1,5 @@
 """Factor graph of a problem: sightings and waypoints with Cauchy's loss, steps, depths, and the gauge."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import gtsam

@@ -1,7 +1,5 @@
 """Factors of an IMU: preintegrated readings (Forster et al., 2017), gravity, mounting and clock."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -4,8 +4,6 @@ Different rooms may look alike. The walk by corners, neighbours and IMU alone is
 length: two features matched across a loop must not be further apart than its error allows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Points from their sightings, with all else held: triangulated, refined and judged."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import BoolArray, FloatArray, angles_between, on_plane

@@ -4,8 +4,6 @@ After metres of drift, loop sightings have too large residuals for the joint adj
 one relative pose for each loop and few unknowns.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Measurements of a walk, and the unknowns that they are adjusted by."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Resection of pictures missing from a reconstruction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Alternate between adjustment and outlier rejection."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Zoom of each picture relative to a common camera, as autofocus changes it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """First poses in metres of pictures with depth: each pair that overlaps has a metric relative pose."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import gtsam

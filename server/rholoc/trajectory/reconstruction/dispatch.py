@@ -1,7 +1,5 @@
 """Choose the reconstruction method by the available measurements. Runs in a child process."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Statistics of an adjustment: pose covariances, scale uncertainty, median depth."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import FloatArray, evenly

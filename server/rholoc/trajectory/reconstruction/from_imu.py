@@ -1,7 +1,5 @@
 """Pictures and IMU → the walk, metric and upright."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

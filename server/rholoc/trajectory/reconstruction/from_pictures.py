@@ -1,7 +1,5 @@
 """Pictures alone → the walk, up to its size."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Adjust poses with drift (ARKit) to the pictures: the poses are initial values and measure each step."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Loop closures, accepted where the walk without them allows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

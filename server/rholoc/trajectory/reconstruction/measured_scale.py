@@ -1,7 +1,5 @@
 """Scale of a reconstruction from depth pictures, known lengths, and the steps that odometry measured."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

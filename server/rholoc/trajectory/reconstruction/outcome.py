@@ -1,7 +1,5 @@
 """Results of a reconstruction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Verified pairs of pictures against the poses of a reconstruction."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Some pictures of a walk without an IMU, adjusted together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Adjust a walk to its waypoints, except mistaken ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Report on intrinsics estimated from a walk."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

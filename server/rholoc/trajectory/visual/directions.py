@@ -1,7 +1,5 @@
 """Direction of motion between two keyframes of known rotation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

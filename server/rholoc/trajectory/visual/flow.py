@@ -1,7 +1,5 @@
 """Corners tracked through every frame of a recording: pyramidal Lucas–Kanade flow, checked forward and backward."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

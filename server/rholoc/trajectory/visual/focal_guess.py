@@ -1,7 +1,5 @@
 """First guess of unknown intrinsics: focal length by the gyroscope, or by the pictures alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

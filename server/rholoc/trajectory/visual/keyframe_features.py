@@ -1,7 +1,5 @@
 """SIFT features of keyframes, in pixels of the full image."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Container
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Keyframes: the sharp frames of a recording at even steps of image motion."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rholoc.geometry import FloatArray, IntArray

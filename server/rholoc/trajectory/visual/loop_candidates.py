@@ -1,7 +1,5 @@
 """Choose pairs of keyframes to match: neighbours in time, and loop candidates."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

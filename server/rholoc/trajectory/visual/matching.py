@@ -1,7 +1,5 @@
 """Features of keyframes → verified matches between pairs of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Parallax: image shifts between two pictures that no rotation explains."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

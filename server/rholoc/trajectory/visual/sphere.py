@@ -1,7 +1,5 @@
 """Rays in all directions for pycolmap, as pixels of an ideal equirectangular camera."""
 
-from __future__ import annotations
-
 import numpy as np
 import pycolmap
 

@@ -1,7 +1,5 @@
 """Two-view geometry: inlier matches and relative pose."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

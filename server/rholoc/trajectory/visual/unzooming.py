@@ -1,7 +1,5 @@
 """Pixels of a zoomed picture, as if it had the common camera's focal length."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
