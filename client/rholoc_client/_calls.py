@@ -77,7 +77,7 @@ def result_of(call: Call[T], outcome: Outcome) -> T:
         raise error_of(outcome)
     try:
         return call.read(outcome)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InvalidAnswer(f"{outcome.url} did not answer as the rholoc service does: {error!r}.") from error
 
 
@@ -104,7 +104,7 @@ def path_of(*parts: str | int) -> str:
 
 
 def json_of(parse: Callable[[Any], T]) -> Callable[[httpx.Response], T]:
-    """How an answer's JSON is read."""
+    """Reader of an answer: ``parse`` of its JSON."""
     return lambda answer: parse(answer.json())
 
 
@@ -132,7 +132,7 @@ def change(
     work_s: float = 0.0,
     **params: Any,
 ) -> Call[T]:
-    """A change of ``/v1/part/part…``, and the JSON that answers it: an empty object where nothing is answered."""
+    """Request that changes ``/v1/part/part…``. Its answer: ``parse`` of the JSON, of {} without content."""
     path, given = path_of(*parts), without_none(params)
     headers = {} if body is None else _JSON
     content = None if body is None else json.dumps(dict(body)).encode()
@@ -175,7 +175,7 @@ def localize_features(maps: Maps, features: Features, options: Mapping[str, Any]
 def _localize(
     maps: Maps, parts: tuple[str, ...], request: Mapping[str, Any], files: Mapping[str, Any] | None = None
 ) -> Call[Localization]:
-    """Localize by ``request``, which ``files`` hold already, or which is sent as JSON."""
+    """Localize by ``request``, sent as JSON, or as one of ``files``, which hold it already. ``parts`` end the path."""
     path = path_of(*(("maps", maps) if isinstance(maps, str) else ()), "localize", *parts)
     work_s, read = (request.get("deadline_ms") or 0.0) / 1000, json_of(parse_localization)
     if files is not None:

@@ -224,6 +224,12 @@ def test_what_is_not_the_service_is_reported(answer):
         client(Script(answer)).maps()
 
 
+@pytest.mark.parametrize("answer", ["[]", "null", '"here"', '{"camera": "here"}'])
+def test_an_answer_of_another_shape_is_not_the_services(answer):
+    with pytest.raises(InvalidAnswer):
+        client(Script(httpx.Response(200, text=answer))).localize("hall", b"jpeg")
+
+
 @pytest.mark.parametrize("answer", [httpx.Response(502, text="<html>"), httpx.Response(404, json=["x"])])
 def test_errors_of_something_between_are_service_errors(answer):
     with pytest.raises(ServiceError, match="status"):
