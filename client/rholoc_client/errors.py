@@ -90,13 +90,15 @@ class WaitTimedOut(RholocClientError):
 class ServiceError(RholocClientError):
     """The service answered with an error. ``request_id`` finds it in the service's log.
 
-    The ``code`` of a class below is its name in snake case.
+    The ``code`` of a class below is its name in snake case, unless it states another.
     """
 
     code = "error"
 
     def __init_subclass__(cls) -> None:
-        cls.code = _WORD_START.sub("_", cls.__name__).lower()
+        super().__init_subclass__()
+        if "code" not in vars(cls):
+            cls.code = _WORD_START.sub("_", cls.__name__).lower()
 
     def __init__(self, message: str, hint: str = "", request_id: str = "", status: int = 0, code: str = "") -> None:
         super().__init__(f"{message} {hint}".strip())

@@ -451,7 +451,7 @@ def parsed(kind: Callable[..., T], answer: Mapping[str, Any]) -> T:
 
 @cache
 def _members(kind: Any) -> list[tuple[str, Callable[[Any], Any], bool]]:
-    """Each field's name, how its value is read, and whether it has no default."""
+    """Name of each field, reader of its JSON value, and whether it is required: it has no default."""
     hints = get_type_hints(kind)
     return [
         (one.name, _reader(hints[one.name]), one.default is MISSING and one.default_factory is MISSING)
@@ -460,7 +460,7 @@ def _members(kind: Any) -> list[tuple[str, Callable[[Any], Any], bool]]:
 
 
 def _reader(hint: Any) -> Callable[[Any], Any]:
-    """How a value that is not null is read as a type."""
+    """Function that turns a JSON value other than null into the type ``hint``."""
     if isinstance(hint, UnionType):
         return _reader(get_args(hint)[0])
     if get_origin(hint) is tuple:
