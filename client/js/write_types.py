@@ -31,8 +31,8 @@ def api_types(schemas: dict[str, Any]) -> str:
         if name not in names:
             names.add(name)
             waiting += _REFERENCE.findall(json.dumps(schemas[name]))
-    members = {name: _members(schemas[name]) for name in names}
-    return _NOTE + "".join(_declaration(name, schemas[name], members) for name in sorted(names))
+    members = {name: _members(schemas[name]) for name in sorted(names)}
+    return _NOTE + "".join(_declaration(name, schemas[name], members) for name in members)
 
 
 def written_types(schemas: dict[str, Any]) -> dict[str, str]:
@@ -58,7 +58,7 @@ def _without_types(text: str) -> str:
 
 
 def _declaration(name: str, schema: dict[str, Any], members: dict[str, list[str]]) -> str:
-    """One type; it extends the one of ``members`` that has most of its own."""
+    """Declaration of one type, which extends the largest type in ``members`` of which it has all members."""
     comment, own = _comment(schema, ""), members[name]
     if not own:
         return f"\n{comment}export type {name} = {_type(schema)};\n"
