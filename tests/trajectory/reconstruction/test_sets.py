@@ -91,8 +91,12 @@ def taken(
     sigma_m: float = 0.01,
     held: bool = True,
     waypoints: Sequence[tuple[Waypoint, ...]] = (),
+    off_m: FloatArray | None = None,
 ) -> Result:
-    """The result of a set whose mappers place so many pictures each, which sightings hold or do not."""
+    """The result of a set whose mappers place so many pictures each, which sightings hold or do not. The second
+    reconstruction has the pictures ``off_m`` (20,) beside where the first has them.
+    """
+    aside = np.outer(np.zeros(COUNT) if off_m is None else off_m, [0.0, 1.0, 0.0])
     placed = np.full(COUNT, held)
     covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
@@ -110,7 +114,7 @@ def taken(
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "agreement_of", compared)
     monkeypatch.setattr(
-        from_pictures, "comparison_with", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3])
+        from_pictures, "comparison_with", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3] + aside)
     )
     monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, whole, _: (part, walk, whole))
     # Once, zooms were measured although more features contradicted the poses: a focal length of 311 px became 406.
@@ -260,6 +264,18 @@ def test_a_picture_that_agreeing_reconstructions_place_differently_is_left_out()
     assert left.note == "Left out: 1 picture that two reconstructions place differently. Else."
     same = replace(NOT_COMPARED, second_positions=found.T_map_camera[:, :3, 3])
     assert from_pictures._without_disputed(replace(found, agreement=same)).note == "Else."
+
+
+@pytest.mark.parametrize(("distance", "left_out"), [(0.001, [0]), (0.03, [])])
+def test_pictures_are_left_out_where_the_reconstructions_agree_on_the_others(
+    distance: float, left_out: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    off_m = np.zeros(COUNT)
+    off_m[0] = 0.25  # the depth is 2
+    sizes = {Mapper.OWN: COUNT, Mapper.INCREMENTAL: COUNT}
+    found = taken(sizes, lambda *_: Agreement(distance, distance, 0.1, COUNT, COUNT), monkeypatch, off_m=off_m)
+    assert np.flatnonzero(~found.placed).tolist() == left_out
+    assert found.note.startswith("Left out: 1 picture") is bool(left_out)
 
 
 def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:
