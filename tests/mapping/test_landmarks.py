@@ -72,7 +72,7 @@ def test_split_tracks_are_merged(landmarks: Landmarks, walked: Views) -> None:
 
 
 def test_pictures_from_nearly_one_place_make_no_map_and_the_message_says_why(walked: Views) -> None:
-    """Of pictures a few centimetres apart one "features are stable"; who took them was told to walk slower."""
+    """Of pictures a few centimetres apart the message was "Only 1 features are stable", the advice to walk slower."""
     still = replace(walked, T_map_camera=np.repeat(walked.T_map_camera[:1], len(walked.T_map_camera), axis=0))
     with pytest.raises(MappingFailed, match=r"Too few points .*: 0 of the 60 .* farther and sideways"):
         reconstruct(still, get_extractor("gray"), silent)

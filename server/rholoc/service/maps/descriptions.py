@@ -136,7 +136,7 @@ def versions_of(library: MapLibrary, name: str) -> MapVersions:
 
 
 def _fields(kind: type[MapSummary], name: str, outline: MapOutline, size_bytes: int) -> dict[str, object]:
-    """Members of a summary, and those of ``kind`` that the map's info has as they are."""
+    """Fields of a summary, and those fields of ``kind`` that the map's info has by the same name."""
     info = outline.info
     trust = trust_of(info)
     return {

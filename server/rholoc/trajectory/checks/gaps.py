@@ -69,14 +69,14 @@ def _place(span: MissingSpan) -> str:
 
 def _reason(flow: Flow, frames: IntArray) -> str:
     corners = np.diff(flow.starts)[frames]
-    typical = np.median if flow.timed else np.max  # without times it is said of each picture
-    if typical(flow.brightness[frames]) < _DARK:
+    level = np.median if flow.timed else np.max  # without times the message is about each picture, not about most
+    if level(flow.brightness[frames]) < _DARK:
         return "is too dark"
-    if typical(flow.contrast[frames]) < _PLAIN:
+    if level(flow.contrast[frames]) < _PLAIN:
         return "shows a blank wall"  # where corners of noise come and go
-    if typical(flow.sharpness[frames]) < _BLURRED * np.median(flow.sharpness):
+    if level(flow.sharpness[frames]) < _BLURRED * np.median(flow.sharpness):
         return "is blurred"
-    if typical(corners) < _FEW_CORNERS:
+    if level(corners) < _FEW_CORNERS:
         return "shows a blank wall"
     return f"shows nothing that links it to {'the rest of the walk' if flow.timed else 'the other pictures'}"
 

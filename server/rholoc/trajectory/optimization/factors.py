@@ -155,5 +155,5 @@ def _fix_gauge(
         return
     away = np.linalg.norm(state.positions - state.positions[0], axis=1)
     far = int(np.argmax(away))
-    sigma = gtsam.noiseModel.Isotropic.Sigma(1, GAUGE_SIGMA * max(float(away[far]), 1e-9))
-    graph.add(gtsam.RangeFactorPose3(C(0), C(far), float(away[far]), sigma))
+    range_noise = gtsam.noiseModel.Isotropic.Sigma(1, GAUGE_SIGMA * max(float(away[far]), 1e-9))
+    graph.add(gtsam.RangeFactorPose3(C(0), C(far), float(away[far]), range_noise))

@@ -93,7 +93,8 @@ class Part:
         in_metres: whether depth pictures gave it its first poses, so that they check its shape.
         zooms: (N,) of each picture relative to the camera, which its sightings are corrected for; or None.
         apart: first poses of further pieces by the same mapper, each in a frame and scale of its own.
-        by_waypoints: numbers of pictures of the pieces that the waypoints alone join; empty if there is one piece.
+        by_waypoints: numbers of pictures of the pieces that the waypoints alone join: of the first, and those that each
+            further one adds; empty if there is one piece.
     """
 
     members: IntArray
