@@ -317,7 +317,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
     fewer than eight).
     """
     flow, rows, kept = sights.flow, sights.rows, np.flatnonzero(found.placed)
-    missing = missing_spans(flow, rows, found.placed)
+    missing = missing_spans(flow, rows, found.placed, found.disputed)
     count, share = len(rows), len(kept) / len(rows)
     fewest = _MIN_PLACED * count if sights.is_film else min(_MIN_OF_SET * count, _ENOUGH_OF_SET)
     if len(kept) < fewest:

@@ -98,6 +98,17 @@ def test_what_is_said_of_each_picture_is_true_of_each() -> None:
     assert describe((span,)) == "Each of the pictures 119 to 149 shows nothing that links it to the other pictures."
 
 
+def test_a_picture_that_two_reconstructions_dispute_is_not_said_to_show_nothing() -> None:
+    placed, disputed = ~_GAP[_ROWS], np.zeros(len(_ROWS), np.bool_)
+    missing = np.flatnonzero(~placed)
+    disputed[missing[:2]] = True
+    spans = missing_spans(replace(_flow(_GAP, brightness=5.0), timed=False), _ROWS, placed, disputed)
+    assert [(span.first_number, span.last_number, span.why) for span in spans] == [
+        (119, 123, "is placed differently by two reconstructions"),
+        (124, 149, "is too dark"),
+    ]
+
+
 def test_a_moment_is_not_missing() -> None:
     flow = _flow(np.zeros(200, np.bool_))
     placed = np.ones(len(_ROWS), np.bool_)

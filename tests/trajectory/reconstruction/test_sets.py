@@ -69,6 +69,7 @@ class Result:
     placed: BoolArray
     agreement: Agreement | None = None
     note: str = ""
+    disputed: BoolArray | None = None
     frame: Frame = Frame()
 
     @property
@@ -92,9 +93,10 @@ def taken(
     held: bool = True,
     waypoints: Sequence[tuple[Waypoint, ...]] = (),
     off_m: FloatArray | None = None,
+    final: Agreement = NOT_COMPARED,
 ) -> Result:
     """The result of a set whose mappers place so many pictures each, which sightings hold or do not. The second
-    reconstruction has the pictures ``off_m`` (20,) beside where the first has them.
+    reconstruction has the pictures ``off_m`` (20,) beside where the first has them at last, and agrees with it so.
     """
     aside = np.outer(np.zeros(COUNT) if off_m is None else off_m, [0.0, 1.0, 0.0])
     placed = np.full(COUNT, held)
@@ -114,7 +116,7 @@ def taken(
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "agreement_of", compared)
     monkeypatch.setattr(
-        from_pictures, "comparison_with", lambda T, *_: replace(NOT_COMPARED, second_positions=T[:, :3, 3] + aside)
+        from_pictures, "comparison_with", lambda T, *_: replace(final, second_positions=T[:, :3, 3] + aside)
     )
     monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, whole, _: (part, walk, whole))
     # Once, zooms were measured although more features contradicted the poses: a focal length of 311 px became 406.
@@ -255,27 +257,30 @@ def test_a_picture_that_agreeing_reconstructions_place_differently_is_left_out()
     """Of ten pictures of a kitchen one showed a small patch of what the others did, and was 51 cm off: two
     reconstructions agreed on the other nine, and the map with all ten was trusted.
     """
-    found: Any = Result(Part(np.arange(COUNT)), np.zeros((COUNT, 6, 6)), np.ones(COUNT, np.bool_), note="Else.")
+    found: Any = Result(Part(np.arange(COUNT)), np.zeros((COUNT, 6, 6)), np.ones(COUNT, np.bool_))
     second = found.T_map_camera[:, :3, 3].copy()
     second[[0, 3], 1] += 0.25, 0.15  # the depth is 2
     second[5] = np.nan
     left = from_pictures._without_disputed(replace(found, agreement=replace(NOT_COMPARED, second_positions=second)))
-    assert np.flatnonzero(~left.placed).tolist() == [0]
-    assert left.note == "Left out: 1 picture that two reconstructions place differently. Else."
-    same = replace(NOT_COMPARED, second_positions=found.T_map_camera[:, :3, 3])
-    assert from_pictures._without_disputed(replace(found, agreement=same)).note == "Else."
+    assert np.flatnonzero(~left.placed).tolist() == np.flatnonzero(left.disputed).tolist() == [0]
 
 
-@pytest.mark.parametrize(("distance", "left_out"), [(0.001, [0]), (0.03, [])])
+@pytest.mark.parametrize(
+    ("distance", "at_last", "left_out"), [(0.001, 0.001, [0]), (0.03, 0.001, []), (0.001, 0.03, []), (0.001, 0.2, [])]
+)
 def test_pictures_are_left_out_where_the_reconstructions_agree_on_the_others(
-    distance: float, left_out: list[int], monkeypatch: pytest.MonkeyPatch
+    distance: float, at_last: float, left_out: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     off_m = np.zeros(COUNT)
     off_m[0] = 0.25  # the depth is 2
     sizes = {Mapper.OWN: COUNT, Mapper.INCREMENTAL: COUNT}
-    found = taken(sizes, lambda *_: Agreement(distance, distance, 0.1, COUNT, COUNT), monkeypatch, off_m=off_m)
+    final = Agreement(at_last, at_last, 0.1, COUNT, COUNT)
+    found = taken(
+        sizes, lambda *_: Agreement(distance, distance, 0.1, COUNT, COUNT), monkeypatch, off_m=off_m, final=final
+    )
     assert np.flatnonzero(~found.placed).tolist() == left_out
-    assert found.note.startswith("Left out: 1 picture") is bool(left_out)
+    assert found.agreement is not None
+    assert found.agreement.same is (distance < 0.02 and at_last < 0.1)
 
 
 def test_a_missing_picture_needs_a_clear_pair_beside_what_looks_alike() -> None:

@@ -14,33 +14,38 @@ _BLURRED = 0.25  # of the walk's median sharpness
 _PLAIN = 10.0  # contrast in grey values, of a wall lit from one side
 _FEW_CORNERS = 60
 _MAX_NAMED = 4  # spans in a message
+_DISPUTED = "is placed differently by two reconstructions"
 
 
-def missing_spans(flow: Flow, rows: IntArray, placed: BoolArray) -> tuple[MissingSpan, ...]:
+def missing_spans(
+    flow: Flow, rows: IntArray, placed: BoolArray, disputed: BoolArray | None = None
+) -> tuple[MissingSpan, ...]:
     """Spans of frames without poses: before, between and after the keyframes ``rows`` (K,) that are ``placed`` (K,).
 
-    A span has at least one keyframe, and comes with its probable cause. Empty if no keyframe is placed. With measured
+    A span has at least one keyframe, and comes with its probable cause. ``disputed`` (K,) keyframes, left out because
+    two reconstructions place them differently, have spans of their own. Empty if no keyframe is placed. With measured
     times, spans shorter than 0.4 s are omitted.
     """
     if not placed.any():
         return ()
-    edges = np.concatenate([[-1], np.flatnonzero(placed), [len(rows)]])
+    kinds = np.where(placed, 0, 1 if disputed is None else 1 + disputed)
+    starts = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(rows)]
     spans = []
-    for before, after in itertools.pairwise(edges):
-        if after - before < 2:
+    for start, end in itertools.pairwise(starts):
+        if placed[start]:
             continue
-        first = 0 if before < 0 else int(rows[before]) + 1
-        last = len(flow.times) if after == len(rows) else int(rows[after])
-        span = _span(flow, first, last)
+        first = 0 if start == 0 else int(rows[start - 1]) + 1 if placed[start - 1] else int(rows[start])
+        last = len(flow.times) if end == len(rows) else int(rows[end])
+        why = _reason(flow, np.arange(first, last)) if kinds[start] == 1 else _DISPUTED
+        span = _span(flow, first, last, why)
         if span is not None:
             spans.append(span)
     return tuple(spans)
 
 
-def _span(flow: Flow, first: int, last: int) -> MissingSpan | None:
+def _span(flow: Flow, first: int, last: int, why: str) -> MissingSpan | None:
     """Span of rows ``first`` to ``last`` - 1; None if times are measured and it is shorter than 0.4 s."""
     numbers = int(flow.numbers[first]), int(flow.numbers[last - 1])
-    why = _reason(flow, np.arange(first, last))
     if not flow.timed:
         return MissingSpan(None, None, why, *numbers)
     from_s = float(flow.times[first] - flow.times[0])

@@ -123,8 +123,10 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if agreement.common < least:
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, agreement.common, len(part.members)))
     in_map_frame = comparison_with(found.T_map_camera, found.placed, found.median_depth, other)
+    if in_map_frame.contradicts:  # what was adjusted since has bent it
+        return replace(found, agreement=in_map_frame)
     found = replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
-    return _without_disputed(found) if agreement.same else found
+    return _without_disputed(found) if agreement.same and in_map_frame.same else found
 
 
 def _without_disputed(found: Reconstruction) -> Reconstruction:
@@ -134,11 +136,7 @@ def _without_disputed(found: Reconstruction) -> Reconstruction:
     if found.agreement is None or found.agreement.second_positions is None:
         return found
     out = found.placed & disputed(found.T_map_camera, found.agreement.second_positions, found.median_depth)
-    count = int(out.sum())
-    if count == 0:
-        return found
-    note = f"Left out: {count} picture{'s' if count > 1 else ''} that two reconstructions place differently."
-    return replace(found, placed=found.placed & ~out, note=f"{note} {found.note}".strip())
+    return replace(found, placed=found.placed & ~out, disputed=out)
 
 
 def _suffices(part: Part, agreement: Agreement, count: int) -> bool:
