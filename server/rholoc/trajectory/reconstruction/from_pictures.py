@@ -38,7 +38,7 @@ from rholoc.trajectory.visual.focal_guess import focal_by_matches
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations, pieces_of
 
-_POSITIONING_SIGHTINGS = 100  # per keyframe; more take its time, and make first positions hardly better
+_POSITIONING_SIGHTINGS = 300  # per keyframe: more take time, and a hundred made a corridor's first positions worse
 _ALL = 0.98  # share of the pictures that two reconstructions place alike, from which no third one is tried
 _MAX_FOCAL_CONTRADICTION = 0.07  # of a given focal length, from which the pictures contradict it …
 _SIGMAS = 4.0  # … and as many standard deviations of theirs
