@@ -21,6 +21,7 @@ from rooms import Room
 VIEWS_EACH = 10  # of a place
 RANSAC_PX, RANSAC_SAMPLES = 8.0, 1_000
 DENSITY_SAMPLES, SEEDS = 150, 8
+WAYS = ("ransac", "samples", "climbed", "rematched", "whole")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +90,15 @@ def _densest(index: MapIndex, frame: Frame) -> FloatArray | None:
 
 
 def errors(localizer: Localizer, room: Room) -> dict[str, PoseErrors]:
-    """How far each way's poses of a room's frames are off. Frames in which nothing is like the map are left out."""
+    """How far each way's poses of a room's frames are off; infinitely where nothing in a frame is like the map."""
     camera = room.asked.camera
     assert camera is not None
     truth, found = [], []
     for T_map_camera, image in room.pictures():
-        if (frame := Frame.of(localizer, image, camera)) is not None:
-            truth.append(T_map_camera)
-            found.append(poses(localizer, frame))
-    return {way: trajectory_errors(_stacked(one[way] for one in found), np.array(truth)) for way in found[0]}
+        frame = Frame.of(localizer, image, camera)
+        truth.append(T_map_camera)
+        found.append(dict.fromkeys(WAYS) if frame is None else poses(localizer, frame))
+    return {way: trajectory_errors(_stacked(one[way] for one in found), np.array(truth)) for way in WAYS}
 
 
 def _stacked(found: Iterable[FloatArray | None]) -> FloatArray:

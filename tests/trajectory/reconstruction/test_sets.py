@@ -229,14 +229,35 @@ def test_pieces_that_nothing_confirms_are_no_reason_to_trust_a_map(
     assert found.agreement.common == confirmed
 
 
-@pytest.mark.parametrize(("placed", "common", "joined"), [(18, 16, []), (18, 12, [20]), (17, 16, [20])])
+def waypoints_at(*pictures: int) -> tuple[Waypoint, ...]:
+    """Waypoints that do not lie on a line, at each of the pictures."""
+    return tuple(Waypoint(f"W{at}", float(at), (float(at), at * at / 30, 1.0)) for at in pictures)
+
+
+@pytest.mark.parametrize(
+    ("placed", "common", "joined", "waypoints"),
+    [
+        (18, 16, [], []),
+        (18, 12, [20], []),
+        (17, 16, [20], []),
+        (18, 16, [], [waypoints_at(0, 5, 15)]),
+        (18, 16, [20], [waypoints_at(0, 5, 19)]),
+    ],
+)
 def test_a_map_that_may_be_trusted_alone_gets_no_pictures_that_would_take_its_trust(
-    placed: int, common: int, joined: list[int], monkeypatch: pytest.MonkeyPatch
+    placed: int,
+    common: int,
+    joined: list[int],
+    waypoints: list[tuple[Waypoint, ...]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of twenty pictures, 18 placed and 16 confirmed suffice for trust, until two more join that nothing confirms."""
+    """Of twenty pictures, 18 placed and 16 confirmed suffice for trust, until two more join that nothing confirms.
+    Where the 18 miss waypoints, the others join.
+    """
     pieces = pieces_given(monkeypatch)
     sizes = {Mapper.OWN: 20, Mapper.INCREMENTAL: placed}
-    found = taken(sizes, lambda *_: Agreement(0.001, 0.002, 0.1, common, placed), monkeypatch)
+    compared = Agreement(0.001, 0.002, 0.1, common, placed)
+    found = taken(sizes, lambda *_: compared, monkeypatch, waypoints=waypoints)
     assert pieces == joined
     assert found.agreement is not None
     assert found.agreement.same is (common >= 0.7 * placed)
@@ -246,10 +267,8 @@ def test_a_map_that_may_be_trusted_alone_gets_no_pictures_that_would_take_its_tr
 def test_waypoints_whose_pictures_are_missing_are_not_used_and_the_map_says_so(
     pictures: int, reached: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    places = ((0, (0.0, 0.0, 1.0)), (5, (5.0, 0.0, 1.0)), (15, (9.0, 7.0, 1.0)))
-    waypoints = tuple(Waypoint(f"W{at}", float(at), place) for at, place in places)
     sizes = {Mapper.OWN: pictures, Mapper.INCREMENTAL: pictures}
-    doubts = taken(sizes, agreeing, monkeypatch, waypoints=[waypoints]).frame.doubts
+    doubts = taken(sizes, agreeing, monkeypatch, waypoints=[waypoints_at(0, 5, 15)]).frame.doubts
     assert doubts == (() if reached else (from_pictures._WAYPOINTS_MISSED,))
 
 

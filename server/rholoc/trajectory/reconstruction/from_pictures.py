@@ -105,7 +105,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if agreement is not None and agreement.same:  # else a wrong part would grow
         pieces = [one for some in parts for one in some.apart]
         if agreement.common < _MOST_OF_JOINED * count:  # too few for a map with joined pictures to be trusted
-            pieces = [] if _suffices(refined, agreement, count) else [*_agreeing(best, parts), *pieces]
+            pieces = [] if _suffices(refined, walk, agreement) else [*_agreeing(best, parts), *pieces]
         part = with_pieces_joined(refined, pieces, walk, whole, progress)
     least = _MOST * len(part.members) if part is refined else _MOST_OF_JOINED * count
     if refined is not best:  # zooms of one that more features bend would be as wrong
@@ -139,12 +139,13 @@ def _without_disputed(found: Reconstruction) -> Reconstruction:
     return replace(found, placed=found.placed & ~out, disputed=out)
 
 
-def _suffices(part: Part, agreement: Agreement, count: int) -> bool:
-    """Whether a part without joined pieces may be trusted: it places 90 % of ``count`` pictures, of which another
-    reconstruction confirms 70 %.
+def _suffices(part: Part, walk: Pictured, agreement: Agreement) -> bool:
+    """Whether a part without joined pieces may be trusted: it places 90 % of the walk's pictures, of which another
+    reconstruction confirms 70 %, and was taken at enough of its waypoints.
     """
-    placed = len(part.members)
-    return placed >= WELL_PLACED * count and agreement.common >= _MOST * placed
+    placed, count, times = len(part.members), len(walk.sights.rows), walk.sights.times[part.members]
+    confirmed = placed >= WELL_PLACED * count and agreement.common >= _MOST * placed
+    return confirmed and all(fix_frame(times, some) for some in walk.waypoints)
 
 
 def _agreeing(best: Part, parts: Sequence[Part]) -> list[Start]:
