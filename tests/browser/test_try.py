@@ -356,7 +356,8 @@ def test_a_video_is_tracked_to_its_end(desk_browser, running, picture_world, ope
 
 @pytest.mark.slow
 def test_a_track_whose_connection_breaks_off_says_so(camera_browser, running, opened, settled):
-    with opened(camera_browser, running.url, "try/room", permissions=["camera"]) as page:
+    late = "WebSocket is already in CLOSING or CLOSED state."  # of a frame that playwright hands on after it closed
+    with opened(camera_browser, running.url, "try/room", permissions=["camera"], ignored=late) as page:
         sockets = []
 
         def keep(socket):
