@@ -17,6 +17,7 @@ from rholoc.service.access.keys import KeyStore, Scope
 from rholoc.service.access.scopes import OPEN, find_route, route_access
 from rholoc.service.qr_code import qr_for_terminal
 from rholoc.service.settings import KeyPolicy
+from waiting import until
 
 PAGES = "".join(
     page.read_text(encoding="utf-8") for page in sorted((Path(__file__).parents[2] / "docs" / "service").glob("*.md"))
@@ -46,6 +47,7 @@ def secrets(locked):
     keys["expired"] = store.create("expired", Scope.ADMIN, lifetime_s=0)
     store.revoke("revoked")
     headers = {held: {"Authorization": f"Bearer {secret}"} for held, secret in keys.items()}
+    until(lambda: httpx.get(f"{locked.url}/v1/maps", headers=headers["revoked"]).status_code == 401)
     return {**headers, "none": {}}
 
 

@@ -5,7 +5,6 @@ import errno
 import json
 import socket
 import struct
-import time
 import zlib
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 
 from rholoc.features.extractors import xfeat
+from waiting import until
 
 VIDEO = b"\0\0\0\x18ftypmp42" + b"\0" * 5000
 PNG, JPEG, JSON = "image/png", "image/jpeg", "application/json"
@@ -373,20 +373,13 @@ def break_off(service, content: bytes) -> None:
     """Send the beginning of a request and hang up."""
     with socket.create_connection(service.address, timeout=60) as connection:
         connection.sendall(content)
-        eventually(lambda: hidden_uploads(service) > 0)
-    eventually(lambda: hidden_uploads(service) == 0)
+        until(lambda: hidden_uploads(service) > 0)
+    until(lambda: hidden_uploads(service) == 0)
 
 
 def hidden_uploads(service) -> int:
     folders = (service.settings.data_dir / "uploads", service.settings.data_dir / "recordings")
     return sum(1 for folder in folders if folder.is_dir() for _ in folder.iterdir())
-
-
-def eventually(condition) -> None:
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def no_space(*_args, **_kwargs):
