@@ -33,6 +33,7 @@
 
 import re
 
+_WORD_START = re.compile(r"(?<!^)(?=[A-Z])")
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]+")  # what a quoted value may contain
 
 
@@ -42,9 +43,13 @@ def one_line(text: str) -> str:
 
 
 class RholocError(Exception):
-    """The base of all errors that a user can meet."""
+    """The base of all errors that a user can meet. ``code`` is the name of the class in snake case, unless it sets another."""
 
     code = "error"
+
+    def __init_subclass__(cls) -> None:
+        if "code" not in vars(cls):
+            cls.code = _WORD_START.sub("_", cls.__name__).lower()
 
     def __init__(self, message: str, hint: str = "") -> None:
         self.message = one_line(message)
@@ -58,149 +63,103 @@ class RholocError(Exception):
 class InvalidInput(RholocError):
     """The input cannot be used."""
 
-    code = "invalid_input"
-
 
 class InvalidImage(InvalidInput):
     """The bytes are not an image, are truncated, or claim more pixels than allowed."""
-
-    code = "invalid_image"
 
 
 class InvalidCamera(InvalidInput):
     """Intrinsics are missing or physically impossible."""
 
-    code = "invalid_camera"
-
 
 class InvalidDescriptors(InvalidInput):
     """A descriptor set has the wrong length, shape, channel or number, or values that are not finite."""
-
-    code = "invalid_descriptors"
 
 
 class InvalidName(InvalidInput):
     """A map name is empty, too long, or has characters outside letters, digits, ``-``, ``_`` and ``.``."""
 
-    code = "invalid_name"
-
 
 class InvalidRecording(InvalidInput):
     """A video, image folder or table of a recording cannot be read."""
-
-    code = "invalid_recording"
 
 
 class InvalidWaypoints(InvalidInput):
     """Waypoints are malformed, fewer than three, or collinear."""
 
-    code = "invalid_waypoints"
-
 
 class InvalidTrajectory(InvalidInput):
     """A trajectory or pose table cannot be read."""
-
-    code = "invalid_trajectory"
 
 
 class NotInstalled(InvalidInput):
     """The features asked for need a package that is not installed on this machine."""
 
-    code = "not_installed"
-
 
 class InvalidMap(RholocError):
     """A map file is corrupt, truncated, of a later version, or not a map at all."""
-
-    code = "invalid_map"
 
 
 class NotFound(RholocError):
     """The requested object does not exist."""
 
-    code = "not_found"
-
 
 class UnknownMap(NotFound):
     """No map has this name."""
-
-    code = "unknown_map"
 
 
 class UnknownCamera(NotFound):
     """No camera has this name."""
 
-    code = "unknown_camera"
-
 
 class UnknownRecording(NotFound):
     """No recording has this id."""
-
-    code = "unknown_recording"
 
 
 class UnknownSite(NotFound):
     """No site has this name."""
 
-    code = "unknown_site"
-
 
 class UnknownPicture(NotFound):
     """No picture of this is kept, or it is not to be shown."""
-
-    code = "unknown_picture"
 
 
 class UnknownJob(NotFound):
     """No job has this id."""
 
-    code = "unknown_job"
-
 
 class Conflict(RholocError):
     """The request contradicts the present state, as cancelling a job that has ended does."""
-
-    code = "conflict"
 
 
 class MappingFailed(RholocError):
     """A recording was read, but gave no map that can be trusted."""
 
-    code = "mapping_failed"
-
 
 class Cancelled(RholocError):
     """The work was cancelled on request."""
-
-    code = "cancelled"
 
 
 class TooLarge(RholocError):
     """The upload exceeds the limit of the service."""
 
-    code = "too_large"
-
 
 class StorageFull(RholocError):
     """The disk is full. Nothing that was stored before is changed."""
-
-    code = "storage_full"
 
 
 class StorageUnavailable(RholocError):
     """Storage or database cannot be written, is locked or damaged. Nothing that was stored before is changed."""
 
-    code = "storage_unavailable"
-
 
 class MissingObject(StorageUnavailable):
     """The catalogue names a file that the storage does not have (any more)."""
 
+    code = StorageUnavailable.code
+
 
 class Busy(RholocError):
     """The service's queue is full. Try again after ``retry_after_s`` seconds."""
-
-    code = "busy"
 
     def __init__(self, message: str, hint: str = "", retry_after_s: float = 1.0) -> None:
         super().__init__(message, hint)
@@ -209,5 +168,3 @@ class Busy(RholocError):
 
 class DeadlineExceeded(RholocError):
     """The caller's deadline passed before an answer was found."""
-
-    code = "deadline_exceeded"

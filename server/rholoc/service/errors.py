@@ -20,25 +20,17 @@ from rholoc.errors import Busy, RholocError, StorageFull, StorageUnavailable
 class HttpError(RholocError):
     """An error that only exists over HTTP."""
 
-    code = "http_error"
-
 
 class InvalidRequest(HttpError):
     """A parameter or the body's JSON is missing, malformed or of the wrong type."""
-
-    code = "invalid_request"
 
 
 class UnknownRoute(HttpError):
     """No route has this path."""
 
-    code = "unknown_route"
-
 
 class MethodNotAllowed(HttpError):
     """The route exists, but not with this method."""
-
-    code = "method_not_allowed"
 
     def __init__(self, message: str, hint: str = "", allowed: Iterable[str] = ()) -> None:
         super().__init__(message, hint)
@@ -48,31 +40,21 @@ class MethodNotAllowed(HttpError):
 class UnsupportedMediaType(HttpError):
     """The body's content type is not one that the route reads."""
 
-    code = "unsupported_media_type"
-
 
 class Unauthorized(HttpError):
     """The request has no API key, or one that is not known, was revoked or has expired."""
-
-    code = "unauthorized"
 
 
 class Forbidden(HttpError):
     """The API key's scope does not allow this."""
 
-    code = "forbidden"
-
 
 class CrossSite(HttpError):
     """A page of another site sent the request."""
 
-    code = "cross_site"
-
 
 class TooManyRequests(HttpError):
     """The API key asks more often than it may. Try again after ``retry_after_s`` seconds."""
-
-    code = "too_many_requests"
 
     def __init__(self, message: str, hint: str = "", retry_after_s: float = 1.0) -> None:
         super().__init__(message, hint)
@@ -82,8 +64,6 @@ class TooManyRequests(HttpError):
 class QuotaExceeded(TooManyRequests):
     """The API key would hold more maps, bytes or jobs than it may."""
 
-    code = "quota_exceeded"
-
     def __init__(self, message: str, hint: str = "", retry_after_s: float = 600.0) -> None:
         super().__init__(message, hint, retry_after_s)
 
@@ -91,31 +71,21 @@ class QuotaExceeded(TooManyRequests):
 class RequestTimeout(HttpError):
     """The request's body stops coming, or comes too slowly."""
 
-    code = "request_timeout"
-
 
 class PreconditionFailed(HttpError):
     """The object to be replaced does not match the request's ``If-Match`` or ``If-None-Match``."""
-
-    code = "precondition_failed"
 
 
 class UnsupportedVersion(HttpError):
     """The client speaks a version of the upload protocol that the server does not."""
 
-    code = "unsupported_version"
-
 
 class ChecksumMismatch(HttpError):
     """The bytes that arrived are not those that were sent; none of them are kept."""
 
-    code = "checksum_mismatch"
-
 
 class Internal(HttpError):
     """The service itself failed; its log has the details under the request id."""
-
-    code = "internal"
 
 
 STATUS: Mapping[type[RholocError], int] = {

@@ -17,9 +17,13 @@ _SINGULAR = "Indeterminant linear system"  # of gtsam's message
 class ReconstructionBroken(MappingFailed):
     """The process died, or a library failed unexpectedly."""
 
+    code = MappingFailed.code
+
 
 class ReconstructionKilled(ReconstructionBroken):
     """The operating system killed the process, probably for lack of memory."""
+
+    code = MappingFailed.code
 
 
 def run_in_child(function: Callable[..., Result], *args: Any, progress: ProgressListener, stage: Stage) -> Result:
