@@ -13,10 +13,10 @@ from rholoc.reports import ImuReport
 from rholoc.trajectory import PoseMethod, Scale
 from rholoc.trajectory.checks.agreement import Agreement
 from rholoc.trajectory.checks.mistaken_waypoints import LeftOut
-from rholoc.trajectory.estimate import _doubts, _imu_report, _report
 from rholoc.trajectory.frame.map_frame import MapFrame
 from rholoc.trajectory.inertial.gyroscope import GyroCalibration
 from rholoc.trajectory.reconstruction.outcome import InertialFigures, Reconstruction
+from rholoc.trajectory.report import doubts_about, imu_report_on, report_on
 
 _WAYPOINTS = tuple(Waypoint(name, time, (0.0, 0.0, 0.0)) for name, time in (("A", 1.0), ("B", 2.0), ("C", 3.0)))
 _GYRO = GyroCalibration(0.02, 0.001, np.array([0.01, 0.0, -0.01]), 0.002, np.eye(3), False, 0.4, 0.1)
@@ -38,7 +38,7 @@ def _found(**changes: Any) -> Reconstruction:
 
 
 def test_what_holds_together_raises_no_doubt() -> None:
-    assert _doubts(_found(), 0.9, "") == []
+    assert doubts_about(_found(), 0.9, "") == []
 
 
 _OPEN = np.tile(np.diag([0.06**2] * 3 + [1e-6] * 3), (10, 1, 1))
@@ -64,7 +64,7 @@ _FRAME = MapFrame(Similarity.identity(), Scale.METRIC, True, "up", "scale", _WAY
     ],
 )
 def test_each_doubt_is_said_alone(changes: dict[str, Any], share: float, says: str) -> None:
-    doubts = _doubts(_found(**changes), share, "0:02 is missing.")
+    doubts = doubts_about(_found(**changes), share, "0:02 is missing.")
     assert len(doubts) == 1
     assert says in doubts[0]
 
@@ -84,11 +84,11 @@ def test_each_doubt_is_said_alone(changes: dict[str, Any], share: float, says: s
     ],
 )
 def test_what_may_be_raises_no_doubt(changes: dict[str, Any]) -> None:
-    assert _doubts(_found(**changes), 1.0, "") == []
+    assert doubts_about(_found(**changes), 1.0, "") == []
 
 
 def test_the_report_says_what_was_found() -> None:
-    report = _report(_found(), PoseMethod.VISUAL_INERTIAL, 10, np.arange(8), [])
+    report = report_on(_found(), PoseMethod.VISUAL_INERTIAL, [])
     assert (report.method, report.frames, report.keyframes) == ("visual-inertial", 8, 10)
     assert (report.landmarks, report.loop_pairs, report.reprojection_error_px) == (123, 7, 0.4)
     assert report.trusted
@@ -109,7 +109,7 @@ def test_without_a_scale_or_trust_the_report_says_so() -> None:
     frame = replace(_FRAME, scale=Scale.ARBITRARY, waypoints=(), doubts=())
     agreement = Agreement(np.nan, np.nan, 0.2, 1, 5)
     found = _found(frame=frame, agreement=agreement, left_out={}, mistaken=(), focal_sigma_px=5.0)
-    report = _report(found, PoseMethod.VISUAL, 10, np.arange(8), ["First.", "Second."])
+    report = report_on(found, PoseMethod.VISUAL, ["First.", "Second."])
     assert not report.trusted
     assert report.why == "First. Second."
     assert report.expected_error_m is None
@@ -118,7 +118,7 @@ def test_without_a_scale_or_trust_the_report_says_so() -> None:
     assert report.waypoint_mistake is None
     assert report.camera.focal_sigma_px == 5.0
     assert (report.disagreement_of_depth, report.disagreement_deg) == (None, 0.2)
-    plain = _report(_found(frame=frame, left_out={}, mistaken=()), PoseMethod.VISUAL, 10, np.arange(8), [])
+    plain = report_on(_found(frame=frame, left_out={}, mistaken=()), PoseMethod.VISUAL, [])
     assert plain.why == "Pictures and IMU agree."
 
 
@@ -126,16 +126,16 @@ def test_what_is_known_of_the_imu() -> None:
     table = Imu(np.arange(2.0), np.zeros((2, 3)), np.zeros((2, 3)), True, None)
     pictures = [np.zeros((20, 20), np.uint8)] * 2
     recording = Recording(MemoryFrames(pictures), "walk", Path("walk"), None, table)
-    report = _imu_report(recording, _found())
+    report = imu_report_on(recording, _found())
     assert isinstance(report, ImuReport)
     assert report.time_offset_s == pytest.approx(0.023)
     assert report.not_observable == {}
     assert (report.scale_sigma, report.accelerometer_scale, report.mounting_sigma_deg) == (0.004, 1.0, 0.4)
     np.testing.assert_allclose(report.lever_m, [0, 0.01, 0.02])
-    loose = _imu_report(recording, _found(frame=replace(_FRAME, scale=Scale.ARBITRARY)))
+    loose = imu_report_on(recording, _found(frame=replace(_FRAME, scale=Scale.ARBITRARY)))
     assert isinstance(loose, ImuReport)
     assert loose.not_observable == {"scale": "scale"}
-    unused = _imu_report(recording, _found(imu=None, imu_reason="It is of no use."))
+    unused = imu_report_on(recording, _found(imu=None, imu_reason="It is of no use."))
     assert isinstance(unused, ImuReport)
     assert unused.not_observable == {"all": "It is of no use."}
-    assert isinstance(_imu_report(replace(recording, imu=None), _found()), str)
+    assert isinstance(imu_report_on(replace(recording, imu=None), _found()), str)

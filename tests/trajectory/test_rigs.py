@@ -16,7 +16,8 @@ from rholoc.recordings.frame_slice import select_frames
 from rholoc.reports import WarningKind
 from rholoc.simulation import PHONE_CAMERA, Renderer, Scene, make_walk
 from rholoc.trajectory import PoseMethod, Scale
-from rholoc.trajectory.estimate import _chosen_moments, estimate_trajectory
+from rholoc.trajectory.chosen_keyframes import _chosen_moments
+from rholoc.trajectory.estimate import estimate_trajectory
 
 MOMENTS, SENSORS = 3, ("left", "right")
 SMALL = Camera(64, 48, 60.0, 61.0, 31.5, 23.5)

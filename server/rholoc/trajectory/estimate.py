@@ -1,24 +1,29 @@
 """A recording → its frame poses, by the method asked for."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed, RholocError
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidWaypoints, MappingFailed
 from rholoc.features import FeatureSet
-from rholoc.geometry import CAMERA_WRITTEN, UP, Camera, FloatArray, IntArray, angles_between, evenly
-from rholoc.geometry.graphs import components
+from rholoc.geometry import CAMERA_WRITTEN, UP, Camera, FloatArray, IntArray, angles_between
 from rholoc.progress import ProgressListener, Stage, silent
-from rholoc.recordings import Imu, KnownLength, Mounted, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
-from rholoc.reports import ImuReport, InertialComparison, TrajectoryReport
+from rholoc.recordings import Imu, PoseKind, Recording, Waypoint, check_waypoints_fix_frame
+from rholoc.reports import TrajectoryReport
 from rholoc.trajectory.checks.gaps import describe, missing_spans
 from rholoc.trajectory.checks.given_poses import PoseAxes, check_given_poses
-from rholoc.trajectory.checks.mistaken_waypoints import LeftOut, explain
 from rholoc.trajectory.child import run_in_child
-from rholoc.trajectory.dead_reckoning import integrate_between_waypoints
+from rholoc.trajectory.chosen_keyframes import (
+    FEWEST_KEYFRAMES,
+    MOVE,
+    chosen_rows,
+    keyframes_and_waypoints,
+    require_keyframes,
+    rows_at,
+    rows_of,
+)
 from rholoc.trajectory.frame.upright import up_without_roll
-from rholoc.trajectory.frame.waypoint_times import choices_of_pauses, find_pauses, times_are_known
 from rholoc.trajectory.inertial.odometry import odometry_steps
 from rholoc.trajectory.inertial_adjustment import adjust_between_waypoints
 from rholoc.trajectory.optimization.problem import Step
@@ -29,30 +34,20 @@ from rholoc.trajectory.reconstruction import (
     reconstruct_from_poses,
     unmoved_frame,
 )
-from rholoc.trajectory.reconstruction.outcome import WELL_PLACED
 from rholoc.trajectory.reconstruction.sights import DENSER
+from rholoc.trajectory.report import comparison_with_imu, doubts_about, imu_report_on, report_on
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
-from rholoc.trajectory.visual.calibration_report import calibration_report
 from rholoc.trajectory.visual.flow import Flow, track_corners
 from rholoc.trajectory.visual.keyframe_features import ImageListener, KeyframeFeatures
-from rholoc.trajectory.visual.keyframes import MAX_PICTURES, choose_keyframes, is_film, may_be_film
-from rholoc.trajectory.visual.loop_candidates import least_alike
+from rholoc.trajectory.visual.keyframes import is_film, may_be_film
 from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rolling_shutter
 
 _FEWEST_GIVEN = 3
-_FEWEST_KEYFRAMES = 4
-_MAX_COMPARED = 1200  # pictures of a set, of which those least alike are used
 _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
 _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD = 0.002, 0.002  # of cameras on a rig
 _MIN_PLACED = 0.5  # the share of a walk's keyframes that a map must have …
 _MIN_OF_SET, _ENOUGH_OF_SET = 0.25, 8  # … and of a set, which may show several places: a share, or so many pictures
-_MAX_EXPECTED_ERROR_M = 0.10  # of a trajectory that is trusted
-_MAX_EXPECTED_ERROR_DEG = 2.0
-_MAX_WAYPOINT_MISS_M = 0.10
-_MAX_IMU_MISFIT = 2.0  # multiple of the expected noise, above which IMU and pictures disagree …
-_MAX_IMU_RESIDUAL = 8.0  # … and multiple above which the accelerometer contradicts the pictures
 
-_MOVE = "Walk through the room while recording; keep texture in view."
 _SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
 
 
@@ -161,8 +156,8 @@ def _adjusted_to_pictures(recording: Recording, progress: ProgressListener, show
     assert recording.poses is not None
     with KeyframeFeatures(recording.frames, (), show, recording.camera) as features:
         flow = track_corners(recording.frames, progress, features.foresee, recording.camera)
-        rows = np.intersect1d(_chosen(recording, flow, features), np.flatnonzero(recording.poses.known))
-        _require_keyframes(rows, len(recording.frames.times))
+        rows = np.intersect1d(chosen_rows(recording, flow, features), np.flatnonzero(recording.poses.known))
+        require_keyframes(rows, len(recording.frames.times))
         sights = _sights(recording, flow, rows, _features_of(recording, flow, rows, features, progress))
     T = recording.poses.T_map_camera[rows]
     upright, up = _is_upright(T[:, :3, :3])
@@ -195,7 +190,7 @@ def odometry_from_flow(recording: Recording, flow: Flow, progress: ProgressListe
         Cancelled: ``progress`` asked to stop.
     """
     alone = replace(recording, waypoints=())
-    rows, choices = _keyframes(alone, alone.imu, flow)
+    rows, choices = keyframes_and_waypoints(alone, alone.imu, flow)
     sights = _sights(alone, flow, rows, [FeatureSet.empty(0)] * len(rows))
     return _placed(alone, PoseMethod.ODOMETRY, sights, alone.imu, choices, progress)
 
@@ -252,7 +247,7 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
         )
     if not recording.waypoints:
         raise InvalidWaypoints("The IMU needs waypoints to correct it.", "Measure three or more, at rest at each.")
-    rows, choices = _keyframes(
+    rows, choices = keyframes_and_waypoints(
         recording, recording.imu, track_corners(recording.frames, progress, camera=recording.camera)
     )
     waypoints = choices[0]  # the longest pauses
@@ -260,8 +255,8 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
     times = recording.frames.times[rows]
     between = (times >= min(stops)) & (times <= max(stops))
     rows, times = rows[between], times[between]
-    if len(rows) < _FEWEST_KEYFRAMES:
-        raise MappingFailed(f"{len(rows)} keyframes lie between the waypoints.", _MOVE)
+    if len(rows) < FEWEST_KEYFRAMES:
+        raise MappingFailed(f"{len(rows)} keyframes lie between the waypoints.", MOVE)
     poses = adjust_between_waypoints(recording.imu, waypoints, times)
     progress(Stage.POSES, 1.0, "the IMU was integrated")
     report = TrajectoryReport(
@@ -278,11 +273,11 @@ def _visual(
     recording: Recording, method: PoseMethod, progress: ProgressListener, show: ImageListener | None
 ) -> Trajectory:
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL and recording.frames.timed else None
-    stops = _rows_at(recording.frames.times, recording.waypoints).union(*_rows_of(recording, recording.lengths))
+    stops = rows_at(recording.frames.times, recording.waypoints).union(*rows_of(recording, recording.lengths))
     with KeyframeFeatures(recording.frames, stops, show, recording.camera) as features:
         frames = recording.frames
         flow = track_corners(frames, progress, features.foresee, recording.camera, may_be_film(frames))
-        rows, choices = _keyframes(recording, imu, flow, features)
+        rows, choices = keyframes_and_waypoints(recording, imu, flow, features)
         sights = _sights(recording, flow, rows, _features_of(recording, flow, rows, features, progress))
     return _placed(recording, method, sights, imu, choices, progress)
 
@@ -304,10 +299,9 @@ def _placed(
     trajectory = _trajectory_of(found, method, sights, progress)
     if method is PoseMethod.VISUAL:
         return trajectory
-    report = replace(trajectory.report, imu=_imu_report(recording, found))
-    kept = np.flatnonzero(found.placed)
-    report = replace(report, inertial=_comparison(recording, found, trajectory.times, kept))
-    return replace(trajectory, report=report)
+    report = replace(trajectory.report, imu=imu_report_on(recording, found))
+    compared = comparison_with_imu(recording, found, trajectory.times)
+    return replace(trajectory, report=replace(report, inertial=compared))
 
 
 def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, progress: ProgressListener) -> Trajectory:
@@ -324,7 +318,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
         what, advice = ("keyframes", _SLOWER) if sights.is_film else ("pictures", DENSER)
         raise MappingFailed(f"Only {len(kept)} of {count} {what} could be placed. {describe(missing)}".strip(), advice)
     second = None if found.agreement is None else found.agreement.second_positions
-    doubts = _doubts(found, share, describe(missing))
+    doubts = doubts_about(found, share, describe(missing))
     progress(Stage.POSES, 1.0, f"{len(kept)} of {count} keyframes placed")
     return Trajectory(
         rows[kept],
@@ -333,7 +327,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
         found.camera,
         found.frame.scale,
         found.frame.upright,
-        replace(_report(found, method, count, kept, doubts), missing=missing),
+        replace(report_on(found, method, doubts), missing=missing),
         None if sights.shutter is None else sights.shutter.take(kept),
         found.covariances[kept],
         None if second is None else second[kept],
@@ -361,14 +355,14 @@ def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[Fea
     depth = None if recording.depth is None else recording.depth.select(rows)
     lengths = tuple(
         (int(np.searchsorted(rows, a)), int(np.searchsorted(rows, b)), one.length_m)
-        for one, (a, b) in zip(recording.lengths, _rows_of(recording, recording.lengths), strict=True)
+        for one, (a, b) in zip(recording.lengths, rows_of(recording, recording.lengths), strict=True)
         if np.isin((a, b), rows).all()
     )
     steps: tuple[Step, ...] = ()
     if recording.odometry is not None and flow.timed:
         moved = odometry_steps(recording.odometry, flow.times[rows])
         steps = tuple(Step(k, k + 1, T, sigma_m, sigma_rad) for k, T, sigma_m, sigma_rad in moved)
-    for one, (a, b) in zip(recording.mounted, _rows_of(recording, recording.mounted), strict=True):
+    for one, (a, b) in zip(recording.mounted, rows_of(recording, recording.mounted), strict=True):
         if np.isin((a, b), rows).all():
             first, second = np.searchsorted(rows, (a, b)).tolist()
             steps += (Step(first, second, one.T_first_second, _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD, True),)
@@ -384,77 +378,6 @@ def _is_film(recording: Recording, flow: Flow) -> bool:
     return is_film(flow) and not recording.mounted and not recording.lenses
 
 
-def _rows_of(recording: Recording, pairs: Sequence[KnownLength | Mounted]) -> list[tuple[int, int]]:
-    """Rows of the two frames that each known length, or each mounting, refers to."""
-    numbers = recording.frames.numbers
-    return [(int(np.searchsorted(numbers, one.first)), int(np.searchsorted(numbers, one.second))) for one in pairs]
-
-
-def _keyframes(
-    recording: Recording, imu: Imu | None, flow: Flow, features: KeyframeFeatures | None = None
-) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
-    """Keyframe rows (K,) by motion and sharpness, with the frames nearest to the waypoints; choices of waypoint times.
-    If the times are not known, one frame for each pause, and every way to take pauses for the waypoints. Raises
-    MappingFailed for too few keyframes, InvalidWaypoints for too few pauses.
-    """
-    choices = [recording.waypoints]
-    if not times_are_known(recording.waypoints):
-        choices = list(choices_of_pauses(recording.waypoints, find_pauses(flow.times, flow.motion, imu)))
-    stops = set().union(
-        *(_rows_at(flow.times, waypoints) for waypoints in choices), *_rows_of(recording, recording.lengths)
-    )
-    rows = np.union1d(_chosen(recording, flow, features), np.array(sorted(stops), dtype=np.int64))
-    _require_keyframes(rows, len(flow.times))
-    return rows, choices
-
-
-def _require_keyframes(rows: IntArray, frames: int) -> None:
-    """Raise MappingFailed unless there are at least four keyframes (K,), of at least four ``frames``."""
-    if frames < _FEWEST_KEYFRAMES:
-        raise MappingFailed(
-            f"{frames} pictures are too few for a map.", "Take a dozen or more, from places half a step apart."
-        )
-    if len(rows) < _FEWEST_KEYFRAMES:
-        raise MappingFailed("The camera hardly moves in this recording.", _MOVE)
-
-
-def _chosen(recording: Recording, flow: Flow, features: KeyframeFeatures | None) -> IntArray:
-    """Rows of the keyframes.
-
-    A film: the sharpest frames at steps of image motion. A set of pictures: all up to ``MAX_PICTURES``, else the least
-    alike of them (of 1200 evenly spaced ones if there are more), or evenly spaced ones without ``features``. A rig's
-    pictures: all pictures of a moment or none.
-    """
-    if recording.mounted:
-        return _chosen_moments(len(flow.times), _rows_of(recording, recording.mounted))
-    if is_film(flow):
-        return choose_keyframes(flow.times, flow.motion, flow.sharpness, flow.timed)
-    count = len(flow.times)
-    if features is None or count <= MAX_PICTURES:
-        return evenly(count, MAX_PICTURES)
-    rows = evenly(count, _MAX_COMPARED)
-    return rows[least_alike(features.of(rows), flow.sharpness[rows], MAX_PICTURES)]
-
-
-def _chosen_moments(count: int, pairs: Sequence[tuple[int, int]]) -> IntArray:
-    """Rows of the pictures to use: all of ``count`` up to ``MAX_PICTURES``, else all pictures of evenly spread moments.
-
-    Args:
-        count: number of pictures.
-        pairs: rows of two pictures of the same moment; pictures linked by pairs form a moment.
-    """
-    if count <= MAX_PICTURES:
-        return np.arange(count)
-    moment = components(count, np.array(pairs))
-    pictures = np.bincount(moment)
-    return np.flatnonzero(np.isin(moment, evenly(len(pictures), MAX_PICTURES // int(pictures.max()))))
-
-
-def _rows_at(times: FloatArray, waypoints: Sequence[Waypoint]) -> set[int]:
-    """Rows of the frames (times (N,)) nearest to the waypoints with a known time."""
-    return {int(np.abs(times - at.time).argmin()) for at in waypoints if not np.isnan(at.time)}
-
-
 def _known_camera(recording: Recording) -> Camera:
     if recording.camera is None:
         raise InvalidCamera(
@@ -462,156 +385,3 @@ def _known_camera(recording: Recording) -> Camera:
             f"Give the camera as {CAMERA_WRITTEN}, or choose poses 'visual'.",
         )
     return recording.camera
-
-
-def _doubts(found: Reconstruction, share: float, missing: str) -> list[str]:
-    """Reasons not to trust a reconstruction, one line each; empty if none. ``share`` is the share of placed keyframes,
-    ``missing`` a text on the others.
-    """
-    doubts = list(found.frame.doubts)
-    if share < WELL_PLACED:
-        doubts.append(f"Only {share:.0%} of the keyframes could be placed. {missing}".strip())
-    error_m = _expected_error_m(found)
-    if error_m is None:
-        doubts.append("It is not known how far its poses are off: too little ties them together. Walk in loops.")
-    elif found.frame.scale is Scale.METRIC and error_m > _MAX_EXPECTED_ERROR_M:
-        doubts.append(f"Its poses are uncertain by {100 * error_m:.0f} cm: measure waypoints, or walk in loops.")
-    for name, out in found.left_out.items():
-        if name not in found.mistaken and float(np.linalg.norm(out.off_m)) > _MAX_WAYPOINT_MISS_M and out.mistaken:
-            doubts.append(f"The waypoint {name} is missed by {np.linalg.norm(out.off_m):.2f} m.")
-    if found.imu is not None and found.imu.residual > _MAX_IMU_RESIDUAL:
-        doubts.append("The accelerometer contradicts the pictures.")
-    elif found.imu is not None and found.imu.misfit > _MAX_IMU_MISFIT:
-        doubts.append(
-            f"The IMU disagrees with the pictures by {found.imu.misfit:.0f} times its noise, as where vibrations "
-            "meet too few readings. The scale may be wrong: measure waypoints."
-        )
-    if found.agreement is not None and not found.agreement.same:
-        doubts.append(found.agreement.why)
-    error_deg = _expected_error_deg(found)
-    if found.frame.waypoints and error_deg is not None and error_deg > _MAX_EXPECTED_ERROR_DEG:
-        doubts.append(
-            f"The waypoints leave the map's rotation open by {error_deg:.0f}°: measure one well off the others' line."
-        )
-    if found.focal_sigma_px is not None:
-        calibration = calibration_report(found.camera, found.focal_sigma_px, int(found.placed.sum()))
-        doubts += [] if calibration.observable else [calibration.why]
-    return doubts
-
-
-def _expected_error_m(found: Reconstruction) -> float | None:
-    """Median expected position error of the placed keyframes, in the map's unit; None if half of them have no bound."""
-    return _median_sigma(found.covariances[found.placed, :3, :3])
-
-
-def _expected_error_deg(found: Reconstruction) -> float | None:
-    """Median expected rotation error of the placed keyframes [deg]; None if half of them have no bound."""
-    sigma = _median_sigma(found.covariances[found.placed, 3:, 3:])
-    return None if sigma is None else float(np.degrees(sigma))
-
-
-def _median_sigma(covariances: FloatArray) -> float | None:
-    """Median of the root traces of covariances (K, 3, 3), NaN taken as infinite; None if it is infinite."""
-    variances = np.nan_to_num(np.trace(covariances, axis1=1, axis2=2), nan=np.inf)
-    median = float(np.median(np.sqrt(variances)))
-    return median if np.isfinite(median) else None
-
-
-def _report(
-    found: Reconstruction, method: PoseMethod, keyframes: int, kept: IntArray, doubts: list[str]
-) -> TrajectoryReport:
-    metric = found.frame.scale is Scale.METRIC
-    error_m = _expected_error_m(found)
-    expected = ""
-    if metric and error_m is not None:
-        expected = f"Its poses are expected to be right to {100 * error_m:.1f} cm."
-    if found.agreement is not None:
-        expected = f"{expected} {found.agreement.why}".strip()
-    why = " ".join(doubts) or expected or "Pictures and IMU agree."
-    mistakes = [explain(name, found.left_out[name].off_m) for name in found.mistaken]
-    return TrajectoryReport(
-        method=method.value,
-        frames=len(kept),
-        trusted=not doubts,
-        why=f"{why} {found.note}".strip(),
-        up=found.frame.why_up,
-        scale=found.frame.why_scale,
-        keyframes=keyframes,
-        landmarks=found.landmarks,
-        reprojection_error_px=found.residual_px,
-        loop_pairs=found.loops,
-        camera=None
-        if found.focal_sigma_px is None
-        else calibration_report(found.camera, found.focal_sigma_px, len(kept)),
-        waypoints_tilt_deg=found.frame.tilt_deg,
-        waypoint_times_s={waypoint.name: waypoint.time for waypoint in found.frame.waypoints} or None,
-        waypoint_residuals_m=_residuals(found, lambda out: float(np.linalg.norm(out.off_m))),
-        waypoint_sigmas=_residuals(found, lambda out: out.sigmas),
-        waypoint_mistake=" ".join(mistakes) or None,
-        expected_error_m=error_m if metric else None,
-        expected_error_deg=_expected_error_deg(found),
-        disagreement_of_depth=None if found.agreement is None else _or_none(found.agreement.distance),
-        disagreement_deg=None if found.agreement is None else _or_none(found.agreement.angle_deg),
-    )
-
-
-def _or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _residuals(found: Reconstruction, figure: Callable[[LeftOut], float]) -> dict[str, float | None] | None:
-    names = [waypoint.name for waypoint in found.frame.waypoints]
-    return {name: figure(found.left_out[name]) if name in found.left_out else None for name in names} or None
-
-
-def _imu_report(recording: Recording, found: Reconstruction) -> ImuReport | str:
-    if recording.imu is None:
-        return "The recording has no IMU; the poses are visual alone."
-    if not recording.frames.timed:
-        return "The pictures have no times, so the IMU could not be used; the poses are visual alone."
-    imu = found.imu
-    if imu is None:
-        return ImuReport(not_observable={"all": found.imu_reason})
-    not_observable = {} if found.frame.scale is Scale.METRIC else {"scale": found.frame.why_scale}
-    gyro = imu.gyro
-    return ImuReport(
-        not_observable=not_observable,
-        time_offset_s=gyro.time_offset_s + imu.clock_s,
-        time_offset_sigma_s=gyro.time_offset_sigma_s,
-        gyro_bias_rad_per_s=tuple(gyro.bias.tolist()),
-        gyro_bias_sigma_rad_per_s=gyro.bias_sigma,
-        R_camera_imu=tuple(tuple(row) for row in gyro.R_camera_imu.tolist()),
-        R_camera_imu_contradicts_recording=gyro.contradicts_recording,
-        mounting_sigma_deg=gyro.mounting_sigma_deg,
-        rotation_residual_deg=gyro.residual_deg,
-        scale_sigma=imu.scale_sigma,
-        accelerometer_bias_m_s2=tuple(imu.accelerometer_bias.tolist()),
-        lever_m=tuple(imu.lever_m.tolist()),
-        accelerometer_scale=imu.accelerometer_scale,
-    )
-
-
-def _comparison(
-    recording: Recording, found: Reconstruction, times: FloatArray, kept: IntArray
-) -> InertialComparison | None:
-    """Distance of the poses from the paper's method, the IMU integrated between waypoints; None without IMU or
-    waypoints. ``times`` are those of the keyframes ``kept`` (N,). If the integration fails, the result says why.
-    """
-    if recording.imu is None or found.imu is None or not found.frame.waypoints:
-        return None
-    stops = [waypoint.time for waypoint in found.frame.waypoints]
-    between = (times >= min(stops)) & (times <= max(stops))
-    gyro = found.imu.gyro
-    offset_s = gyro.time_offset_s + found.imu.clock_s
-    on_video_clock = replace(recording.imu, times=recording.imu.times - offset_s, R_camera_imu=gyro.R_camera_imu)
-    try:
-        poses = integrate_between_waypoints(on_video_clock, found.frame.waypoints, times[between])
-    except RholocError as error:
-        return InertialComparison(why=error.message)
-    apart_m = np.linalg.norm(poses[:, :3, 3] - found.T_map_camera[kept][between, :3, 3], axis=1)
-    return InertialComparison(
-        frames=int(between.sum()),
-        rms_m=float(np.sqrt(np.mean(apart_m**2))),
-        worst_m=float(apart_m.max()),
-        worst_time_s=float(times[between][apart_m.argmax()]),
-    )
