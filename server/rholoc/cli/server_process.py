@@ -32,7 +32,7 @@ def running_server(maps_dir: Path, data_dir: Path, log: Path) -> Iterator[Runnin
     A job in progress is abandoned.
 
     Raises:
-        RholocError: it does not answer within 200 s, or ends.
+        RholocError: it does not answer within 200 s, or ends before.
     """
     port = _free_port()
     server = RunningServer(f"http://127.0.0.1:{port}", log)

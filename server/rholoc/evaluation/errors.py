@@ -140,4 +140,5 @@ def _number(value: float | None) -> str:
 
 
 def _fraction(flags: BoolArray) -> float:
+    """Share of True, 0 to 1; 0 of nothing."""
     return float(flags.mean()) if len(flags) else 0.0

@@ -62,6 +62,7 @@ class MapFolder(MapCatalogue):
         return _file(place, status)
 
     def stamp(self) -> int | None:
+        """The folder's time of change [ns]; None if it cannot be read."""
         try:
             return self.folder.stat().st_mtime_ns
         except OSError:

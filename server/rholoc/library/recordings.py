@@ -297,7 +297,8 @@ class RecordingStore:
         return folder / entry.files[0] if len(entry.files) == 1 else folder
 
     def notes(self, recording_id: str) -> dict[str, bytes]:
-        """Content of a recording's notes, by file name.
+        """Content, by file name, of what jobs and people noted about a recording (:data:`NOTE_FILES`); empty without
+        notes.
 
         Raises:
             UnknownRecording: no recording has this id.

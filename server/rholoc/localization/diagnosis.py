@@ -126,7 +126,7 @@ def diagnose_picture(image: ByteArray | None, map_: Map, features: int, fewest: 
         map_: the map in which it was localized.
         features: number of features in the picture.
         fewest: fewer features than this count as too little texture.
-        agreement: agreement with the best pose found.
+        agreement: agreement with the best pose found, from which the text on an unknown place is made.
     """
     if image is not None and (found := _from_sight(sight_of(image), map_, agreement)) is not None:
         return found

@@ -28,7 +28,7 @@ _TOLERANCE_PX = 12.0
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """A feature as one camera sees it.
+    """A feature as one camera sees it: where its density is evaluated.
 
     Attributes:
         feature: its number.
@@ -111,7 +111,9 @@ def over_picture(map_: Map, look: Look, tolerance_px: float, step_px: float) -> 
 
 
 def over_positions(map_: Map, look: Look, grid: Grid, tolerance_px: float) -> FloatArray:
-    """ρ (Z, Y, X) of the look's pixel for cameras that stand at a grid's points and are turned as the look's is."""
+    """Density ρ (Z, Y, X) of the look's feature at the look's pixel, for cameras at the grid's points with the look's
+    orientation.
+    """
     evidence = _evidence(map_, look.feature, look.camera.rays(look.pixel[None]), look.camera.focal)
     R = look.T_map_camera[:3, :3]
     values = [_density(map_, evidence, pose_matrix(R, point), tolerance_px)[0] for point in grid.points]

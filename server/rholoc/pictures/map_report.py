@@ -304,6 +304,7 @@ def _logarithmic(axes: Axes, low: float, high: float) -> None:
 
 
 def _panel(axes: Axes, title: str, x: str, y: str) -> None:
+    """Title, axis labels and style of a plot."""
     axes.set_title(title, loc="left", fontsize=11, fontweight="bold", color=INK)
     axes.set_xlabel(x, fontsize=9, color=MUTED)
     axes.set_ylabel(y, fontsize=9, color=MUTED)

@@ -160,6 +160,7 @@ def _asking(
 
 
 def _take(track: FollowedTrack, localizer: AnyLocalizer, answered: Answered) -> None:
+    """Pass the localizer's answer on to the track, with its inliers as pixels and landmarks, or that there is none."""
     answer, map_ = answered.localization, localizer.map
     said = None if answer is None else answer_of(answer, map_.info.metric)
     if answer is None or said is None:

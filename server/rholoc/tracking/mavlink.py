@@ -214,6 +214,7 @@ class MavlinkSender:
             count += 1
 
     def _deliver(self, message: bytes) -> None:
+        """Send over UDP, ignoring errors."""
         try:
             self._socket.sendto(message, self._address)
         except OSError:  # nobody listens yet, or the network is down: the next message may arrive

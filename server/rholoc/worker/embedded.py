@@ -100,6 +100,7 @@ class EmbeddedWorker:
             self._report(f"the worker died {deaths} times in a row: {error}")
 
     def _report(self, trouble: str | None) -> None:
+        """Keep the worker's trouble, and record it in the queue; None if there is none."""
         self._trouble = trouble
         if self._queue is not None:
             self._queue.report_worker(trouble)

@@ -54,13 +54,14 @@ def carried_covariances(covariances: FloatArray, positions: FloatArray, to: Floa
 def map_covariance_at(
     covariances: FloatArray, positions: FloatArray, weights: FloatArray, to: FloatArray
 ) -> FloatArray | None:
-    """Covariance (6, 6) of the map at a place, from the views that an answer relies on.
+    """Covariance (6, 6) of the map at a place: weighted mean of the views' covariances, carried there by
+    :func:`carried_covariances`.
 
     Errors of neighbouring views are correlated, so their covariances are averaged, not fused.
 
     Args:
-        covariances: (K, 6, 6) of the view poses; NaN if unknown.
-        positions: (K, 3) of the views [m].
+        covariances: (K, 6, 6) of the view poses: position [m], then rotation [rad], map frame; NaN if unknown.
+        positions: (K, 3) of the views, map frame [m].
         weights: (K,) how much the answer relies on each view.
         to: (3,) the place [m].
 

@@ -267,7 +267,7 @@ def focal_sigma(information: FloatArray) -> float:
 
 
 def upright(T_map_camera: FloatArray) -> FloatArray:
-    """The pose (4, 4) with its roll removed."""
+    """The pose (4, 4) with the same position and optical axis, and its x axis horizontal (roll 0)."""
     return pose_matrix(rotation_from_heading(T_map_camera[:3, 2]), T_map_camera[:3, 3])
 
 

@@ -96,9 +96,9 @@ Refocused = tuple[float, Verified]
 def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> FocalEstimate:
     """Check the camera's focal length, and whether its pixels are square, against the matches of a verified pose.
 
-    Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if pixels are square and by :func:`_fits`
-    freeing the focal length would hardly change the pose. Otherwise an ascent from the pose frees it
-    (:func:`_followed`). If the ascent fails or leaves an uncertainty above 5 %, other focal lengths are tried
+    Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if pixels are square and freeing the focal
+    length moves the pose by less than 15 mm (:func:`_fits`). Otherwise an ascent from the pose frees it
+    (:func:`_followed`). If the ascent fails or its 3 σ exceed 5 % of the focal length, other focal lengths are tried
     (:func:`_zoomed`). If it confirms pixels that are not square, square ones are tried (:func:`_sought`).
 
     Args:
@@ -264,7 +264,9 @@ def belief_beside(verified: Verified, others: Iterable[Refocused]) -> float:
 
 
 def _margin(verified: Verified) -> float:
-    """Log-likelihood ratio [nats] that makes another pose clearly better, or worse, than a verified one."""
+    """Difference in log-likelihood [nats] from which another pose counts as clearly better, or worse, than a verified
+    one: a fifth of that one's log-likelihood, at least 20.
+    """
     return max(_CLEAR * verified.optimum.value, _CLEAR_NATS)
 
 

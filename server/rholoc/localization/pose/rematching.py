@@ -151,7 +151,7 @@ def verify(
         query: the frame.
         rays: (N, 3) rays of all features in the camera frame.
         T_map_camera: (4, 4) start.
-        focal_free: whether the focal length is an estimate.
+        focal_free: whether the focal length is an estimate; only noted in the result.
         wide: matches within the first radius, if they are already known.
 
     Returns:

@@ -215,8 +215,8 @@ def relative_sigmas(views: Views, landmarks: Landmarks) -> FloatArray:
 def expected_sightings(views: Views, landmarks: Landmarks, walks: IntArray) -> FloatArray:
     """Probability (F,) that a further walk past each landmark sees it again, despite other light, time or furniture.
 
-    Rule of succession over the walks that passed it, i.e. had it in the picture of at least three views within its
-    presence.
+    Rule of succession, (seen + 1) / (passed + 2), over walks. A walk passed a landmark if it saw it, or had it in the
+    picture of at least three views from where it may be seen (:meth:`Landmarks.presence`).
 
     Args:
         views: K views.

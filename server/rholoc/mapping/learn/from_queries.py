@@ -281,7 +281,7 @@ class _Lesson:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was added or removed."""
+        """Whether no landmark was added or removed."""
         return not self.new and not self.gone.any()
 
 
@@ -437,7 +437,9 @@ def _questions(held_back: Sequence[_Placed]) -> list[tuple[Camera, FloatArray, F
 
 
 def _remembered(map_: Map, gone: BoolArray) -> list[tuple[Camera, FloatArray, FeatureSet]]:
-    """At most 40 of the recordings' views that the map remembers, as frames without the features ``gone`` (F,)."""
+    """At most 40 of the recordings' views, evenly spread, as frames: camera, T_map_camera (4, 4), and the view's
+    features without those of landmarks in the mask ``gone`` (F,).
+    """
     recorded = np.flatnonzero(_is_recorded(map_))
     chosen = recorded[evenly(len(recorded), _MAX_REMEMBERED)]
     frames = remembered_frames(map_)

@@ -126,7 +126,8 @@ def read_plan(
 
 
 def packed_yaml(path: Path) -> bytes:
-    """A ``map_server`` yaml and the picture that it names, as an archive for :func:`plan_of_archive`.
+    """A ``map_server`` yaml and the picture that it names, relative to the yaml, as a zip archive for
+    :func:`plan_of_archive`.
 
     Raises:
         InvalidInput: one of the files cannot be read, or the yaml is not one of map_server.

@@ -203,8 +203,8 @@ def _frames(path: Path, reader: AnyReader, found: _Topics) -> tuple[BagFrames, s
 def _camera(
     path: Path, reader: AnyReader, found: _Topics, size: tuple[int, int]
 ) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    """The intrinsics by the bag's CameraInfo, else by ``sensors.txt`` beside it, and warnings; None without either.
-    Raises InvalidCamera.
+    """The intrinsics for pictures of ``size`` (width, height) by the bag's CameraInfo, else by ``sensors.txt`` beside
+    it, and warnings; None without either. Raises InvalidCamera if they are impossible, or of another aspect ratio.
     """
     infos = found.of_types(_CAMERA_INFO)
     asked = [one for one in infos if one.topic in found.asked]

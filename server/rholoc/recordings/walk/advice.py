@@ -11,7 +11,7 @@ MAX_RETURN = 0.15
 
 
 def advise(figures: WalkFigures) -> tuple[Advice, ...]:
-    """Advice for each figure beyond its limit: turn, light, bare frames, pauses, return. Empty for a good walk."""
+    """Advice for each figure beyond its limit, which a constant of this module states. Empty for a good walk."""
     return tuple(_advices(figures))
 
 

@@ -109,7 +109,7 @@ class Quotas:
             )
 
     def uploads(self) -> list[HeldUpload]:
-        """The unfinished uploads with their keys."""
+        """The unfinished uploads, with or without a key."""
         held = {one.name: one for one in self._holdings.all() if one.kind is Kind.RECORDING}
         nobody = Holding(Kind.RECORDING, "", "")
         found = []
@@ -185,7 +185,7 @@ class Quotas:
         self._holdings.rename(Kind.MAP, name, new_name)
 
     def tidy(self) -> None:
-        """Remove holdings of things that no longer exist."""
+        """Remove holdings of maps, recordings, jobs and uploads that no longer exist."""
         held = self._holdings.all()  # before listing what exists, because things exist before they are held
         if held:
             present = self._present()

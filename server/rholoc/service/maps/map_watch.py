@@ -13,7 +13,7 @@ _log = logging.getLogger("rholoc.service")
 
 
 class MapWatch:
-    """A thread that refreshes a finder whenever the folder of maps has changed.
+    """A thread that refreshes the index of all maps' views every second.
 
     Args:
         finder: to refresh.
@@ -36,6 +36,7 @@ class MapWatch:
             self._finder.close()
 
     def _run(self) -> None:
+        """Refresh every second until stopped; errors are logged."""
         make_thread_nice(_NICENESS)
         said = ""
         while not self._stopped.is_set():

@@ -80,6 +80,7 @@ def _camera_prior(camera: Camera, sigmas: CameraSigmas) -> gtsam.noiseModel.Base
 
 
 def _to_gtsam(camera: Camera) -> gtsam.Cal3DS2:
+    """A pinhole camera with its first four coefficients of distortion."""
     k1, k2, p1, p2 = (*camera.distortion, 0.0, 0.0, 0.0, 0.0)[:4]
     return gtsam.Cal3DS2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, k1, k2, p1, p2)
 

@@ -18,7 +18,9 @@ _MAD_TO_SIGMA = 1.4826
 
 
 def zoomed(observations: Observations, zooms: FloatArray, camera: Camera) -> Observations:
-    """The observations with pixels as if no picture were zoomed; ``zooms`` (K,) of all keyframes, 1 for none."""
+    """Observations by the unzoomed ``camera``: offsets from its centre divided by their keyframe's zoom, ``zooms``
+    (K,).
+    """
     factor = 1 / zooms[observations.keyframes]
     return replace(observations, pixels=unzoomed(observations.pixels, factor[:, None], camera))
 

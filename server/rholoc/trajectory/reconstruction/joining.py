@@ -173,6 +173,7 @@ def joined_by_waypoints(
 
 
 def _at_waypoints(start: Start, times: FloatArray, waypoints: tuple[Waypoint, ...]) -> Start:
+    """The start in the frame of the waypoints, by the similarity that fits them; ``times`` [s] of all pictures."""
     state, members = start
     up = up_by_pictures(state.R_map_camera)
     frame = frame_of_waypoints(times[members], state.T_map_camera, [waypoints], *up)

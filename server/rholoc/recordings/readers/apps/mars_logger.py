@@ -32,7 +32,7 @@ _UNITS = {"sec": "s", "seconds": "s", "s": "s", "nanosec": "ns", "nanoseconds": 
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there are tables with columns of an IMU, and with times and focal lengths, whatever their names."""
+    """Whether CSV tables, of any file name, have the columns of an IMU, and those of frame times and focal lengths."""
     return _with_columns(folder, _IMU) is not None and _with_columns(folder, _FRAMES) is not None
 
 
