@@ -43,16 +43,16 @@ class Vlad:
         words = min(_MAX_WORDS, max(1, len(training) // _MIN_TRAINING_DESCRIPTORS))
         kmeans = faiss.Kmeans(training.shape[1], words, niter=_ITERATIONS, seed=_SEED)
         kmeans.train(training)
-        self._take(np.asarray(kmeans.centroids))
+        self._set_words(np.asarray(kmeans.centroids))
 
     @classmethod
     def of_words(cls, words: FloatArray) -> Vlad:
         """The vocabulary of words (W, D) that were learned before."""
         vlad = cls.__new__(cls)
-        vlad._take(np.ascontiguousarray(words, dtype=np.float32))
+        vlad._set_words(np.ascontiguousarray(words, dtype=np.float32))
         return vlad
 
-    def _take(self, words: FloatArray) -> None:
+    def _set_words(self, words: FloatArray) -> None:
         self.words = words
         self._index = faiss.IndexFlatL2(words.shape[1])
         self._index.add(words)
@@ -71,6 +71,7 @@ class Vlad:
         return np.concatenate([np.zeros((0, self.words.size), np.float32), *parts])
 
     def _vectors(self, descriptors: Sequence[ByteArray]) -> FloatArray:
+        """Normalized VLAD vectors (P, W · D) of P pictures' descriptors."""
         total = np.zeros((len(descriptors), *self.words.shape), np.float32)
         pooled = np.concatenate(descriptors).astype(np.float32)
         if len(pooled):

@@ -34,9 +34,9 @@ _NAME = re.compile(r"(\d{13})-([0-9a-f]{8})-([0-9a-f]{12})-[0-9a-f]{8}\.query")
 _CELL_M, _CELL_RAD = 0.5, np.deg2rad(45.0)
 _DAY_S = 24 * 3600.0
 _ORPHANED_AFTER_S = _DAY_S  # another server may know of a map before this one does
-_MAX_HEARD = 10_000
+_MAX_KNOWN = 10_000
 
-_Heard = tuple[str, str, str]  # a map, a place, an asker
+_Origin = tuple[str, str, str]  # of a query: map, place, asker
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class QueryStore:
     def __init__(self, objects: ObjectStorage, limits: KeptLimits | None = None) -> None:
         self._objects = objects
         self._limits = limits or KeptLimits()
-        self._heard: dict[_Heard, float] = {}
+        self._last_s: dict[_Origin, float] = {}
 
     def wants(self, map_id: str, T_map_camera: FloatArray, asker: str, time_s: float) -> bool:
         """Whether a query at ``time_s`` [s since the epoch] would be kept: at most one for each asker and place in
@@ -119,13 +119,13 @@ class QueryStore:
         Raises:
             StorageUnavailable: the storage does not answer.
         """
-        heard = map_id, place_of(T_map_camera), asker
-        if self._was_heard(heard, time_s):
+        origin = map_id, place_of(T_map_camera), asker
+        if self._is_recent(origin, time_s):
             return False
         for one in self._entries(map_id):
-            if (map_id, one.place, one.asker) == heard:
-                self._note(heard, one.time_s)
-        return not self._was_heard(heard, time_s)
+            if (map_id, one.place, one.asker) == origin:
+                self._note(origin, one.time_s)
+        return not self._is_recent(origin, time_s)
 
     def add(self, map_id: str, query: AnsweredQuery) -> None:
         """Keep a query, and evict others above the limits.
@@ -213,19 +213,21 @@ class QueryStore:
             if orphaned or one.time_s < now_s - self._limits.expire_s:
                 self._objects.delete(one.key)
 
-    def _was_heard(self, heard: _Heard, time_s: float) -> bool:
-        return abs(time_s - self._heard.get(heard, float("-inf"))) < self._limits.apart_s
+    def _is_recent(self, origin: _Origin, time_s: float) -> bool:
+        """Whether the last known query of this origin is less than ``apart_s`` from ``time_s`` [s since the epoch]."""
+        return abs(time_s - self._last_s.get(origin, float("-inf"))) < self._limits.apart_s
 
-    def _note(self, heard: _Heard, time_s: float) -> None:
-        if len(self._heard) >= _MAX_HEARD:
-            self._heard.clear()
-        self._heard[heard] = time_s
+    def _note(self, origin: _Origin, time_s: float) -> None:
+        if len(self._last_s) >= _MAX_KNOWN:
+            self._last_s.clear()
+        self._last_s[origin] = time_s
 
     def _entries(self, map_id: str) -> list[_Entry]:
         """Entries of a map's queries, the oldest first. Raises StorageUnavailable."""
         return sorted(_queries(self._objects.list(_folder(map_id))), key=lambda one: one.key)
 
     def _make_room(self, map_id: str, place: str) -> None:
+        """Delete queries beyond the limits, first those of the place, then of the whole map."""
         left = self._entries(map_id)
         here = [one for one in left if one.place == place]
         if len(here) > self._limits.in_a_place:
