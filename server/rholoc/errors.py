@@ -43,7 +43,7 @@ def one_line(text: str) -> str:
 
 
 class RholocError(Exception):
-    """The base of all errors that a user can meet. ``code`` is the name of the class in snake case, unless it sets another."""
+    """The base of all errors that a user can meet. ``code``: the class's name in snake case, unless it sets another."""
 
     code = "error"
 

@@ -129,6 +129,7 @@ class BoardFinder:
         return Sighting(row, corners, pixels, _blur_px(gray, pixels, spacing_px))
 
     def _checkerboard(self, gray: Any) -> tuple[IntArray, FloatArray] | None:
+        """Numbers (C,) and pixels (C, 2) of all corners; None unless all are found."""
         size = (self.board.columns, self.board.rows)
         found, pixels = cv2.findChessboardCornersSB(gray, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not found:
@@ -136,6 +137,7 @@ class BoardFinder:
         return np.arange(size[0] * size[1]), np.asarray(pixels, np.float64).reshape(-1, 2)
 
     def _charuco(self, gray: Any) -> tuple[IntArray, FloatArray] | None:
+        """Numbers (C,) and pixels (C, 2) of the corners found; None if they are too few."""
         fewest = max(_MIN_CORNERS, _MIN_SHARE * self.board.columns * self.board.rows)
         for detector in self._detectors:
             pixels, corners, _, _ = detector.detectBoard(gray)

@@ -92,9 +92,7 @@ class Calibration:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """Figures stored with the camera, JSON-serialisable: board, rms, sigmas, frames, views, coverage, tilt and
-        distances.
-        """
+        """Figures stored with the camera, for JSON: board, rms, sigmas, frames, views, coverage, tilt and distances."""
         depths = [view.T_camera_board[2, 3] for view in self.views]
         return {
             "board": str(self.board),
@@ -150,6 +148,7 @@ def calibrate(
 
 
 def _check(calibration: Calibration) -> None:
+    """Raise InvalidRecording if the residuals are large, or the views too similar."""
     limit_px = _MAX_RMS_PX * max(calibration.camera.width, calibration.camera.height) / 1000
     if calibration.rms_px > limit_px:
         raise InvalidRecording(
@@ -167,6 +166,7 @@ def _check(calibration: Calibration) -> None:
 
 
 def _without_outliers(found: BoardViews, board: Board, size: tuple[int, int], lens: Lens) -> Calibration:
+    """Calibration without the views whose RMS residual exceeds ``_OUTLIER`` × the median."""
     first = _solve(found, found.chosen, board, size, lens)
     errors = np.array([np.sqrt(np.mean(view.residuals_px**2)) for view in first.views])
     kept = [

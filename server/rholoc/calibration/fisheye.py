@@ -108,6 +108,7 @@ def _stepped(found: _Solution, step: FloatArray) -> tuple[Camera | None, FloatAr
 
 
 def _changed(camera: Camera, by: FloatArray) -> Camera | None:
+    """Camera with ``by`` added to its parameters (P,); None if these are impossible."""
     fx, fy, cx, cy, *coefficients = (np.array(camera.parameters) + by).tolist()
     try:
         return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(coefficients))

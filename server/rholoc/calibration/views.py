@@ -99,6 +99,7 @@ def _sharpest(
 
 
 def _sharpness(image: ByteArray) -> float:
+    """Variance of the Laplacian, in a picture of common width."""
     height, width = image.shape[:2]
     size = (_SCAN_WIDTH_PX, max(1, round(height * _SCAN_WIDTH_PX / width)))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -99,6 +99,7 @@ def _missing(error: ModuleNotFoundError) -> tuple[str, str]:
 
 
 def _os_error(error: OSError) -> tuple[str, str]:
+    """Message and hint."""
     what = (error.strerror or str(error)).rstrip(".")
     message = f"{what}: {error.filename}." if error.filename else f"{what}."
     if is_full(error):

@@ -115,9 +115,7 @@ def _put_truth_apart(recording: Path, files: _Files) -> None:
 
 
 def _map(client: Client, recording: Path) -> Job:
-    """Upload a recording and wait until its map is published. Raises RholocClientError, or RholocError if
-    workers fail.
-    """
+    """Upload a recording; wait until its map is published. Raises RholocClientError, or RholocError if workers fail."""
     job = client.upload_recording(recording, MAP_NAME)
     with job_progress() as progress:
 

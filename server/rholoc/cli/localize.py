@@ -142,16 +142,12 @@ def _guessed(recording: Recording) -> Camera:
 
 
 def recording_camera(recording: Recording, info: MapInfo) -> Camera:
-    """The frames' camera: the recording's, or the map's (with a notice) if the frames have its size; else raises
-    InvalidCamera.
-    """
+    """The frames' camera: the recording's, or the map's (with a notice) if its size fits. Raises InvalidCamera."""
     return camera_of(recording.camera, recording.frames.size, info)
 
 
 def camera_of(camera: Camera | None, size: tuple[int, int], info: MapInfo) -> Camera:
-    """``camera``, or the map's (with a notice) if that is None and the frames have its size [px]; else raises
-    InvalidCamera.
-    """
+    """``camera``, or if that is None the map's (with a notice) if its size [px] fits. Raises InvalidCamera."""
     if camera is not None:
         return camera
     if size != (info.camera.width, info.camera.height):

@@ -132,6 +132,7 @@ def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> N
 
 
 def _place(name: str, maps: Path, as_json: bool) -> None:
+    """Search links between a site's maps, store the poses that they give, and print them."""
     from rholoc.library.maps import MapLibrary
     from rholoc.library.sites import SiteLibrary
     from rholoc.mapping.sites.link_search import search_links

@@ -161,9 +161,7 @@ def _live(live: LiveCamera, camera: str | None, info: MapInfo) -> _Followed:
 
 
 def _hand_out(steps: Iterable[Step], users: list[StepUser], advance: Callable[[], None]) -> None:
-    """Give every step to every user, and call ``advance``, until the steps end, or Ctrl-C or SIGTERM end them with a
-    notice.
-    """
+    """Give every step to every user, and call ``advance``, until the steps end, or a signal ends them with a notice."""
     try:
         with interruptible():
             for step in steps:

@@ -175,9 +175,7 @@ class TensorDensities:
         return DensityRows(self.features, np.column_stack([self.places, self.radii]).astype(np.float32))
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
-        """All (P + 1)⁸ coefficients of the density at ``row``, in Table 5's order; ``landmark`` and ``domain`` are not
-        used.
-        """
+        """All (P + 1)⁸ coefficients of the density at ``row``, in Table 5's order; the other arguments are not used."""
         return np.asarray(self.all_coefficients(np.array([row]))[0])
 
     @classmethod
@@ -413,9 +411,7 @@ def local_frames(directions: FloatArray) -> FloatArray:
 
 
 def scaled_heading(headings: FloatArray) -> FloatArray:
-    """Heading's variables (..., 3) of unit headings (..., 3) in the density's frame: offset from (1, 1, 0) / √2 over
-    sin 50°.
-    """
+    """Variables (..., 3) of unit headings (..., 3) in the density's frame: offset from (1, 1, 0) / √2 over sin 50°."""
     return np.asarray((headings - _DIAGONAL) / _HEADING_SCALE)
 
 
@@ -521,6 +517,7 @@ class LocalVariables:
 
     @classmethod
     def of(cls, densities: TensorDensities, plane: FloatArray, T_map_camera: FloatArray) -> LocalVariables:
+        """At a pose (4, 4), for the observed points ``plane`` (T, 2) of the image plane z = 1."""
         frames, R, position = densities.R_local_map, T_map_camera[:3, :3], T_map_camera[:3, 3]
         camera_x, heading = frames @ R[:, 0], frames @ R[:, 2]
         axes = upright_axes(heading)
@@ -566,6 +563,7 @@ def upright_axes(headings: FloatArray) -> FloatArray:
 
 
 def _peaks(densities: TensorDensities, local: LocalVariables) -> Peaks:
+    """The peaks of T densities over the image plane, and their derivatives by the motion."""
     plane_powers, position_powers, heading_powers = kept_powers(densities.degree)
     count, (u_, x_, h_) = len(densities), densities.coefficients.shape[1:]
     precision = densities.coefficients.dtype

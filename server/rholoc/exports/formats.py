@@ -160,6 +160,7 @@ def parse_features(text: str) -> list[int]:
 
 
 def _refitted(map_: Map, degree: int) -> Map:
+    """The map with ``tensor`` densities of this degree. Raises InvalidInput for an impossible degree."""
     if degree not in DEGREES:
         raise InvalidInput(f"A density of degree {degree} cannot be fitted.", "Use 1, 2 or 3.")
     return fit_densities(ray_form(map_), DensityKind.TENSOR, degree)

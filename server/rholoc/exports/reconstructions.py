@@ -123,9 +123,7 @@ def _images(map_: Map) -> Iterator[str]:
 
 
 def _points(map_: Map) -> Iterator[str]:
-    """Yield the lines of ``points3D.txt``: each landmark that two views or more see, its colour, mean error [px] and
-    views.
-    """
+    """Yield the lines of ``points3D.txt``: landmarks that two views or more see, colour, mean error [px], views."""
     yield "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"
     seen, numbers, errors = map_.observations, _point_numbers(map_), reprojection_errors_px(map_)
     places = np.arange(len(seen)) - map_.view_offsets[seen.views]

@@ -140,6 +140,7 @@ def _inverted_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | fai
 
 
 def _empty_lists(size: int, lists: int, metric: Metric) -> faiss.IndexIVF | faiss.IndexBinaryIVF:
+    """An inverted file with ``lists`` untrained lists for descriptors of ``size`` bytes."""
     if metric is Metric.HAMMING:
         return faiss.IndexBinaryIVF(faiss.IndexBinaryFlat(8 * size), 8 * size, lists)
     byte = faiss.ScalarQuantizer.QT_8bit_direct
@@ -153,4 +154,5 @@ def _prepared(descriptors: ByteArray, metric: Metric) -> ByteArray | FloatArray:
 
 
 def _as_distance(found: FloatArray, metric: Metric) -> FloatArray:
+    """Distances float32 from what faiss found: Hamming distances, or squared Euclidean ones."""
     return found.astype(np.float32) if metric is Metric.HAMMING else np.sqrt(np.maximum(found, 0))

@@ -109,6 +109,7 @@ def posed_alignment(
 
 
 def _normalized(weights: FloatArray | None, count: int) -> FloatArray:
+    """Weights (count,) of sum 1; equal ones for None."""
     w = np.ones(count) if weights is None else np.asarray(weights, dtype=np.float64)
     return np.asarray(w / w.sum())
 

@@ -40,9 +40,7 @@ def enu_of(place: EarthPlace, origin: EarthPlace) -> FloatArray:
 
 
 def place_at(enu: FloatArray, origin: EarthPlace) -> EarthPlace:
-    """Place at ``enu`` (3,) metres east, north and up of ``origin``, in the origin's tangent frame; inverse of
-    :func:`enu_of`.
-    """
+    """Place at ``enu`` (3,) metres east, north and up in the tangent frame of ``origin``; inverse of :func:`enu_of`."""
     x, y, z = _ecef(origin) + _R_ecef_enu(origin) @ enu
     across = math.hypot(x, y)
     latitude = math.atan2(z, across * (1 - _E2))

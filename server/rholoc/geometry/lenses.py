@@ -121,6 +121,7 @@ def widest_angle(distortion: tuple[float, ...]) -> float:
 
 
 def _undistorted(places: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
+    """Points (N, 2) on the plane z = 1 from a pinhole's distorted coordinates (N, 2)."""
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
     found = cv2.undistortPoints(places[:, None], np.eye(3), np.array(distortion), criteria=criteria)
     return np.asarray(found, dtype=np.float64).reshape(-1, 2)
@@ -185,4 +186,5 @@ def _angles_of(radius: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
 
 
 def _rows(u: tuple[FloatArray, ...], v: tuple[FloatArray, ...]) -> FloatArray:
+    """Jacobian (N, 2, C) from its C columns for u and for v."""
     return np.stack([np.column_stack(u), np.column_stack(v)], axis=1)

@@ -102,9 +102,7 @@ class Pose:
 
     @classmethod
     def from_quaternion(cls, position: FloatArray, quaternion_xyzw: FloatArray) -> Pose:
-        """From a position (3,) in metres and a quaternion (4,) in the order x, y, z, w, of any length but 0
-        (ValueError).
-        """
+        """From a position (3,) in metres and a quaternion (4,): x, y, z, w, of any length but 0 (ValueError)."""
         R = Rotation.from_quat(np.asarray(quaternion_xyzw, dtype=np.float64)).as_matrix()
         return cls(pose_matrix(R, np.asarray(position, dtype=np.float64)))
 

@@ -148,6 +148,7 @@ class Leases:
             return connection.execute(update.values(**{**_GIVEN_BACK, **values})).rowcount > 0
 
     def _running(self, of: sa.ColumnElement[bool]) -> set[Lease]:
+        """Leases on the running jobs that fulfil a condition."""
         wanted = sa.select(jobs_table).where(jobs_table.c.state == JobState.RUNNING, of)
         return {Lease(row["id"], row["run"], row["attempts"]) for row in read_rows(self._engine, wanted)}
 
@@ -156,9 +157,7 @@ class Leases:
         return bool(read_rows(self._engine, sa.select(jobs_table.c.id).where(*_held(lease))))
 
     def note(self, lease: Lease, stage: Stage, fraction: float, message: str) -> None:
-        """Record progress, which never decreases; a new stage or message is added to the log. A lost lease records
-        nothing.
-        """
+        """Record progress, which never decreases; a new stage or message is logged. A lost lease records nothing."""
         message = shortened(message)
         with self._engine.begin() as connection:
             row = connection.execute(sa.select(jobs_table).where(*_held(lease))).mappings().first()
@@ -232,6 +231,7 @@ class Leases:
         connection: sa.Connection | None = None,
         **values: object,
     ) -> bool:
+        """Set a job's final state, and log the lines. False if the lease was lost."""
         with nullcontext(connection) if connection is not None else self._engine.begin() as within:
             log = within.execute(sa.select(jobs_table.c.log).where(*_held(lease))).scalar()
             if log is None:
@@ -242,6 +242,7 @@ class Leases:
             return True
 
     def _update(self, lease: Lease, **values: object) -> bool:
+        """Set columns of a leased job. False if the lease was lost."""
         return change_rows(self._engine, jobs_table.update().where(*_held(lease)).values(**values)) > 0
 
 
@@ -262,6 +263,7 @@ def overall(stage: Stage, fraction: float) -> float:
 
 
 def _held(lease: Lease, state: JobState = JobState.RUNNING) -> tuple[sa.ColumnElement[bool], ...]:
+    """Conditions on a job's row for the lease to hold."""
     return (
         jobs_table.c.id == lease.job,
         jobs_table.c.run == lease.run,
@@ -271,5 +273,6 @@ def _held(lease: Lease, state: JobState = JobState.RUNNING) -> tuple[sa.ColumnEl
 
 
 def _appended(log: list[str], *lines: str) -> list[str]:
+    """The last ``LOG_LINES`` lines of a log with further lines, which get the present time."""
     now = time.strftime("%H:%M:%S", time.gmtime())
     return [*log, *(f"{now} {line}" for line in lines)][-LOG_LINES:]

@@ -84,6 +84,7 @@ class JobQueue:
         return self._insert("", "", JobOptions(kind=JobKind.PLACE, site=site))
 
     def _insert(self, recording_id: str, map_name: str, options: JobOptions, job_id: str | None = None) -> Job:
+        """Queue a job; a job that has the id already stays as it is."""
         work = JobWork(recording_id, map_name, options, telemetry.traceparent())
         length_s, memory_bytes = self._size_of(recording_id)
         if options.frames is not None:

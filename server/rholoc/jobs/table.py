@@ -148,9 +148,7 @@ class JobTable:
             raise Conflict("The job no longer waits for a worker.", "Only a queued job's priority can be changed.")
 
     def cancel(self, job_id: str) -> None:
-        """Set a queued or running job to cancelled. Raises Conflict if it has ended, is unknown, or its map is being
-        published.
-        """
+        """Set a queued or running job to cancelled. Raises Conflict if it has ended, is unknown or being published."""
         update = jobs_table.update().where(jobs_table.c.id == job_id, UNFINISHED, jobs_table.c.stage != Stage.PUBLISHED)
         values = {"state": JobState.CANCELLED, "message": "cancelled", "ended": time.time(), "worker": None}
         if not change_rows(self._engine, update.values(**values)):

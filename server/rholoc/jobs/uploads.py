@@ -214,6 +214,7 @@ class UploadStore:
             raise Busy(f"There are {self._max_unfinished} unfinished uploads already.", hint, _RETRY_AFTER_S)
 
     def _plan(self, upload_id: str) -> _Plan | None:
+        """None if the upload is not known. Raises UnknownRecording if the id cannot be one."""
         if not is_recording_id(upload_id):
             raise unknown_recording(upload_id)
         rows = read_rows(self._engine, sa.select(uploads_table).where(uploads_table.c.id == upload_id))
@@ -263,6 +264,7 @@ class UploadStore:
             self._recordings.adopt(folder, plan.id, plan.file_name)
 
     def _fetch(self, plan: _Plan, path: Path) -> None:
+        """Write all pieces into one file. Raises StorageUnavailable if some are missing."""
         with path.open("wb") as file:
             for piece in self._pieces(plan.id):
                 file.write(self._objects.read(_key(plan.id, piece.blob), 0, piece.size_bytes))
@@ -270,6 +272,7 @@ class UploadStore:
             raise StorageUnavailable("The storage does not give all of the upload.", "Try again later.")
 
     def _check_start_of(self, upload_id: str, data: bytes) -> None:
+        """Check an upload's first bytes against its file's name; refused uploads are forgotten."""
         plan = self._plan(upload_id)
         if plan is None:  # another request removed it
             raise unknown_recording(upload_id)

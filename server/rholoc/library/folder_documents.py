@@ -136,9 +136,7 @@ class NamedDocuments(ABC, Generic[Document]):
             raise self._unreadable(name) from error
 
     def delete(self, name: str) -> None:
-        """Delete a document. Raises InvalidName, NotFound if there is none; StorageFull, InvalidInput,
-        SQLAlchemyError.
-        """
+        """Delete a document. Raises InvalidName, NotFound; StorageFull, InvalidInput, SQLAlchemyError."""
         try:
             self._files.delete(self._file_name(name))
         except FileNotFoundError as error:

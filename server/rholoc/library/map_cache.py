@@ -42,9 +42,7 @@ class MapCache:
             return entry.map
 
     def put(self, name: str, signature: Signature, map_: Map) -> None:
-        """Add a map as the last used one, evicting others, the least recently used first, to make room; it always
-        stays.
-        """
+        """Add a map as the last used one, which stays; evicts the least recently used ones to make room."""
         with self._lock:
             self._entries[name] = _Entry(signature, map_, memory_bytes(map_))
             self._entries.move_to_end(name)

@@ -155,6 +155,7 @@ class MapFolder(MapCatalogue):
         shutil.rmtree(decided)
 
     def _put_in_place(self, link: Path, place: Path) -> None:
+        """Move a file to its place; an empty one stands for a deletion."""
         if link.stat().st_size == 0:
             place.unlink(missing_ok=True)
         else:

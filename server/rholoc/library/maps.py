@@ -49,9 +49,7 @@ class MapLibrary:
         return self._catalogue.names()
 
     def readable(self) -> list[str]:
-        """Names of the readable maps, sorted; reads each unchecked file once. Raises StorageUnavailable,
-        StorageFull.
-        """
+        """Sorted names of readable maps; reads each unchecked file once. Raises StorageUnavailable, StorageFull."""
         names = self.names()
         return names if self._catalogue.holds_only_maps else [name for name in names if self._is_readable(name)]
 
@@ -90,9 +88,7 @@ class MapLibrary:
             return self._catalogue.local(self.stat(name))
 
     def map_id(self, name: str) -> str:
-        """The id of a map, which updates and corrections keep. Raises InvalidName, UnknownMap, InvalidMap,
-        StorageUnavailable.
-        """
+        """A map's id, kept by updates and edits. Raises InvalidName, UnknownMap, InvalidMap, StorageUnavailable."""
         return self.stat(name).map_id or self.outline(name).info.id
 
     def outline(self, name: str) -> MapOutline:
@@ -274,9 +270,7 @@ class MapLibrary:
             return filecmp.cmp(self.path(name), file, shallow=False)
 
     def previous(self, name: str) -> MapInfo | None:
-        """Description of the last map replaced under a name; None if none is kept or it cannot be read. Raises
-        InvalidName.
-        """
+        """Description of the last map replaced under a name; None if none is kept or readable. Raises InvalidName."""
         check_map_name(name)
         return self._infos(name, self._catalogue.versions(name)[:1]).get(1)
 
@@ -288,6 +282,7 @@ class MapLibrary:
         return self._infos(name, self._catalogue.versions(name))
 
     def _infos(self, name: str, files: Sequence[MapFile]) -> dict[int, MapInfo]:
+        """Descriptions of readable files by their number, which counts from 1."""
         found = {}
         for number, file in enumerate(files, start=1):
             with suppress(InvalidMap, MissingObject):
@@ -364,9 +359,7 @@ class MapLibrary:
         return self._catalogue.snapshot()
 
     def sweep(self) -> None:
-        """Remove files without a name, and complete a change interrupted by a crash. Raises StorageUnavailable,
-        SQLAlchemyError.
-        """
+        """Remove files without a name; complete an interrupted change. Raises StorageUnavailable, SQLAlchemyError."""
         self._catalogue.sweep()
 
     def _version(self, name: str, number: int, versions: Sequence[MapFile]) -> MapFile:

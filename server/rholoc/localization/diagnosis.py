@@ -180,6 +180,7 @@ def wrong_motion(frame: int, apart_m: float, turned_rad: float) -> Diagnosis:
 
 
 def _from_sight(sight: Sight, map_: Map, agreement: Agreement) -> Diagnosis | None:
+    """Darkness, blur or light unlike the recording's; None if it is none of these."""
     if sight.brightness < _DARK:
         return Diagnosis(
             Cause.TOO_DARK,

@@ -124,6 +124,7 @@ class _NearestInPart(NearestLandmarks):
         return self._within(super().pairs())
 
     def _within(self, found: Matches) -> Matches:
+        """The matches inside the part, landmarks numbered as in the part."""
         features = self.part.features
         row = np.minimum(np.searchsorted(features, found.landmarks), len(features) - 1)
         inside = features[row] == found.landmarks

@@ -284,9 +284,7 @@ class Localizer:
             yield from self._look_closely(place, search, rays)
 
     def _glance(self, matches: Matches, search: Search, rays: FloatArray) -> Found | None:
-        """Candidate from one LO-RANSAC over all matches, which suffices for most frames. None if no credible pose is
-        found.
-        """
+        """Candidate from one LO-RANSAC over all matches, enough for most frames. None without a credible pose."""
         seed = self._ransac_seed(matches, search)
         return None if seed is None else self._candidate_at(seed, search.query, rays, search, matches)
 
@@ -374,6 +372,7 @@ class Localizer:
     def _climb(
         self, matches: Matches, evidence: Evidence, seeds: list[FloatArray], query: Query, watch: Stopwatch
     ) -> Optimum | None:
+        """Best optimum of the ascents from seed poses (4, 4); None without seeds."""
         tolerances_px = self.options.seed_tolerances_px
         optima = [ascend(self.map.densities, evidence, T, tolerances_px, query.dof) for T in seeds]
         watch.lap("ascend")
@@ -572,6 +571,7 @@ def _plausible(T_map_camera: FloatArray, query: Query) -> bool:
 
 
 def _near_prior(T_map_camera: FloatArray, prior: Prior | None) -> bool:
+    """Whether a pose (4, 4) is within the prior's radii; True without a prior."""
     if prior is None:
         return True
     apart = float(np.linalg.norm(T_map_camera[:3, 3] - prior.pose.position))

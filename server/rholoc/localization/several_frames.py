@@ -75,7 +75,7 @@ class SeveralFrames:
         sigma_rad: standard deviation of its rotation, about each axis.
 
     Raises:
-        InvalidInput: too few or too many frames, invalid poses, or no positive standard deviation.
+        InvalidInput: fewer than 2 or more than 10 frames, invalid poses, or no positive standard deviation.
     """
 
     frames: tuple[Query, ...]
@@ -311,9 +311,7 @@ class _Joint:
             ]
 
     def _candidate(self, matches: list[Matches], fewest: float = _MIN_MATCHES) -> _Candidate | None:
-        """Verified candidate from a LO-RANSAC seed with at least ``fewest`` inliers over all frames. None if there is
-        none.
-        """
+        """Verified candidate from a LO-RANSAC seed of at least ``fewest`` inliers in all frames; None without one."""
         T_map_rig = self._seed(matches, fewest)
         if T_map_rig is None:
             return None

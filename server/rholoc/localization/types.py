@@ -102,9 +102,7 @@ class Query:
 
     @lazy
     def colours(self) -> ByteArray | None:
-        """(N, 3) uint8, red, green and blue at each feature; None without a colour picture or colours sent with the
-        features.
-        """
+        """Red, green, blue (N, 3) uint8 at each feature; None if neither a colour picture nor colours were sent."""
         if self.features.colours is not None or self.image is None or self.image.ndim != 3:
             return self.features.colours
         return self.features.coloured(self.image).colours
@@ -211,7 +209,7 @@ class Localization:
 
         Args:
             reason: why there is none.
-            matches: number of matches that spoke.
+            matches: number of features that match the map.
             timings_ms: milliseconds by stage.
             diagnosis: the likeliest cause.
         """

@@ -146,9 +146,7 @@ def _metre(map_: Map, positions: FloatArray) -> float:
 
 
 def _grid(places: FloatArray, metre: float) -> tuple[FloatArray, float, IntArray]:
-    """Origin (2,), step, and cells (C, 2) of the grid within 0.75 m of ``places`` (K, 2); the step grows until C ≤
-    250.
-    """
+    """Origin (2,), step, and cells (C, 2) of the grid within 0.75 m of ``places`` (K, 2); a larger step if C > 250."""
     step = _STEP_M * metre
     if len(places) == 0:
         return np.zeros(2), step, np.zeros((0, 2), dtype=np.int64)

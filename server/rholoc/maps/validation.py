@@ -106,7 +106,7 @@ def _check_table(table: MapTable) -> None:
 def _check_array(
     name: str, array: object, dtype: type[np.generic], shape: tuple[int | None, ...], nan_allowed: bool = False
 ) -> None:
-    """Raise InvalidMap unless an array has this dtype and shape (None: any length) and is finite; NaN may be allowed."""
+    """Raise InvalidMap unless an array has this dtype and shape (None: any length) and is finite, or NaN if allowed."""
     fits = (
         isinstance(array, np.ndarray)
         and array.dtype == dtype

@@ -67,8 +67,8 @@ class DensityLocalizer:
     def ascents(
         self, features: FeatureSet, camera: Camera, dof: Dof = Dof.FREE, start: FloatArray | None = None
     ) -> Iterator[Ascent]:
-        """Yield an ascent from the pose ``start`` (4, 4), or else from each of the ``starts`` views that most matches
-        speak for.
+        """Yield an ascent from the pose ``start`` (4, 4), or else from each of the ``starts`` views with the most
+        votes.
 
         Yields nothing with fewer than six matches in the whole map.
         """

@@ -73,8 +73,8 @@ class Grid:
 
     @classmethod
     def around_ways(cls, centre: FloatArray, ways: Sequence[FloatArray], steps: int) -> Grid:
-        """A square at the height of ``centre`` (3,), 2 · ``steps`` + 1 points wide, that holds the ways (S, 3) that end
-        within 0.5 m.
+        """A square at the height of ``centre`` (3,), 2 · ``steps`` + 1 points wide, that holds the paths ``ways``, each
+        (S, 3), that end within 0.5 m of the centre.
 
         It reaches 0.4 to 3 m from the centre.
         """
@@ -123,8 +123,8 @@ def over_positions(map_: Map, look: Look, grid: Grid, tolerance_px: float) -> Fl
 def over_headings(
     map_: Map, look: Look, half_rad: float, count: int, tolerance_px: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """ρ (E, A) of the look's pixel for cameras at its place with its roll, at ``count`` × ``count`` offsets to
-    ``half_rad``.
+    """Density ρ (E, A) of the look's feature at the look's pixel, for cameras at the look's position with its roll, at
+    ``count`` × ``count`` offsets of heading from −``half_rad`` to ``half_rad``.
 
     Returns:
         ρ, with the elevation's offset along the first axis; the offsets (E,) of elevation and (A,) of azimuth [rad].
@@ -157,8 +157,8 @@ def product_over_positions(
     tolerance_px: float,
     check: Callable[[], None] = _go_on,
 ) -> FloatArray:
-    """Σ log((ε + ρ) / ε) (Z, Y, X) [nats]: a frame's product (2) for cameras at a grid's points, turned as the pose (4,
-    4).
+    """Σ log((ε + ρ) / ε) (Z, Y, X) [nats]: a frame's product (2) for cameras at a grid's points with the orientation of
+    a pose (4, 4).
 
     ``check`` is called before each position, and may raise to stop.
     """
@@ -175,10 +175,10 @@ class Landscape:
 
     Attributes:
         T_map_camera: (4, 4) the pose.
-        grid: positions around it at its height, for cameras that are turned as it is.
+        grid: positions around it at its height, for cameras of its orientation.
         values: (Y, X) Σ log((ε + ρ) / ε) there, nats.
         tolerance_px: how far a feature may be off and still count.
-        ascents: from the places that most matches speak for, the best last.
+        ascents: from the views with the most votes, the best last.
     """
 
     T_map_camera: FloatArray

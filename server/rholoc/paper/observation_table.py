@@ -6,7 +6,7 @@ from rholoc.maps import Map, ObservationTable, check_memory
 
 
 def observation_table(map_: Map) -> ObservationTable:
-    """The observations of a map: who was seen at which pixel from where, in the order of its views.
+    """The observations of a map: each feature's pixel in a view and the view's pose, in the order of the views.
 
     A map keeps a feature's descriptors, not one for each observation: the first, which stands for the feature in a
     search of the whole map, is given to all of them.

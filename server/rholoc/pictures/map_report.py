@@ -273,6 +273,7 @@ def _plot_views_per_landmark(axes: Axes, map_: Map) -> None:
 
 
 def _range(values: FloatArray) -> tuple[float, float]:
+    """Limits of a logarithmic axis, without the percentiles ``_HIDDEN_SHARE``."""
     low, high = (float(value) for value in np.percentile(values, _HIDDEN_SHARE))
     return low / 1.1, max(high, 1.5 * low) * 1.1
 

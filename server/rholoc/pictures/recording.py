@@ -70,6 +70,7 @@ def _plot_intervals(axis: Axes, frames: FrameSource, start_s: float) -> None:
 
 
 def _mark(axis: Axes, recording: Recording, start_s: float) -> None:
+    """Draw pauses and waypoints, at seconds after ``start_s``."""
     if recording.imu is not None:
         for begin, end in pauses(recording.imu) - start_s:
             axis.axvspan(begin, end, color=_RESTED, zorder=0)

@@ -164,9 +164,7 @@ def _follow(
 
 
 def _receive(connection: Connection, until: float) -> tuple[list[_Progress], _Returned | _Raised | None]:
-    """The latest progress of each stage that arrives until ``until`` (monotonic clock) or the answer; and the answer,
-    or None.
-    """
+    """The latest progress of each stage until ``until`` (monotonic clock) or the answer; and the answer, or None."""
     latest: dict[Stage, _Progress] = {}
     try:
         while connection.poll(max(0.0, until - time.monotonic())):
@@ -255,9 +253,7 @@ class _Listener:
 
 
 def _watch_parent(connection: Connection, listener: _Listener, own_group: bool) -> None:
-    """Set the listener's ``cancelled`` when the parent cancels; kill this process and its children when the parent is
-    gone.
-    """
+    """Set the listener's ``cancelled`` if the parent cancels; kill this process and its children if the parent ends."""
     try:
         while True:
             connection.recv()

@@ -103,6 +103,7 @@ class Program:
                     stream.close()
 
     def _copy_errors(self) -> None:
+        """Copy the process's standard error to ours, and keep its last lines."""
         assert self._process.stderr is not None
         with suppress(ValueError):  # the pipe was closed
             for line in self._process.stderr:
@@ -112,6 +113,7 @@ class Program:
                     sys.stderr.flush()
 
     def _ask_to_end(self) -> None:
+        """Close the standard input of a process that has one, else send SIGTERM."""
         if self._process.stdin is None:
             self._process.terminate()
         else:

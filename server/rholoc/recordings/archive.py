@@ -117,6 +117,7 @@ def _path(entry: zipfile.ZipInfo) -> PurePosixPath:
 
 
 def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> None:
+    """Raise InvalidRecording for unsafe paths, links and devices; TooLarge for too much, or suspicious compression."""
     for entry in entries:
         path = _path(entry)
         if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
@@ -155,6 +156,7 @@ def _unpack_entry(packed: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path)
 
 
 def _recording_folder(folder: Path) -> Path:
+    """The only folder inside ``folder``, unless it is part of a format; else ``folder``."""
     inside = list(folder.iterdir())
     wrapped = len(inside) == 1 and inside[0].is_dir() and inside[0].name not in _FORMATS_FOLDERS
     return inside[0] if wrapped else folder

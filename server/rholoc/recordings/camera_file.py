@@ -122,6 +122,7 @@ def _readout_s(values: dict[str, Any], path: Path) -> float | None:
 
 
 def _rotation(values: dict[str, Any], path: Path) -> FloatArray | None:
+    """R_camera_imu (3, 3), if given. Raises InvalidCamera."""
     rows = values.get("R_camera_imu")
     if rows is None:
         return None

@@ -86,8 +86,8 @@ def normalise_imu(
         R_camera_imu: (3, 3), or None if unknown.
 
     Raises:
-        InvalidRecording: too many times go back, times are implausible in every unit, the two sensors hardly overlap,
-            or a value is out of range in any unit.
+        InvalidRecording: more than 5 % of the times do not advance, times are implausible in every unit, fewer than two
+            readings of the gyroscope lie within the accelerometer's time span, or a value is out of range in any unit.
     """
     _check_range(accelerometer, "accelerometer")
     _check_range(gyroscope, "gyroscope")
@@ -281,6 +281,7 @@ def _check_range(samples: Samples, sensor: str) -> None:
 
 
 def _is_one(length_g: float) -> bool:
+    """Whether an acceleration [g] is about 1 g."""
     return abs(length_g - 1) < _ONE_G_TOLERANCE
 
 
@@ -338,6 +339,7 @@ def _gravity_turns(accelerometer: Samples, gyroscope: Samples) -> tuple[FloatArr
 
 
 def _integral(samples: Samples) -> Samples:
+    """Values integrated over time, from 0 at the first sample."""
     steps = samples.values[1:] * np.diff(samples.times)[:, None]
     return Samples(samples.times, np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]))
 

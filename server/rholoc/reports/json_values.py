@@ -32,6 +32,7 @@ def check_json_value(value: object, max_values: int = MAX_VALUES) -> None:
 
 
 def _check_scalar(value: object) -> None:
+    """Raise ValueError for what JSON readers disagree on: surrogates, large integers, numbers that are not finite."""
     if isinstance(value, str):
         try:
             value.encode()

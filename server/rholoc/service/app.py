@@ -293,6 +293,7 @@ async def _answer_error(request: Request, error: Exception) -> JSONResponse:
 
 
 def _known(error: Exception) -> RholocError | None:
+    """The error as one of ours; None if it is unexpected."""
     if isinstance(error, RequestValidationError):
         return invalid_request(error.errors())
     if isinstance(error, HTTPException):

@@ -180,7 +180,7 @@ class AsyncJobs:
             submit: queues the job, in a thread.
 
         Raises:
-            QuotaExceeded: the key has too many jobs.
+            QuotaExceeded: the key's limit of unfinished jobs is reached.
         """
         async with self._quotas.counting(key):
             await self._quotas.check(key, job_for=map_name)

@@ -180,6 +180,7 @@ def _patches(face: Face, spacing_m: float) -> FloatArray:
 
 
 def _linear(image: Any) -> FloatArray:
+    """Linear values 0 to 1 of gamma-encoded bytes."""
     table = (np.arange(256) / 255.0) ** GAMMA
     return np.asarray(table.astype(np.float32)[np.asarray(image, np.uint8)])
 
@@ -233,9 +234,7 @@ def _gather(
 def _sunlight(
     scene: Scene, faces: list[Face], points: FloatArray, normals: FloatArray, conditions: _Conditions
 ) -> FloatArray:
-    """The sun's illuminance (N, 3) [lux] where its rays come in through a window's glass; 0 elsewhere and
-    without sun.
-    """
+    """The sun's illuminance (N, 3) [lux] where its rays come in through a window's glass; 0 elsewhere."""
     total = np.zeros((len(points), 3))
     if conditions.sun_illuminance == 0:
         return total

@@ -342,9 +342,7 @@ def _planes_through(opening: FloatArray) -> FloatArray:
 
 
 def _clip(polygon: FloatArray, window: FloatArray | None) -> FloatArray:
-    """The part of a polygon (N, 3) on the positive side of the planes through the eye with normals (M, 3); None: all of
-    it.
-    """
+    """The part of a polygon (N, 3) on the positive side of planes through the eye, of normals (M, 3); None: all."""
     if window is None:
         return polygon
     for normal in window:

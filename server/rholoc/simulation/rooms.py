@@ -30,9 +30,9 @@ _Framed = Callable[[int, float, float, float, float], list[Decor]]
 def make_test_site(seed: int = 0) -> Scene:
     """The test site: an L-shaped part of a 6 × 5 × 2.7 m room, with furniture, posters, a window and two lamps.
 
-    Its map frame has its origin at the start of the first walk, ``START_M`` from the room's corner, x and y along
-    its walls. Other seeds give other rooms: the same plan with other furniture sizes, posters and colours. The last two
-    are remembered, for it takes seconds to make a room and to light it.
+    Its map frame has its origin at the start of the first walk, ``START_M`` from the room's corner, x and y along its
+    walls. Other seeds give other rooms: the same plan with other furniture sizes, posters and colours. The last two are
+    cached, because making and lighting a room takes seconds.
     """
     build = Builder(seed)
     rng = build.rng("plan")

@@ -35,9 +35,7 @@ class Exposure:
 
 
 def meter(picture: ByteArray) -> FloatArray:
-    """The linear gains (3,) BGR that expose ``picture`` (H, W, 3) of encoded luminance to a mean level of 0.5, nearly
-    balanced.
-    """
+    """Linear gains (3,) BGR that expose ``picture`` (H, W, 3), encoded luminance, to a mean of 0.5, nearly balanced."""
     linear = (picture.reshape(-1, 3) / 255.0) ** GAMMA
     means = np.maximum(linear.mean(axis=0), 1e-4)
     balance = (means[1] / means) ** _WHITE_BALANCE

@@ -98,9 +98,7 @@ def read_rows(engine: sa.Engine, wanted: sa.Executable) -> Sequence[sa.RowMappin
 
 
 def change_rows(engine: sa.Engine, statement: sa.Executable) -> int:
-    """Execute a change in a transaction of its own; returns the number of rows that it changed. Raises
-    SQLAlchemyError.
-    """
+    """Execute a change in a transaction of its own; returns the number of rows changed. Raises SQLAlchemyError."""
     with engine.begin() as connection:
         return connection.execute(statement).rowcount
 
@@ -208,6 +206,7 @@ def _reporting_refusal(url: sa.URL) -> Iterator[None]:
 
 
 def _refusal(url: sa.URL, error: DatabaseError) -> Exception:
+    """The error to report for a failed first connection; the error itself if it is unexpected."""
     reason = (str(error.orig).strip().splitlines() or [type(error.orig).__name__])[0].rstrip(".")
     if url.get_backend_name() != "sqlite":
         where = f"The database of jobs at {url.host or 'this machine'}, database {url.database}"
@@ -266,9 +265,7 @@ def _trace_statements(engine: sa.Engine) -> None:
 
 
 def _prepare_sqlite(connection: Any, _: object) -> None:
-    """Configure a new SQLite connection: readers do not block the writer (WAL), writers wait up to 10 s, commits are
-    durable.
-    """
+    """Configure a new SQLite connection: readers do not block writers (WAL), which wait up to 10 s; durable commits."""
     connection.isolation_level = "IMMEDIATE"
     connection.execute(f"PRAGMA busy_timeout={_BUSY_TIMEOUT_MS}")
     _use_wal(connection)

@@ -53,7 +53,8 @@ class ChangeListener:
         self._connection: sa.Connection | None = None
 
     def wait(self, at_most_s: float, stopping: threading.Event) -> None:
-        """Return when something has changed, after ``at_most_s`` seconds, or soon after ``stopping`` is set.
+        """Return when something has changed (PostgreSQL only), after ``at_most_s`` seconds, or soon after ``stopping``
+        is set.
 
         Changes before the first call, and while the database does not answer, are missed.
         """
@@ -268,6 +269,7 @@ class Replica:
             self._revision = changes.revision
 
     def _must_wait(self, name: str, row: MapRow) -> bool:
+        """Whether a newer row of a map is not prepared yet."""
         before = self._maps.get(name)
         return before is not None and before.revision < row.revision and not self._is_prepared(before, row)
 

@@ -76,6 +76,7 @@ class LiveView(PoseMessages):
             self._channels[topic].log(last[1], log_time=last[0])
 
     def _send(self, topic: str, stamp_ns: int, message: bytes) -> None:
+        """Send a message, and keep it if its topic is latched."""
         if topic in LATCHED:
             with self._lock:
                 self._last[topic] = stamp_ns, message

@@ -142,8 +142,8 @@ class PoseMessages(ABC):
         self._write("/map/points", time_s, cloud)
 
     def picture(self, time_s: float, image: ByteArray, camera: Camera) -> None:
-        """Write a picture (H, W, 3) BGR or (H, W), at most 480 px wide or high, and its intrinsics; at most five a
-        second.
+        """Write a picture (H, W, 3) BGR or (H, W), at most 480 px wide or high, and its intrinsics; five a second at
+        most.
         """
         if time_s < self._next_picture_s:
             return

@@ -11,9 +11,7 @@ from rholoc.worker.worker import run_worker
 
 
 def main() -> None:
-    """Work until the server closes standard input, on purpose or by dying; exits with a message if the worker cannot
-    start.
-    """
+    """Work until the server closes standard input, on purpose or by dying. Exits with a message if it cannot start."""
     configure_process_logs()
     setup = WorkerSetup.from_line(sys.stdin.buffer.readline())
     stop = threading.Event()

@@ -106,9 +106,7 @@ def _died(died: ChildDied) -> Failure:
 def run_build(
     pipeline: Pipeline, task: MappingTask, limits: Limits, listener: ProgressListener
 ) -> Failure | KilledForMemory | MoreMemoryNeeded | None:
-    """Run ``pipeline.build`` in this process. Returns why it failed or needs another worker, or None on success. Never
-    raises.
-    """
+    """Run ``pipeline.build`` here; never raises. Returns why it failed or needs another worker, or None on success."""
     try:
         return pipeline.build(task, listener)
     except ReconstructionKilled as error:

@@ -52,9 +52,7 @@ class EmbeddedWorker:
 
     @property
     def trouble(self) -> str | None:
-        """A text with the number of consecutive deaths of the child and its last error; None unless it dies
-        repeatedly.
-        """
+        """A text with the number of deaths in a row of the child and its last error; None unless it dies repeatedly."""
         return self._trouble
 
     def start(self) -> None:

@@ -185,9 +185,7 @@ class JobRunner:
         return max((worker.memory_bytes for worker in living), default=self._running.offered_bytes)
 
     def _publish(self, lease: Lease, work: JobWork) -> tuple[str, ...]:
-        """Publish the built file. Returns reasons not to trust it. Raises Cancelled if the lease was lost, and
-        RholocError.
-        """
+        """Publish the built file. Returns reasons not to trust it. Raises Cancelled (a lost lease), RholocError."""
         if not self._leases.begin_publishing(lease):
             raise Cancelled("This worker no longer has the job.")
         task = self._task(lease, work)

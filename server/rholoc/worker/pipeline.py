@@ -159,6 +159,7 @@ def write_room(task: MappingTask, target: Path, progress: ProgressListener) -> b
 
 
 def _mapped(task: MappingTask, progress: ProgressListener) -> Map | MoreMemoryNeeded:
+    """The map built from the recording, or updated by it; or the memory it needs if that exceeds the task's."""
     progress(Stage.READ, 0.0, "reading the recording")
     recording = _recording_of(task)
     if task.folder is not None and task.options.frames is None and _corrected(task) is None:
@@ -179,6 +180,7 @@ def _recording_of(task: MappingTask) -> Recording:
 
 
 def _learned(task: MappingTask, progress: ProgressListener) -> Map:
+    """The published map after learning from its kept queries."""
     from rholoc.mapping.learn.from_queries import learn_from_queries
 
     assert task.data_dir is not None

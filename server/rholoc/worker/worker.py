@@ -84,9 +84,7 @@ class Worker:
         _log.info("worker %s started", self.id)
 
     def stop(self) -> None:
-        """Stop and requeue running jobs, waiting some seconds for them; without a database other workers requeue them
-        later.
-        """
+        """Stop and requeue running jobs, waiting some seconds for them; without a database others requeue them."""
         self._stopping.set()
         for thread in self._threads:
             thread.join()
@@ -103,9 +101,7 @@ class Worker:
         return threading.Thread(target=self._repeat, args=(act, every_s, name), name=f"rholoc {name}", daemon=True)
 
     def _repeat(self, act: Callable[[], None], every_s: float, name: str) -> None:
-        """Call ``act`` every ``every_s`` seconds until the worker stops; log only the first of several failures in a
-        row.
-        """
+        """Call ``act`` every ``every_s`` seconds until the worker stops; of failures in a row, log only the first."""
         is_failing = False
         while not self._stopping.wait(every_s):
             try:
@@ -121,9 +117,7 @@ class Worker:
             pass
 
     def _take(self) -> bool:
-        """Take a job and start it in a thread of its own. Returns False if the worker is full or stops, or no job
-        can be taken.
-        """
+        """Take a job and start it in a thread. Returns False if the worker is full or stops, or no job can be taken."""
         if self._running.is_full or self._stopping.is_set():
             return False
         claim = self._leases.take(self.id, self._running.offered_bytes, self._running.unused_bytes)

@@ -93,6 +93,7 @@ def _room(map_: Map) -> str:
 
 
 def _works(info: MapInfo) -> str:
+    """Coverage in words; empty if it was not measured."""
     seen = info.report.coverage
     if seen is None:
         return ""
@@ -103,6 +104,7 @@ def _works(info: MapInfo) -> str:
 
 
 def _consistent(info: MapInfo) -> str:
+    """Errors of held-out frames in words; empty without any."""
     held_out = info.report.held_out
     if held_out is None:
         return ""

@@ -121,9 +121,7 @@ def serve(
 
 
 def _end_at_once(status: int) -> NoReturn:
-    """End this process with ``status``, without Python's clean-up, which waits for threads or crashes beside native
-    ones.
-    """
+    """End this process with ``status``, without Python's clean-up, which waits for threads or crashes in libraries."""
     with suppress(OSError):  # nobody reads them any more
         sys.stdout.flush()
         sys.stderr.flush()
@@ -150,9 +148,7 @@ def phone_link(where: str, keys: KeyStore | None) -> str:
 
 
 def _https(settings: Settings, port: int, keys: KeyStore | None) -> tuple[Path, str]:
-    """The server's certificate, made if necessary, and its address; prints the recorder's address, as a QR code with a
-    key too.
-    """
+    """The server's certificate, made if necessary, and its address; prints the recorder's, as a QR code too."""
     from rholoc.service.operate.certificates import addresses, server_certificate
 
     everywhere = settings.host in (_EVERYWHERE, "::")

@@ -45,9 +45,7 @@ class Graph:
         return name
 
     def convolution(self, x: str, weights: FloatArray, bias: FloatArray, stride: int = 1) -> str:
-        """Add a convolution with weights (O, I, K, K), K odd, zero padding and a ``stride``; returns the name of its
-        output.
-        """
+        """Add a convolution of weights (O, I, K, K), K odd, zero padding and a ``stride``; returns its output."""
         size = weights.shape[-1]
         geometry = {"kernel_shape": (size, size), "pads": (size // 2,) * 4, "strides": (stride, stride)}
         return self.add("Conv", x, self.constant(weights), self.constant(bias), **geometry)
@@ -70,22 +68,26 @@ class Graph:
 
 
 def _value(name: str, shape: Sequence[int]) -> bytes:
+    """ONNX's ValueInfoProto of a float32 tensor."""
     sizes = b"".join(_bytes(1, _int(1, size)) for size in shape)
     return _text(1, name) + _bytes(2, _bytes(1, _int(1, _FLOAT) + _bytes(2, sizes)))
 
 
 def _tensor(name: str, array: FloatArray | IntArray) -> bytes:
+    """ONNX's TensorProto of an array, as float32 or int64."""
     kind, dtype = (_INT64, "<i8") if np.issubdtype(array.dtype, np.integer) else (_FLOAT, "<f4")
     shape = b"".join(_int(1, size) for size in array.shape)
     return shape + _int(2, kind) + _text(8, name) + _bytes(9, np.ascontiguousarray(array, dtype).tobytes())
 
 
 def _node(operator: str, inputs: Sequence[str], output: str, attributes: dict[str, Attribute]) -> bytes:
+    """ONNX's NodeProto, named like its output."""
     wires = b"".join(_text(1, name) for name in inputs) + _text(2, output) + _text(3, output)
     return wires + _text(4, operator) + b"".join(_bytes(5, _attribute(*item)) for item in attributes.items())
 
 
 def _attribute(name: str, value: Attribute) -> bytes:
+    """ONNX's AttributeProto: an integer, a float, a text or integers."""
     match value:
         case int():
             kind, content = 2, _int(3, value)
@@ -103,17 +105,17 @@ def _text(field: int, value: str) -> bytes:
 
 
 def _bytes(field: int, value: bytes) -> bytes:
+    """A field of Protocol Buffers with a length, such as a text or a message."""
     return _varint(field << 3 | 2) + _varint(len(value)) + value
 
 
 def _int(field: int, value: int) -> bytes:
+    """A field of Protocol Buffers with a non-negative number."""
     return _varint(field << 3) + _varint(value)
 
 
 def _varint(value: int) -> bytes:
-    """A non-negative number as Protocol Buffers write it: seven bits a byte, the lowest first; the highest bit says
-    more follow.
-    """
+    """A number, at least 0, in Protocol Buffers: seven bits a byte, the lowest first; the highest bit: more follow."""
     parts = []
     while value > 127:
         parts.append(value & 127 | 128)

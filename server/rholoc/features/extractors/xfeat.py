@@ -71,9 +71,7 @@ class XFeatExtractor:
         return self
 
     def extract(self, image: ByteArray) -> FeatureSet:
-        """Features of an image (H, W, 3) BGR or (H, W) grey, uint8; none if a side is below 32 px. Raises
-        NotInstalled.
-        """
+        """Features of an image (H, W, 3) BGR or (H, W) grey, uint8; none if a side is < 32 px. Raises NotInstalled."""
         pixels, descriptors = described(image, self.longest_px, self.features)
         count = len(pixels)
         size_px = _CELL_PX * max(1.0, max(image.shape[:2]) / self.longest_px)
@@ -215,9 +213,7 @@ def _layers() -> dict[str, Layer]:
 
 
 def _weights() -> bytes:
-    """Content of the file of weights. Raises NotInstalled if it is absent or other weights, whose descriptors match no
-    map.
-    """
+    """Content of the file of weights. Raises NotInstalled if it is absent, or if its descriptors would match no map."""
     path = _weights_path()
     try:
         content = path.read_bytes()

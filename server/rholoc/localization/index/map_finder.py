@@ -125,7 +125,7 @@ class MapFinder:
         return list(islice(in_turn, most))
 
     def refresh(self, is_stopped: Callable[[], bool] = lambda: False) -> None:
-        """Index what has changed in the library, unless its stamp is unchanged since a look less than 30 s ago.
+        """Index what has changed in the library, unless its stamp is unchanged since a scan less than 30 s ago.
 
         Returns early once ``is_stopped`` is true. Errors of the file or the storage are not raised, but stored in
         :attr:`trouble`.
@@ -266,9 +266,7 @@ class MapFinder:
         self._files[views.map] = views.file
 
     def _loaded(self, name: str) -> Map | None:
-        """Load a map. None if it cannot be read, or if its extractor is unknown. Raises StorageUnavailable,
-        StorageFull.
-        """
+        """Load a map; None if it cannot be read or its extractor is unknown. Raises StorageUnavailable, StorageFull."""
         try:
             map_ = load_map(self._library.path(name))
             get_extractor(map_.info.features)

@@ -230,9 +230,7 @@ def optimum_at(densities: Densities, evidence: Evidence, T_map_camera: FloatArra
 
 
 def covariance_at(evidence: Evidence, optimum: Optimum, focal_free: bool = False) -> FloatArray:
-    """Covariance (6, 6) of the pose at an optimum, position [m], then rotation [rad]: inverse of
-    :func:`information_at`.
-    """
+    """Covariance (6, 6) of the pose at an optimum, position [m], rotation [rad]: inverse of :func:`information_at`."""
     information = information_at(evidence, optimum, focal_free)
     return np.asarray(np.linalg.inv(information + 1e-6 * np.eye(len(information)))[:6, :6])
 

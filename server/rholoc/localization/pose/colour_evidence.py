@@ -43,9 +43,7 @@ def colour_agreement(shown: ByteArray | None, known: ByteArray | None) -> float:
 
 
 def _foretold(inputs: FloatArray, output: FloatArray) -> float:
-    """Share 0 to 1 of the variance of ``output`` (M,) predicted by ``inputs`` (M, D), both centred; NaN without
-    variance.
-    """
+    """Share 0 to 1 of the variance of ``output`` (M,) predicted by ``inputs`` (M, D), both centred; NaN if it is 0."""
     count = len(output)
     total = float(output @ output) * (count / (count - 1)) ** 2  # each from the mean of the others
     if total == 0.0:
@@ -72,5 +70,6 @@ def _ranks(values: FloatArray) -> FloatArray:
 
 
 def _mean_ranks(values: FloatArray) -> FloatArray:
+    """Ranks (N,) of values, the lowest 0.5; equal values share their mean rank."""
     ordered = np.sort(values)
     return (np.searchsorted(ordered, values, "left") + np.searchsorted(ordered, values, "right")) / 2

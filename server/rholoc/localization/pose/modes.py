@@ -68,9 +68,7 @@ class Spread:
 
     @classmethod
     def of(cls, answered: Verified, modes: Sequence[Verified], weights: FloatArray) -> Spread:
-        """Spread of M ``modes``, the pose ``answered`` among them, with ``weights`` (M,): the probability of each, with
-        sum 1.
-        """
+        """Spread of M ``modes``, the pose ``answered`` among them, with probabilities ``weights`` (M,) of sum 1."""
         T = answered.optimum.T_map_camera
         poses = np.array([mode.optimum.T_map_camera for mode in modes])
         turned = Rotation.from_matrix(poses[:, :3, :3] @ T[:3, :3].T).as_rotvec()

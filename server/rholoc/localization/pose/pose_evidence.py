@@ -137,7 +137,7 @@ def _beyond_chance(
 
 def _colour_agreement(index: MapIndex, query: Query, detections: IntArray, landmarks: IntArray) -> float:
     """Agreement of the colours of detections (M,) with those of their landmarks (M,), a coefficient of determination: 0
-    by chance, 1 at best. NaN if the query or the map has no colours, or too few of them.
+    by chance, 1 at best. NaN if the query or the map has no colours, or fewer than four.
     """
     shown, known = query.colours, index.map.landmarks.colours
     if shown is None or known is None:

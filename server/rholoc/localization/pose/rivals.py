@@ -69,9 +69,7 @@ def unexplained_by_place(
 
 
 def _unexplained(index: MapIndex, pairs: Matches, query: Query, found: Verified) -> Matches:
-    """Those of ``pairs`` whose landmark projects at least 24 px away from its feature under the pose, or lies behind
-    the camera.
-    """
+    """Those of ``pairs`` whose landmark projects at least 24 px from its feature, or is behind the camera."""
     T = found.optimum.T_map_camera
     pixels = query.camera.project((index.landmarks[pairs.landmarks] - T[:3, 3]) @ T[:3, :3])
     off_px = np.linalg.norm(pixels - query.features.pixels[pairs.detections], axis=1)

@@ -249,6 +249,7 @@ def representative_rows(views: Views, labels: IntArray, count: int, metric: Metr
 
 
 def _representatives(rows: IntArray, views: Views, metric: Metric, most: int) -> IntArray:
+    """At most ``most`` of the rows (N,): their descriptors' medoid, then those that reduce the distances to it most."""
     descriptors = views.features.descriptors[rows]
     n = len(rows)
     if n == 0:
@@ -294,9 +295,7 @@ class _Observed:
         return summed[:, :9].reshape(-1, 3, 3), summed[:, 9:]
 
     def residuals(self, information: FloatArray, eta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Reprojection error (O,) [px], infinite behind the camera; weights (O,) of the rays and (O,) of the ranges
-        [1/m²].
-        """
+        """Reprojection error (O,) [px], infinite behind the camera; weights (O,) of rays and (O,) of ranges [1/m²]."""
         landmarks, _ = landmarks_from_information(information, eta)
         to_landmark = landmarks[self.tracks] - self.positions
         along = np.einsum("ni,ni->n", to_landmark, self.bearings)

@@ -84,7 +84,8 @@ def build_map(
         InvalidInput: no recording, a degree other than 1 to 3, or features or a density that do not exist.
         InvalidRecording, InvalidCamera: a recording cannot be read or used.
         InvalidWaypoints: its waypoints do not fix a frame.
-        MappingFailed: too few frames are placed, the recordings share no frame, or too few features are stable.
+        MappingFailed: a walk has fewer than three views, the recordings share no frame, or fewer than 60 features are
+            stable.
         Cancelled: ``progress`` asked to stop.
     """
     options = options or BuildOptions()
@@ -118,6 +119,7 @@ def build_map(
 
 
 def _walk(recording: Recording, extractor: Extractor, options: BuildOptions, progress: ProgressListener) -> _Walk:
+    """Trajectory and views of a recording. Raises MappingFailed, also for fewer than three views."""
     features = FrameFeatures(recording.frames, widened(extractor, recording.camera), options.pictures)
     try:
         trajectory = estimate_trajectory(recording, options.poses, progress, features.show)
@@ -133,6 +135,7 @@ def _walk(recording: Recording, extractor: Extractor, options: BuildOptions, pro
 
 
 def _check_common_frame(walks: Sequence[_Walk]) -> None:
+    """Raise MappingFailed if one of several walks has an arbitrary scale, InvalidInput without any walk."""
     if not walks:
         raise InvalidInput("There is no recording to build a map from.", "Name at least one.")
     if len(walks) > 1 and any(walk.trajectory.scale is Scale.ARBITRARY for walk in walks):
@@ -180,9 +183,7 @@ def _look(
 
 
 def _ranges(walk: _Walk, row: int, features: FeatureSet) -> FloatArray:
-    """Distances (F,) [m] of a frame's features from the camera, by its depth image; NaN where unknown or without a
-    metric scale.
-    """
+    """Distances (F,) [m] of a frame's features by its depth image; NaN where unknown or without a metric scale."""
     depth, camera = walk.recording.depth, walk.trajectory.camera
     image = (
         None
@@ -289,9 +290,7 @@ def _view_covariances(walks: Sequence[_Walk]) -> FloatArray | None:
 
 
 def _second_positions(walks: Sequence[_Walk]) -> FloatArray | None:
-    """Positions (K, 3) float32 of all views in second reconstructions, NaN if a trajectory has none; None if all have
-    none.
-    """
+    """Positions (K, 3) float32 of all views in second reconstructions; NaN where one is missing, None if all are."""
     found = _of_views(walks, lambda trajectory: trajectory.second_positions, (3,))
     return None if found is None else found.astype(np.float32)
 

@@ -51,6 +51,7 @@ def map_statistics(map_: Map) -> MapReport:
 
 
 def _held_out_errors(map_: Map, held_out: Sequence[Frame], progress: ProgressListener) -> HeldOutReport:
+    """Errors of the localizer on evenly chosen held-out frames."""
     localizer = Localizer(map_)
     step = max(1, -(-len(held_out) // _MAX_HELD_OUT))
     frames = held_out[::step]

@@ -50,9 +50,7 @@ class Views(PosedCameras):
         features: Sequence[FeatureSet],
         ranges_m: FloatArray | None = None,
     ) -> Views:
-        """Views from one camera, pose, time and feature set each; ``ranges_m`` (N,) are of all features, None if all
-        unknown.
-        """
+        """Views from a camera, pose, time and feature set each; ``ranges_m`` (N,) of all features, None if unknown."""
         rays = [
             camera.rays(f.pixels) @ T[:3, :3].T for camera, f, T in zip(cameras, features, T_map_camera, strict=True)
         ]
@@ -172,6 +170,7 @@ def _tracks(links: IntArray, view_of: IntArray) -> IntArray:
 
 
 def _without_loners(labels: IntArray) -> IntArray:
+    """Labels (N,) renumbered from 0; those that occur once become -1."""
     _, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
     number = np.where(counts >= 2, np.cumsum(counts >= 2) - 1, -1)
     return np.asarray(number[inverse])

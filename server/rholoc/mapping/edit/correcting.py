@@ -94,7 +94,7 @@ def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool)
         scaled: whether the map takes the plan's scale and becomes metric; heights are scaled, but not shifted.
 
     Raises:
-        InvalidInput: there are too few or too many points, they lie above each other, or the scale is implausible.
+        InvalidInput: fewer than 2 or more than 100 points, points above each other, or a scale outside 1e-4 to 1e4.
         Conflict: the map is not upright.
     """
     if len(points) != len(plan) or not _MIN_PLAN_POINTS <= len(points) <= _MAX_PLAN_POINTS:
@@ -199,6 +199,7 @@ def _moved(
     metric: bool = False,
     residual_m: float | None = None,
 ) -> Map:
+    """The map moved by a similarity, with the correction noted in its history."""
     moved = move_map(map_, similarity)
     info = replace(moved.info, upright=moved.info.upright or upright, metric=moved.info.metric or metric)
     moved = replace(moved, info=info)
@@ -215,6 +216,7 @@ def _moved(
 
 
 def _cut(before: Map, after: Map, kind: CorrectionKind) -> Map:
+    """``after`` as the next version of ``before``, with the numbers of removed landmarks and views noted."""
     removed = replace(
         _correction(before.info, kind),
         landmarks_removed=len(before) - len(after),
@@ -228,6 +230,7 @@ def _correction(info: MapInfo, kind: CorrectionKind) -> Correction:
 
 
 def _upright(map_: Map) -> Map:
+    """The map itself. Raises Conflict if it is not upright."""
     if not map_.info.upright:
         raise Conflict("The map is not upright: z does not point up.", "Correct which direction is up first.")
     return map_

@@ -86,6 +86,7 @@ def keep_views(map_: Map, stays: BoolArray) -> Map:
 
 
 def _recounted(info: MapInfo, view_sources: IntArray) -> tuple[Source, ...]:
+    """The sources with their numbers of views, counted anew from the source (K,) of each view."""
     counts = np.bincount(view_sources, minlength=len(info.sources))
     return tuple(replace(source, views=int(views)) for source, views in zip(info.sources, counts, strict=True))
 

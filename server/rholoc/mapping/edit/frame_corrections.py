@@ -146,6 +146,7 @@ def laid_over(points: FloatArray, plan: FloatArray, scaled: bool) -> tuple[Simil
 
 
 def _sensible(scale: float) -> float:
+    """The scale itself. Raises InvalidInput if it is implausible."""
     if not _SCALES[0] <= scale <= _SCALES[1]:
         raise InvalidInput(f"The map would be stretched by {scale:g}.", "Check the length, which is in metres.")
     return scale

@@ -137,6 +137,7 @@ def _scaled_held_out(report: HeldOutReport, scale: float) -> HeldOutReport:
 
 
 def _recall(report: HeldOutReport, errors_m: tuple[float | None, ...] | None, within_m: float) -> float | None:
+    """Share of held-out frames within ``within_m`` and 5°; None if their errors are not known."""
     if errors_m is None or report.errors_deg is None or not report.frames:
         return None
     pairs = zip(errors_m, report.errors_deg, strict=False)

@@ -182,6 +182,7 @@ def forget_recording(map_: Map, recording: str) -> Map:
 
 
 def _source_row(info: MapInfo, recording: str) -> int:
+    """Row of the source with this id, else with this name. Raises InvalidInput for none or several."""
     rows = [row for row, source in enumerate(info.sources) if source.id == recording]
     rows = rows or [row for row, source in enumerate(info.sources) if source.name == recording]
     sources = ", ".join(f"{source.name} ({source.id})" for source in info.sources)

@@ -73,7 +73,7 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
 
     Raises:
         InvalidInput: the map does not remember its observations.
-        Conflict: there are too few queries.
+        Conflict: fewer than ``MIN_QUERIES`` queries are given, or believed.
         MappingFailed: there is nothing to learn, or the map would be worse; says by how much.
         Cancelled: ``progress`` asked to stop.
     """
@@ -177,8 +177,8 @@ def _sights(localizer: Localizer, placed: Sequence[_Placed]) -> Sights:
 
 
 def _settled(placed: Sequence[_Placed], believed: Sequence[_Placed], again: Sequence[_Placed]) -> list[_Placed]:
-    """Poses of the queries that are believed before or after the map has learned; of both, the one before. Queries
-    whose two poses are more than 25 cm or 10° apart are dropped.
+    """Queries believed before the map has learned, or after (``again``), with the pose from before if they were
+    believed then. Queries whose two poses are more than 25 cm or 10° apart are dropped.
     """
     before, after = ({id(one.query): one for one in some} for some in (believed, again))
     found = []

@@ -171,9 +171,7 @@ def _fit(own: FloatArray, target: FloatArray, fixed_scale: bool) -> tuple[Simila
 def _localize(
     localizer: Localizer, frames: Sequence[tuple[Camera, FeatureSet]], row: int, T: FloatArray, last: int | None
 ) -> None:
-    """Write the pose of frame ``row`` into T (K, 4, 4), if it can be localized near frame ``last`` (None: no prior) or
-    anywhere.
-    """
+    """Write the pose of frame ``row`` into T (K, 4, 4), if found near frame ``last`` (None: no prior) or anywhere."""
     camera, features = frames[row]
     query = Query(features, camera, Dof.FREE)
     if last is not None:
@@ -187,6 +185,7 @@ def _localize(
 
 
 def _enough(found: Found, what: str) -> Found:
+    """``found`` itself. Raises MappingFailed if too few of the tried frames were found."""
     if len(found.rows) < max(MIN_FOUND, _MIN_SHARE * found.tried):
         if 2 * len(found.rows) >= found.tried:
             raise MappingFailed(

@@ -52,9 +52,7 @@ def _seen_by(view: DepthView, vertices: FloatArray, normals: FloatArray) -> tupl
 
 
 def _spread(colours: FloatArray, known: BoolArray, faces: IntArray) -> FloatArray:
-    """Colours (V, 3), changed in place: those not ``known`` (V,) become means of their neighbours', step by step, then
-    smoothed.
-    """
+    """Colours (V, 3), in place: unknown ones become means of their neighbours', step by step, then are smoothed."""
     neighbours = neighbours_of(faces, len(known))
     reached = known.astype(np.float64)
     while (fresh := (reached == 0) & ((count := neighbours @ reached) > 0)).any():

@@ -127,6 +127,7 @@ def _frames_of_views(map_: Map, recording: Recording, source: int) -> dict[int, 
 
 
 def _images(recording: Recording, rows: Mapping[int, int], views: set[int]) -> dict[int, ByteArray]:
+    """Pictures of ``views``, by view; ``rows`` gives each view's row in the recording's frames."""
     by_row: dict[int, list[int]] = {}
     for view in views:
         by_row.setdefault(rows[view], []).append(view)

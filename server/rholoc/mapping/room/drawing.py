@@ -55,6 +55,7 @@ def draw_room(map_: Map, recordings: Sequence[Recording], progress: ProgressList
 
 
 def _room(map_: Map, recording: Recording, source: int) -> Room | None:
+    """Surfaces that one source's views show; None without enough depth."""
     views = depth_views(map_, recording, source, _pairs_of(recording))
     points = sampled_points(views)
     if len(points) < _MIN_POINTS:

@@ -76,6 +76,7 @@ def fused(views: Sequence[DepthView], points: FloatArray, size: float, R_grid_ma
 
 
 def _add(grid: DistanceGrid, view: DepthView) -> None:
+    """Average a view's truncated distances into the grid, weighted by 1 / depth²."""
     R = grid.R_grid_map @ view.T_map_camera[:3, :3]
     centre = grid.R_grid_map @ view.T_map_camera[:3, 3]
     box = _box(grid, view, centre, R)

@@ -122,9 +122,7 @@ def _outermost(mesh: Quads, vertices: FloatArray, normals: FloatArray, angle: fl
 
 
 def _fitted(points: FloatArray, normal: FloatArray) -> tuple[FloatArray, float]:
-    """Normal (2,) and offset of the vertical plane closest to points (N, 3), within 20° of ``normal`` (2,), else that
-    one.
-    """
+    """Normal (2,) and offset of the vertical plane closest to points (N, 3), within 20° of ``normal`` (2,), or that."""
     middle = points[:, :2].mean(axis=0)
     _, _, Vt = np.linalg.svd(points[:, :2] - middle, full_matrices=False)
     own = Vt[1] if Vt[1] @ normal > 0 else -Vt[1]

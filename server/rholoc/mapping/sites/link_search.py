@@ -122,6 +122,7 @@ def _of_pair(progress: ProgressListener, number: int, pairs: int) -> ProgressLis
 
 
 def _search(first: str, second: str, load: Callable[[str], Map], progress: ProgressListener) -> SearchedPair:
+    """Link between two maps, or the reason why none was found."""
     maps = []
     for name in (first, second):
         try:

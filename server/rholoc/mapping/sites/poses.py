@@ -46,6 +46,7 @@ def _given_covariance(one: SiteMap) -> FloatArray:
 
 
 def _with_pose(one: SiteMap, poses: Mapping[str, FloatArray], covariances: Mapping[str, FloatArray]) -> SiteMap:
+    """The map with its given pose, else with that of ``poses``, else without any."""
     if one.given is not None:
         return replace(one, pose=one.given, covariance=_as_rows(_given_covariance(one)))
     if one.map not in poses:
@@ -146,6 +147,7 @@ class _Graph:
 
 
 def _beyond(here: _Placed, link: SiteLink, there: str) -> _Placed:
+    """Pose and variances of the map ``there``, from ``here`` over a link."""
     step = link.pose.matrix if link.second == there else Pose(link.pose.matrix).inverse()
     return _Placed(
         here.T @ step,

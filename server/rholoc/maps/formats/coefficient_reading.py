@@ -162,6 +162,7 @@ def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[in
 
 
 def _add(name: str, row: int, header: _Header, values: list[str], features: dict[int, _Feature]) -> None:
+    """Add a row's descriptor and density to its feature. Raises InvalidMap if it contradicts earlier rows."""
     first = header.first_after
     domain_end = first + 1 + len(header.form.domain_columns)
     domain_texts, place_texts = tuple(values[first + 1 : domain_end]), tuple(values[domain_end:-6])
@@ -196,6 +197,7 @@ def _add(name: str, row: int, header: _Header, values: list[str], features: dict
 
 
 def _descriptor(name: str, row: int, text: str) -> tuple[int, bytes]:
+    """Channel and descriptor from hexadecimal digits. Raises InvalidMap."""
     try:
         data = bytes.fromhex(text)
     except ValueError:

@@ -132,6 +132,7 @@ def _feature(one: NamedPoint | NamedArea, geometry: dict[str, Any]) -> dict[str,
 
 
 def _coordinates(position: tuple[float, float, float], earth: SiteOnEarth | None) -> list[float]:
+    """Longitude, latitude [°] and height [m]; without ``earth`` the position itself [m]."""
     if earth is None:
         return [round(value, _MILLIMETRES) for value in position]
     place = earth.place(np.array(position))
@@ -164,6 +165,7 @@ def _metres(position: object, earth: SiteOnEarth | None, what: str) -> tuple[flo
 
 
 def _in_frame(values: list[float], earth: SiteOnEarth) -> FloatArray:
+    """Position (3,) [m] in the map or site's frame, of longitude, latitude [°] and perhaps height [m]."""
     height_m = values[2] if len(values) > 2 else earth.height_m
     return np.asarray(earth.R_enu_site.T @ enu_of(EarthPlace(values[1], values[0], height_m), earth.origin))
 
@@ -180,9 +182,7 @@ def _ring(geometry: Mapping[str, Any], what: str) -> list[Any]:
 
 
 def _properties(feature: Mapping[str, Any]) -> tuple[str, str, dict[str, FieldValue]]:
-    """Name, kind (empty if there is none) and fields of a feature; properties that are lists or objects are
-    left out.
-    """
+    """Name, kind (empty if there is none) and fields of a feature; properties that are lists or objects are ignored."""
     properties = feature.get("properties") or {}
     kind_key = "kind" if "kind" in properties else "category"
     fields = {
@@ -209,4 +209,5 @@ def _is_position(value: object) -> TypeGuard[list[float]]:
 
 
 def _refuse(text: str) -> float:
+    """Raise ValueError: for a number such as NaN."""
     raise ValueError(text)

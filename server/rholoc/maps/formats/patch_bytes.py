@@ -15,9 +15,7 @@ _UNKNOWN = -128
 
 
 def packed_patches(patches: FloatArray) -> NDArray[np.int8]:
-    """Patches (F, 3), metres, NaN if unknown → (F, 3) int8: a point on the octahedron and 8 log₂ length; -128 if
-    unknown or 0.
-    """
+    """Patches (F, 3) [m] → (F, 3) int8: a point on the octahedron and 8 log₂ length; NaN and 0 become -128."""
     vectors = patches.astype(np.float64)
     lengths = np.linalg.norm(vectors, axis=1)
     known = np.isfinite(lengths) & (lengths > 0)

@@ -145,6 +145,7 @@ def packed_yaml(path: Path) -> bytes:
 
 
 def _on_earth(content: bytes, plan: FloorPlan, earth: SiteOnEarth) -> FloorPlan:
+    """The plan with its pose, by the GeoJSON's south-western corner. Raises InvalidInput if it is not in WGS 84."""
     positions = np.array(list(positions_of(read_geojson(content))))
     if len(positions) == 0 or not (np.abs(positions) <= (180, 90)).all():
         raise InvalidInput("The floor plan has no longitude and latitude.", "Send lines or areas of WGS 84.")
@@ -155,6 +156,7 @@ def _on_earth(content: bytes, plan: FloorPlan, earth: SiteOnEarth) -> FloorPlan:
 
 
 def _opened(content: bytes) -> zipfile.ZipFile:
+    """The archive. Raises InvalidInput if it is damaged or too large."""
     if content.count(_ENTRY) > _MAX_FILES:  # before they are parsed, which takes much memory
         raise InvalidInput(f"The archive holds more than {_MAX_FILES} files.", "Pack the plan alone.")
     try:
@@ -174,6 +176,7 @@ def _names(archive: zipfile.ZipFile) -> list[str]:
 
 
 def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
+    """Content of a file in the archive. Raises InvalidInput if it is damaged or longer than ``max_bytes``."""
     try:
         with archive.open(name) as file:
             content = file.read(max_bytes + 1)
@@ -185,9 +188,7 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
 
 
 def _settings(text: bytes) -> dict[str, Any]:
-    """Settings of ``map_server``: ``image``, ``origin`` (x, y, yaw [rad]) and ``resolution`` [m per pixel]. Raises
-    InvalidInput.
-    """
+    """``image``, ``origin`` (x, y, yaw [rad]), ``resolution`` [m per pixel] of ``map_server``. Raises InvalidInput."""
     try:
         settings = yaml.safe_load(text)
         x, y, yaw = (float(value) for value in settings["origin"])

@@ -448,6 +448,7 @@ def _views_of(offsets: IntArray, views: int, observations: int) -> IntArray:
 
 
 def _packed_pixels(map_: Map, pixels: FloatArray) -> IntArray:
+    """Pixels (N, 2) of all observations, packed by their sources' cameras."""
     assert map_.views.sources is not None
     packed = np.zeros(pixels.shape, dtype=np.uint16)
     sources = map_.views.sources[map_.observations.views]

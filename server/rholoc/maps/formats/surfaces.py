@@ -50,6 +50,7 @@ def map_surfaces_vtp(map_: Map, features: Sequence[int]) -> bytes:
 
 
 def _checked(map_: Map, features: Sequence[int]) -> IntArray:
+    """The features, sorted and unique. Raises InvalidInput for none, too many or unknown ones."""
     chosen = np.unique(np.asarray(features, dtype=np.int64))
     if len(chosen) == 0:
         raise InvalidInput("No feature was chosen.", "Give the numbers of some.")

@@ -161,9 +161,7 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
 
 
 def number_in_name(path: Path) -> int | None:
-    """The last digits of a file's name, without suffix, as a number; None for none, over 25 digits, or beyond
-    64 bits.
-    """
+    """The last digits of a file's name, without suffix, as a number; None for none, over 25 digits, or over 64 bits."""
     match = _LAST_DIGITS.search(path.stem)
     number = int(match[1]) if match and len(match[1]) <= _MAX_DIGITS else -1
     return number if 0 <= number <= _MAX_FRAME_NUMBER else None

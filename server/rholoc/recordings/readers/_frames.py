@@ -70,7 +70,7 @@ def timed_images(paths: Sequence[Path], times: FloatArray, cameras: Sequence[Cam
         cameras: each image's camera; None if the intrinsics are unknown.
 
     Raises:
-        InvalidRecording: an image is missing or broken, or too many times do not increase.
+        InvalidRecording: an image is missing or broken, or more than 5 % of the times do not increase.
         InvalidCamera: a camera has another aspect ratio than its image.
     """
     rows, warnings = advancing_rows(times, "frames")
@@ -117,9 +117,7 @@ def depth_images(
     unknown: tuple[int, ...] = (0,),
     camera: Camera | None = None,
 ) -> DepthImages | None:
-    """:class:`DepthImages` of one file per frame, with its attributes; missing files become None. None if all are
-    missing.
-    """
+    """Depth images of one file per frame, see :class:`DepthImages`; missing files become None. None if all are."""
     found = tuple(path if path is not None and path.is_file() else None for path in paths)
     return DepthImages(found, unit_m, unknown, camera) if any(found) else None
 

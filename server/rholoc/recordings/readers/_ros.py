@@ -108,6 +108,7 @@ class Mounting:
 
 
 def pose_of(message: Any, topic: str) -> FloatArray:
+    """Pose (4, 4) in a message with a transform or a pose, with covariance or without."""
     if hasattr(message, "transform"):
         return _pose(message.transform.translation, message.transform.rotation, topic)
     pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose

@@ -58,9 +58,7 @@ def _described(top: str, paths: list[PurePath]) -> str:
 
 
 def _is_known(path: PurePath, tables: tuple[str, ...]) -> bool:
-    """Whether a path is hidden or matches a pattern (lower-case glob) of ``tables``, or of those that every reader
-    knows.
-    """
+    """Whether a path is hidden or matches a pattern (lower-case glob) of ``tables``, or one that all readers know."""
     name = path.as_posix().lower()
     hidden = any(part.startswith(".") for part in path.parts)
     return hidden or any(fnmatchcase(name, pattern) for pattern in (*_ALWAYS, *tables))

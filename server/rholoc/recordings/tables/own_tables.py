@@ -163,6 +163,7 @@ def parse_length(text: str, numbers: IntArray) -> KnownLength:
 
 
 def _checked(first: float, second: float, length_m: float, numbers: IntArray, what: str) -> KnownLength:
+    """Known length between the frames ``first`` and ``second``, among ``numbers`` (N,). Raises InvalidRecording."""
     for number in (first, second):
         if not np.any(numbers == number):
             raise InvalidRecording(

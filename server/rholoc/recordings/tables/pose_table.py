@@ -110,6 +110,7 @@ def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
 
 
 def _half_interval(times: FloatArray) -> float:
+    """Half the median interval of times (N,) [s]; ``_LONE_FRAME_TOLERANCE_S`` for one time."""
     return float(np.median(np.diff(times))) / 2 if len(times) > 1 else _LONE_FRAME_TOLERANCE_S
 
 

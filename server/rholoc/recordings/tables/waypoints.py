@@ -183,6 +183,7 @@ def _sigma_m(row: dict[str, str], line: int, path: Path) -> float:
 
 
 def _time_of_frame(name: str, number: float, frames: FrameSource) -> float:
+    """Time [s] of the frame with this number. Raises InvalidWaypoints."""
     rows = np.flatnonzero(frames.numbers == number)
     if len(rows) == 0:
         raise InvalidWaypoints(

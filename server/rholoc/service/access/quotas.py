@@ -199,6 +199,7 @@ class Quotas:
         return _Present(frozenset(self._library.names()), recordings | uploads.keys(), jobs)
 
     def _usage(self, held: Sequence[Holding], present: _Present) -> Usage:
+        """Maps, bytes of maps and recordings, and unfinished jobs among holdings."""
         stored = sum(one.size_bytes for one in held if one.kind is Kind.RECORDING)
         stored += sum(self._map_bytes(one.name) for one in held if one.kind is Kind.MAP)
         return Usage(len(_maps(held, present)), stored, sum(one.kind is Kind.JOB for one in held))
@@ -211,6 +212,7 @@ class Quotas:
 
 
 def _limited(keys: Sequence[ApiKey]) -> list[ApiKey]:
+    """The keys that have any quota."""
     return [key for key in keys if key.limits.quotas]
 
 
@@ -222,6 +224,7 @@ def _maps(held: Sequence[Holding], present: _Present) -> set[str]:
 
 
 def _check(what: str, wanted: int, most: int | None, used: int, name: str) -> None:
+    """Raise QuotaExceeded if ``wanted`` exceeds the limit ``most`` of the key ``name``; None is no limit."""
     if most is not None and wanted > most:
         raise QuotaExceeded(
             f"The key {name} may have {most} {what}, and has {used}.",

@@ -58,9 +58,7 @@ def note_client(request_scope: RequestScope, name: str) -> None:
 
 
 def client_of(request_scope: RequestScope) -> str:
-    """A request's client: the name of its root key, or its address if no key is needed; empty if the route is open to
-    everyone.
-    """
+    """A request's client: its root key's name, or its address if no key is needed; empty if the route is open."""
     return str(request_scope.get("state", {}).get(_CLIENT, ""))
 
 
@@ -178,9 +176,7 @@ def route_access(routes: Sequence[BaseRoute]) -> list[RouteAccess]:
 
 
 def find_route(routes: Sequence[RouteAccess], request_scope: RequestScope) -> FoundRoute:
-    """The first route for a request's path and method, recorded in its state for :func:`found_route`; else the path's
-    methods.
-    """
+    """The first route for a request's path and method, recorded for :func:`found_route`; else the path's methods."""
     methods: frozenset[str] = frozenset()
     for route in routes:
         match, _ = route.context.matches(request_scope)

@@ -130,9 +130,7 @@ class Answerer:
         return answer
 
     async def places(self, frame: Frame, maps: MapChoice, clock: Stopwatch, most: int) -> PlacesOut:
-        """The views of maps that a frame resembles most, at most ``most``, best first. Raises the errors of
-        :meth:`localize`.
-        """
+        """The views that a frame resembles most, at most ``most``, best first. Raises errors of :meth:`localize`."""
         await self.check_known(maps.names if maps.named else ())
         return await self._compute(
             lambda localizers: likeliest_places(frame, maps, localizers, self.settings, clock, most),

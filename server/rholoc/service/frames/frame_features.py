@@ -35,7 +35,7 @@ class FrameFeatures:
 
     @lazy
     def image(self) -> ByteArray | None:
-        """The picture (H, W, 3) BGR, decoded on first use; None if features were sent. Raises InvalidImage,
+        """The picture (H, W, 3) BGR, decoded once; None if features were sent instead. Raises InvalidImage,
         DeadlineExceeded.
         """
         if self._frame.image is None:
@@ -80,9 +80,7 @@ class FrameFeatures:
         return self.by(extractor.quick)
 
     def more_by(self, extractor: Extractor) -> Callable[[], FeatureSet] | None:
-        """Function that extracts the full set of features; None if features were sent or the extractor is its own quick
-        variant.
-        """
+        """Function that extracts all features; None if features were sent or the extractor is its own quick variant."""
         image = self.image
         if image is None or extractor.quick is extractor:
             return None

@@ -20,9 +20,7 @@ class LocalizerSource(Protocol):
     """Source of localizers for one request."""
 
     def get(self, name: str) -> AnyLocalizer:
-        """The localizer of the current map of that name. Raises InvalidName, UnknownMap, InvalidMap,
-        MapNotHereError.
-        """
+        """The localizer of the current map of a name. Raises InvalidName, UnknownMap, InvalidMap, MapNotHereError."""
         ...
 
 

@@ -225,6 +225,7 @@ def _angles(given: list[float | None] | None, n: int) -> FloatArray:
 
 
 def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteArray:
+    """Descriptors (N, D) of hexadecimal strings, or one base64 string. Raises InvalidDescriptors."""
     length = extractor.descriptor_bytes
     hint = f"This map takes '{extractor.name}' features: {length} bytes each, as hex strings or one base64 string."
     if isinstance(given, str):
@@ -249,6 +250,7 @@ def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteAr
 
 
 def _channels(given: list[int | str] | None, n: int, extractor: Extractor) -> ByteArray:
+    """Channels (N,) of numbers or names; None if there is only one. Raises InvalidDescriptors."""
     names = ", ".join(f"{channel.value} {channel.name}" for channel in extractor.channels)
     hint = f"This map's '{extractor.name}' features come from the channels {names}."
     if given is None:

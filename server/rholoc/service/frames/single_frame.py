@@ -130,6 +130,7 @@ def _looking_twice(
 
 
 def _rank(found: Localization) -> tuple[bool, float]:
+    """Key by which the answers of several maps are compared; the greatest is best."""
     return found.localized, found.recognized
 
 

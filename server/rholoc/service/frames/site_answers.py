@@ -54,6 +54,7 @@ def on_earth(
 
 
 def _in_site(answer: LocalizationOut, sites: SiteLibrary, asked: str | None) -> _InSite | None:
+    """The answer's pose in the site ``asked``, else in its map's first; None if answer or map has no pose there."""
     name = asked or sites.site_of(answer.map)
     if answer.pose is None or name is None:
         return None

@@ -51,15 +51,18 @@ class PatientProtocol(H11Protocol):
             self._make_room()
 
     def pause_writing(self) -> None:
+        """Also schedule an abort, unless the client reads again within ``stalled_reader_s``."""
         super().pause_writing()
         if self._breaking_off is None:
             self._breaking_off = self.loop.call_later(self.stalled_reader_s, self.transport.abort)
 
     def resume_writing(self) -> None:
+        """Also cancel the scheduled abort."""
         super().resume_writing()
         self._stop_breaking_off()
 
     def _stop_breaking_off(self) -> None:
+        """Cancel the abort that awaits a client that does not read."""
         if self._breaking_off is not None:
             self._breaking_off.cancel()
             self._breaking_off = None
@@ -69,6 +72,7 @@ class PatientProtocol(H11Protocol):
         self._waiting_since_s = self.loop.time()
 
     def _make_room(self) -> None:
+        """Close the connection that has been idle longest; if none is idle, mark this one as beyond the limit."""
         others = [one for one in self.connections if isinstance(one, PatientProtocol) and one is not self]
         now_s = self.loop.time()
         idle = [one for one in others if one._is_idle and now_s - one._waiting_since_s > _YOUNG_S]
@@ -86,10 +90,12 @@ class PatientProtocol(H11Protocol):
         return self.cycle is None or self.cycle.response_complete
 
     def _replace(self, other: PatientProtocol) -> None:
+        """Close another connection to make room for this one."""
         self.connections.discard(other)  # now: many may arrive before its connection_lost is called
         other.transport.close()
 
     def data_received(self, data: bytes) -> None:
+        """Also watch the head's timeout; what is left of a refused body is read slowly, and dropped."""
         super().data_received(data)
         self._watch_head()
         answered = self.cycle is not None and self.cycle.response_complete
@@ -110,6 +116,7 @@ class PatientProtocol(H11Protocol):
             self._giving_up = self.loop.call_later(self.head_timeout_s, self._give_up)
 
     def _give_up(self) -> None:
+        """Close the connection if a request's head is still awaited."""
         self._giving_up = None
         if self.conn.their_state is h11.IDLE and self.transport is not None:
             self.transport.close()
@@ -121,9 +128,7 @@ class PatientProtocol(H11Protocol):
 
 
 def protocol_of(max_connections: int, stalled_reader_s: float = _STALLED_READER_S) -> type[PatientProtocol]:
-    """A protocol class that accepts ``max_connections``, and aborts one whose client does not read for
-    ``stalled_reader_s``.
-    """
+    """A protocol class for ``max_connections`` that aborts one whose client reads nothing for ``stalled_reader_s``."""
     limits = {"max_connections": max_connections, "stalled_reader_s": stalled_reader_s}
     return type("PatientProtocol", (PatientProtocol,), limits)
 

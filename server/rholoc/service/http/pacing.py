@@ -86,6 +86,7 @@ class FramesFirst:
 
 
 def _gives_way(scope: Scope) -> bool:
+    """Whether a request's route needs another scope than localizing."""
     route = found_route(scope)
     access = None if route is None else route.access
     return access is not None and access.scope not in (None, KeyScope.LOCALIZE)

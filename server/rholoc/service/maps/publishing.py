@@ -59,9 +59,7 @@ def _check_features(map_: Map) -> None:
 
 
 def _rehearse(map_: Map, name: str, size_bytes: int, min_recognized: float) -> None:
-    """Try the operations of later requests on a map, to refuse a map that would fail. Raises InvalidMap: an operation
-    failed.
-    """
+    """Try the operations of later requests on a map. Raises InvalidMap: one failed, and the map must be refused."""
     check_usable(map_)
     try:
         detail_of(name, map_, size_bytes, None).model_dump_json()

@@ -72,7 +72,7 @@ class Renderings:
         Raises:
             InvalidName, UnknownMap, InvalidMap: there is no such map, or it cannot be read.
             StorageFull: the disk is full.
-            Busy: too many others are waiting, or the process that draws was killed.
+            Busy: 200 renderings are waiting, or the process that draws was killed.
         """
         files = self._threads.files
         etag = await files(self.etag, name, kind)

@@ -42,9 +42,7 @@ class Certificate:
 
 
 def addresses() -> tuple[str, ...]:
-    """The addresses under which other devices may reach this machine, the likeliest first, none of them local; sends
-    nothing.
-    """
+    """Addresses under which other devices may reach this machine, the likeliest first, none local; sends nothing."""
     found: list[str] = []
     for target, family in _PROBED_ADDRESSES:
         with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:

@@ -142,6 +142,7 @@ async def localize_here(site: Visited, request: Request, service: Service, optio
 
 
 def _room(member: SiteMap, map_: Map) -> HereRoomOut:
+    """A placed map and its walks, in the site's frame."""
     T = _matrix(member)
     walks = [map_.views.positions[rows].astype(np.float64) for rows in map_.views.by_walk]
     return HereRoomOut(
@@ -163,6 +164,7 @@ def _thinned(positions: FloatArray) -> FloatArray:
 
 
 def _points(member: SiteMap, map_: Map) -> list[HerePointOut]:
+    """Named points, and areas at their middle and the views' median height, in the site's frame."""
     T, names = _matrix(member), map_.info.names
     height = float(np.median(map_.views.positions[:, 2])) if len(map_.views) else 0.0
     places = [(point.name, np.array(point.position)) for point in names.points]
@@ -179,6 +181,7 @@ def _matrix(member: SiteMap) -> FloatArray:
 
 
 def _here(answer: LocalizationOut) -> HerePoseOut:
+    """The pose in the site, or a text on why there is none."""
     found, why = answer.site, answer.diagnosis
     if found is None:
         unplaced = None if answer.pose is None else "This room has no place on the plan yet."

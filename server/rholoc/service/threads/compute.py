@@ -114,6 +114,7 @@ class ComputePool:
         return any(own.per_result_s > _COSTLY_RATIO * other.per_result_s for other in others)
 
     def _note(self, client: str, cost_s: float, is_useful: bool) -> None:
+        """Update the moving averages of a client's cost and usefulness."""
         now_s, before = time.monotonic(), self._costs.get(client, _Cost(cost_s, float(is_useful), 0.0))
         if client not in self._costs and len(self._costs) >= _MAX_CLIENTS:
             self._costs = {name: one for name, one in self._costs.items() if now_s - one.last_s < _ACTIVE_S}
@@ -195,6 +196,7 @@ class _Lane:
             raise self._busy()
 
     async def run(self, work: Callable[[], _T], client: str) -> tuple[_T, float]:
+        """The result of ``work()`` and its core time [s]. Raises Busy."""
         self.check_room(client)
         greediest = self._greediest(client) if self.full else None
         if greediest is not None:

@@ -36,9 +36,7 @@ class StorageThreads:
         self._overdue = 0
 
     async def __call__(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """The result of ``call(*args, **kwargs)``. Raises StorageUnavailable: it took too long; what it does may still
-        be done.
-        """
+        """The result of ``call(*args, **kwargs)``. Raises StorageUnavailable after too long; the call may go on."""
         if self._overdue >= self._threads:
             raise _unavailable()
         context = contextvars.copy_context()

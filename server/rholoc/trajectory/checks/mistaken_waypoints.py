@@ -59,9 +59,7 @@ def compare_unused(measured: FloatArray, estimated: FloatArray, covariance: Floa
 
 
 def explain(name: str, off_m: FloatArray) -> str:
-    """One line on the mistaken waypoint ``name``, off by (3,) [m]; names the coordinate if 90 % of the error is along
-    one.
-    """
+    """One line on the mistaken waypoint ``name``, off by (3,) [m]; names a coordinate that has 90 % of the error."""
     size = float(np.linalg.norm(off_m))
     axis = int(np.argmax(np.abs(off_m)))
     if abs(off_m[axis]) >= _ONE_AXIS * size:

@@ -137,6 +137,7 @@ def _check_enough_near(waypoints: Sequence[Waypoint], near: BoolArray) -> None:
 
 
 def _fit(own: FloatArray, measured: FloatArray, up: UpMeasurement | None) -> Similarity:
+    """Least-squares similarity from ``own`` (W, 3) to ``measured`` (W, 3), robust for many points; ``up`` becomes z."""
     start = umeyama(own, measured)
     if not np.isfinite(start.scale) or start.scale <= 0:
         raise MappingFailed("The camera did not move between the waypoints.", "Check the waypoints' times.")

@@ -97,6 +97,7 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
 
 
 def _fit(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
+    """Calibration with a small time offset, or with a large one if that fits clearly better; None if neither fits."""
     near = _fit_within(_NARROW_OFFSETS_S, times, R_world_camera, imu)
     if near is None or near.residual_deg <= _USUAL_RESIDUAL_DEG:
         return near
@@ -144,7 +145,9 @@ def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArr
 
 
 def _turns(slerp: Slerp, t: FloatArray, offsets: FloatArray) -> Iterator[FloatArray]:
-    """For each of the time offsets, the rotation vectors (N - 1, 3) between orientations at the times ``t`` (N,)."""
+    """For each time offset, the rotation vectors (N - 1, 3) [rad] from each orientation at ``t`` (N,) + offset to the
+    next.
+    """
     for batch in np.array_split(offsets, min(len(offsets), math.ceil(len(offsets) * len(t) / _MAX_AT_ONCE))):
         turned = slerp((batch[:, None] + t).ravel())
         vectors = np.zeros((len(batch) * len(t), 3))
@@ -187,8 +190,6 @@ def _time_sigma_s(imu: Imu, t: FloatArray, sigma: float) -> float:
 
 
 def _mounting_sigma_deg(camera: FloatArray, sigma: float) -> float:
-    """Standard deviation of Wahba's rotation in its weakest axis [deg], from rotation vectors (N, 3) of ``sigma``
-    [rad].
-    """
+    """Standard deviation [°] of Wahba's rotation in its weakest axis, from rotation vectors (N, 3), ``sigma`` [rad]."""
     information = np.sum(camera**2) * np.eye(3) - camera.T @ camera
     return float(np.degrees(sigma / np.sqrt(max(float(np.linalg.eigvalsh(information)[0]), 1e-12))))

@@ -137,9 +137,7 @@ def _best_pairs(pairs: Sequence[VerifiedPair], count: int) -> list[VerifiedPair]
 
 
 def _model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolmap.Camera, list[FloatArray]]:
-    """An ideal camera for pycolmap in place of a calibrated one, and the features' pixels (F, 2) of each picture in
-    it.
-    """
+    """An ideal camera for pycolmap in place of a calibrated one, and the pixels (F, 2) of each picture in it."""
     rays = [camera.rays(some) for some in pixels]
     if camera.lens is not Lens.PINHOLE:
         return sphere_camera(_CAMERA), [on_sphere(some) for some in rays]

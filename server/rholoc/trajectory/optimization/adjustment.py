@@ -138,6 +138,7 @@ def adjust(
 
 
 def _with_points_settled(values: gtsam.Values, problem: Problem, state: State, used: BoolArray) -> gtsam.Values:
+    """The values with every point of a used sighting moved to its least reprojection error."""
     moved = _state_of(values, problem, state, used)
     sightings = problem.observations.at(used)
     points = settled(moved.points, sightings, moved, problem.pixel_sigma_px)
@@ -174,6 +175,7 @@ def _state_of(values: gtsam.Values, problem: Problem, state: State, used: BoolAr
 
 
 def _from_gtsam(model: gtsam.Cal3DS2, camera: Camera) -> Camera:
+    """The ``camera`` with gtsam's intrinsics. Raises MappingFailed if they are impossible."""
     fx, fy, _, cx, cy, k1, k2, p1, p2 = (float(value) for value in model.vector())
     try:
         return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=(k1, k2, p1, p2))

@@ -113,9 +113,7 @@ def _add_steps(graph: gtsam.NonlinearFactorGraph, steps: Sequence[Step]) -> None
 
 
 def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: State, used: BoolArray) -> bool:
-    """Add measured distances from keyframes to points to ``graph``, about 40 per keyframe. Returns whether there are
-    any.
-    """
+    """Add measured distances from keyframes to points to ``graph``, about 40 per keyframe. Returns whether any."""
     seen = problem.observations
     if problem.depth_sigma is None or seen.depths is None:
         return False

@@ -108,9 +108,7 @@ def loop_pose(pair: VerifiedPair, placed: PlacedFeatures) -> RelativePose | None
 
 
 def _seen_by(placed: PlacedFeatures, first: int, second: int, matches: IntArray) -> tuple[RelativePose | None, int]:
-    """The second keyframe's pose in the first's frame by resection, and its inliers; None, 0 below nine known
-    points.
-    """
+    """The second keyframe's pose in the first's frame by resection, and its inliers; None, 0 for under nine points."""
     points = placed.labels[first][matches[:, 0]]
     known = placed.known[points]
     if known.sum() < _MIN_AGREEING:

@@ -12,8 +12,8 @@ _SETTLING_STEPS = 6
 
 
 def triangulate(observations: Observations, state: State) -> tuple[FloatArray, FloatArray]:
-    """Points (M, 3) nearest to the rays of their sightings, and twice the largest angle (M,) of a ray to their mean
-    [deg].
+    """Points (M, 3) nearest to the rays of their sightings, and twice each one's largest angle [°] of a ray to the
+    mean.
     """
     rays = np.einsum("nij,nj->ni", state.R_map_camera[observations.keyframes], state.camera.rays(observations.pixels))
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
@@ -32,9 +32,7 @@ def triangulate(observations: Observations, state: State) -> tuple[FloatArray, F
 
 
 def residuals_px(observations: Observations, state: State, points: FloatArray | None = None) -> FloatArray:
-    """Reprojection errors (N,) of the sightings [px] with ``points`` (M, 3) or the state's; infinite behind the
-    camera.
-    """
+    """Reprojection errors (N,) of the sightings [px], with ``points`` (M, 3) or the state's; inf behind the camera."""
     points = state.points if points is None else points
     R_map_plane, measured = _image_planes(observations, state)
     seen = np.einsum("nji,nj->ni", R_map_plane, points[observations.tracks] - state.positions[observations.keyframes])

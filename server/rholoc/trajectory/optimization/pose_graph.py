@@ -75,6 +75,7 @@ def bend(state: State, loops: Sequence[RelativePose], fixes: Sequence[Fix] = ())
 
 
 def _step_noise(T_map_camera: FloatArray, step: FloatArray) -> gtsam.noiseModel.Base:
+    """Noise of a step between neighbours: rotation with a small tilt and a large heading, position by its length."""
     vertical = T_map_camera[2, :3]  # the map's z axis in the camera's axes
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = _TILT_SIGMA_RAD**2 * np.eye(3) + _HEADING_SIGMA_RAD**2 * np.outer(vertical, vertical)
@@ -84,6 +85,7 @@ def _step_noise(T_map_camera: FloatArray, step: FloatArray) -> gtsam.noiseModel.
 
 
 def _bent(state: State, T: FloatArray) -> State:
+    """The state with poses T (K, 4, 4), and velocities turned like the cameras."""
     inertial = state.inertial
     if inertial is not None:
         turned = T[:, :3, :3] @ np.swapaxes(state.R_map_camera, 1, 2)

@@ -69,6 +69,7 @@ def known_points(observations: Observations, members: IntArray, state: State) ->
 def _resected(
     observations: Observations, k: int, points: FloatArray, known: BoolArray, state: State
 ) -> FloatArray | None:
+    """Pose T_map_camera (4, 4) of picture ``k`` by the known points that it sees; None if too few agree."""
     rows = np.flatnonzero(observations.keyframes == k)
     rows = rows[known[observations.tracks[rows]]]
     if len(rows) < _MIN_POINTS:

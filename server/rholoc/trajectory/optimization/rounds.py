@@ -61,6 +61,7 @@ def adjusted_in_rounds(
 
 
 def _cleaned(problem: Problem, observations: Observations, off_px: FloatArray) -> Problem:
+    """The problem without outliers, its pixel noise estimated from the reprojection errors ``off_px`` (N,)."""
     typical = float(np.median(off_px[np.isfinite(off_px)]))
     kept = observations.take(off_px <= max(MIN_PX, OUTLIER * typical))
     sigma = max(_MIN_PIXEL_SIGMA_PX, _MEDIAN_TO_SIGMA * typical)

@@ -198,6 +198,7 @@ def _try_join(
     pairs: Sequence[VerifiedPair],
     rays: Sequence[FloatArray],
 ) -> Start | None:
+    """Both starts in the frame of ``one``; None if they share too little, or pairs of pictures contradict the join."""
     known = [known_points(observations, members, state) for state, members in (one, other)]
     similarity = _by_common_picture(one, other, observations, known)
     has_common = similarity is not None
@@ -325,7 +326,7 @@ def _first_sightings(observations: Observations, members: IntArray) -> Observati
 
 
 def _known(part: Start, tracks: IntArray, first: Observations, points: FloatArray, known: BoolArray) -> _Shared:
-    """The points ``tracks`` (M,) of all ``points``, which a part knows or not, by its first sightings."""
+    """The points ``tracks`` (M,) as a part knows them: ``points`` (P, 3) if ``known`` (P,), and ``first`` sightings."""
     state, members = part
     seen = first.at(np.searchsorted(first.tracks, tracks))
     k = np.searchsorted(members, seen.keyframes)

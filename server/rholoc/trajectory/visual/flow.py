@@ -165,6 +165,7 @@ def _looked_at(frames: FrameSource, breadth: float = 1.0) -> Iterator[_Seen]:
 
 
 def _look(image: ByteArray, breadth: float = 1.0) -> _Seen:
+    """The image, a reduced grey one, factors (2,) from that to the image's pixels, and sharpness."""
     gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, dtype=np.uint8)
     small = _reduced(gray, round(_LONGER_SIDE_PX * breadth))
     factor = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
@@ -206,9 +207,7 @@ def _flow(
     levels: int,
     stop: tuple[int, int, float],
 ) -> tuple[FloatArray, BoolArray]:
-    """New positions (K, 2) of corners (K, 2), and a mask (K,) of those found. ``guess`` (K, 2) is where the search
-    starts.
-    """
+    """New positions (K, 2) of corners (K, 2), searched from ``guess`` (K, 2), and a mask (K,) of those found."""
     flags = 0 if guess is None else cv2.OPTFLOW_USE_INITIAL_FLOW
     start = None if guess is None else guess.reshape(-1, 1, 2).copy()
     moved, found, _ = cv2.calcOpticalFlowPyrLK(

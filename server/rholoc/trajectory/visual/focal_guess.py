@@ -207,6 +207,7 @@ def _epipolar_misfit(first: Camera, second: Camera, matched: Sequence[tuple[Floa
 
 
 def _shared_focal(a: FloatArray, b: FloatArray) -> tuple[float, int]:
+    """Focal length [px] by the six-point solver, and its inliers, of matches (M, 2) about the principal point."""
     options = {"max_epipolar_error": _TOLERANCE_PX, "max_iterations": 200, "seed": 1}
     pair, info = poselib.estimate_shared_focal_relative_pose(a, b, np.zeros(2), options, {})
     return float(pair.camera1.focal()), int(np.sum(info["inliers"]))

@@ -31,6 +31,7 @@ def shifts(pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray]) -> FloatAr
 
 
 def _shift(pair: VerifiedPair, rays: Sequence[FloatArray]) -> float:
+    """Median residual [rad] of a pair's matches under their best rotation, fitted to the better half."""
     first, second = (rays[keyframe][pair.matches[:, side]] for side, keyframe in enumerate((pair.first, pair.second)))
     fitted = np.ones(len(first), dtype=np.bool_)
     for _ in range(_FITS):

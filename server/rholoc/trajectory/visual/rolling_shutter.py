@@ -61,9 +61,7 @@ def measure_rolling_shutter(flow: Flow, rows: IntArray, readout_s: float) -> Rol
 
 
 def _affine(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Robust affine displacement (2, 3) of (u, v, 1), from points (N, 2) and their new positions (N, 2); 0 for fewer
-    than 12.
-    """
+    """Robust affine displacement (2, 3) of (u, v, 1), from points (N, 2) to their new positions (N, 2); 0 if N < 12."""
     middle, moved = (start + end) / 2, end - start
     A = np.column_stack([middle, np.ones(len(middle))])
     good = np.ones(len(middle), dtype=np.bool_)

@@ -22,9 +22,7 @@ _TIMES, _OLDER_TIMES = "_timestamps.csv", "_imu_timestamps.csv"
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there are tables of a gyroscope and, beside it, of an accelerometer, by their names, with four columns
-    each.
-    """
+    """Whether there are tables of a gyroscope and, beside it, an accelerometer, by name, with four columns each."""
     gyroscope = _find(folder, _GYROSCOPE)
     if gyroscope is None:
         return False

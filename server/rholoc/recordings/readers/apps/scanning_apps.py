@@ -121,6 +121,7 @@ def _depth_camera(depths: Sequence[Path | None], camera: Camera) -> Camera | Non
 
 
 def _scanner_app(folder: Path) -> list[_Shot]:
+    """Pictures of a 3D Scanner App export. Raises InvalidRecording, InvalidCamera, InvalidTrajectory."""
     shots = []
     for picture in _pictures(folder, "frame_*.jpg"):
         values, source = _members(picture.with_suffix(".json")), f"{picture.stem}.json"
@@ -139,6 +140,7 @@ def _is_scanner_app(folder: Path) -> bool:
 
 
 def _polycam(folder: Path) -> list[_Shot]:
+    """Pictures of a Polycam export. Raises InvalidRecording, InvalidCamera, InvalidTrajectory."""
     keyframes, shots = folder / "keyframes", []
     kind = "corrected_" if _pictures(keyframes / "corrected_images") else ""
     for picture in _pictures(keyframes / f"{kind}images"):
@@ -157,6 +159,7 @@ def _is_polycam(folder: Path) -> bool:
 
 
 def _record3d(folder: Path) -> list[_Shot]:
+    """Pictures of a Record3D export. Raises InvalidRecording, InvalidCamera, InvalidTrajectory."""
     source = _record3d_file(folder)
     assert source is not None
     values = _members(source)
@@ -199,6 +202,7 @@ def _record3d_file(folder: Path) -> Path | None:
 
 
 def _arkit_scenes(folder: Path) -> list[_Shot]:
+    """Pictures of an ARKitScenes scan. Raises InvalidRecording, InvalidCamera, InvalidTrajectory."""
     root = _arkit_scenes_root(folder)
     assert root is not None
     rows = read_logged_table(root / "lowres_wide.traj").numbered(*range(7))

@@ -93,6 +93,7 @@ def _samples(path: Path) -> Samples:
 
 
 def _apple_sign(folder: Path) -> bool:
+    """Whether accelerations have Apple's sign: of a phone with iOS that did not standardise them."""
     path = folder / "Metadata.csv"
     if not has_columns(path, ("platform",)):
         return False

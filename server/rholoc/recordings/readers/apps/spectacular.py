@@ -88,6 +88,7 @@ def _read_lines(path: Path) -> _Log:
 
 
 def _take(log: _Log, value: dict[str, Any]) -> None:
+    """Add a line's reading or frame to the log; ignore other lines. Raises ValueError for numbers not finite."""
     if "sensor" in value and value["sensor"]["type"] in log.sensors:
         x, y, z = value["sensor"]["values"]
         row = [float(value["time"]), float(x), float(y), float(z)]

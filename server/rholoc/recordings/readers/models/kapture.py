@@ -156,9 +156,7 @@ def _frames(
 
 
 def _imu(tables: Path) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
-    """The IMU of the first accelerometer and gyroscope listed, None if one is missing, and warnings. Raises
-    InvalidRecording.
-    """
+    """IMU of the first accelerometer and gyroscope, None if one is missing, and warnings. Raises InvalidRecording."""
     samples = []
     for name in ("accelerometer", "gyroscope"):
         path = tables / f"records_{name}.txt"

@@ -152,6 +152,7 @@ def _pose(camera: Element, frame: Element | None) -> FloatArray:
 
 
 def _numbers(element: Element | None, count: int) -> FloatArray:
+    """Numbers (count,) in an element's text. Raises InvalidTrajectory for any other count."""
     try:
         found = np.array([float(word) for word in (element.text or "").split()] if element is not None else [])
     except ValueError:

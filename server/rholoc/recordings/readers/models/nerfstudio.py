@@ -81,6 +81,7 @@ def _image(folder: Path, frame: dict[str, Any]) -> Path:
 
 
 def _pose(frame: dict[str, Any]) -> FloatArray:
+    """The frame's transform (4, 4), in Nerfstudio's axes. Raises InvalidTrajectory."""
     try:
         T = np.array(frame.get("transform_matrix"), dtype=np.float64)
     except (TypeError, ValueError):

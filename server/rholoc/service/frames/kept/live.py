@@ -118,6 +118,7 @@ class Live:
             self._keep(sighting, expected)
 
     def _keep(self, sighting: Sighting, expected: Sequence[float] | None) -> None:
+        """Keep the sighting as a failure unless its confidence is high, at the expected position if it has none."""
         if sighting.localized and sighting.confidence >= UNSURE_BELOW:
             return
         position = sighting.position

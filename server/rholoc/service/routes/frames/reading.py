@@ -163,9 +163,7 @@ async def read_frames(request: Request, service: State) -> AsyncIterator[Frames]
 
 
 async def _read_parts(request: Request, settings: Settings, on_piece: PieceListener) -> tuple[bytes, dict[str, bytes]]:
-    """The part ``request`` of a multipart body, empty if it is missing, and its other files by name. Raises
-    InvalidRequest.
-    """
+    """The part ``request`` of a multipart body (empty if missing), and its other files. Raises InvalidRequest."""
     files: dict[str, bytearray] = {}
 
     def keep(field_name: str, _filename: str, chunk: bytes) -> None:

@@ -54,9 +54,7 @@ class _Pace:
     last_s: float = 0.0
 
     def wait_s(self) -> float:
-        """Seconds to wait before the next message is read, which is counted: 0 in a burst of 30, then to keep to 100 a
-        second.
-        """
+        """Seconds to wait before reading the next message, which is counted: 0 for 30 at once, then 100 a second."""
         now_s = time.monotonic()
         self.left = min(_BURST, self.left + (now_s - self.last_s) * _FRAMES_PER_S)
         self.last_s = now_s
@@ -253,6 +251,7 @@ def _odometry(message: FrameMessage) -> FloatArray | None:
 
 
 def _lists(values: dict[str, Any]) -> dict[str, Any]:
+    """The values with lists in place of tuples."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
 
