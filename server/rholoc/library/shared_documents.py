@@ -29,6 +29,7 @@ class StoredDocuments(Documents):
             raise FileNotFoundError(name) from error
 
     def stamp(self) -> object:
+        """The catalogue's revision."""
         return self._replica.revision
 
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:

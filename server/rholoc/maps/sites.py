@@ -276,6 +276,7 @@ def check_site(site: Site) -> Site:
 
 
 def _check_pose(pose: FramePose, what: str) -> None:
+    """Raise InvalidInput, naming ``what``, unless position and unit quaternion are plausible."""
     values = (*pose.position, *pose.quaternion_xyzw)
     if not all(math.isfinite(value) for value in values) or max(map(abs, pose.position)) > _MAX_M:
         raise InvalidInput(f"{what} is not a pose: a number is not finite, or beyond 1000 km.", "Give metres.")

@@ -129,6 +129,7 @@ class ObjectCache:
         self._path(blob).unlink(missing_ok=True)
 
     def _fetch(self, blob: str, size_bytes: int, path: Path) -> None:
+        """Fetch an object to ``path``, evicting other copies if the disk is full."""
         with reporting_full_disk():
             self.folder.mkdir(parents=True, exist_ok=True)
         arrived = path.with_name(f".{uuid.uuid4().hex}.arrived")

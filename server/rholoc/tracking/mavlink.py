@@ -94,6 +94,7 @@ class Encoder:
         )  # fmt: skip
 
     def _encoded(self, kind: _Kind, *fields: float) -> bytes:
+        """A MAVLink 2 packet; takes the next sequence number."""
         payload = struct.pack(kind.layout, *fields).rstrip(b"\0") or b"\0"
         header = struct.pack("<BBBBBB", len(payload), 0, 0, self._sequence, _SYSTEM, _COMPONENT)
         body = header + kind.id.to_bytes(3, "little") + payload

@@ -116,6 +116,7 @@ class MqttSender:
         return message
 
     def _placed(self, tracked: Tracked, sigma_m: float) -> dict[str, Any]:
+        """The pose of the robot's base as fields of VDA 5050, and as position and quaternion."""
         assert tracked.pose is not None
         T = np.array(tracked.pose.T_map_camera) @ self._T_camera_base
         x, y, z = T[:3, 3].tolist()

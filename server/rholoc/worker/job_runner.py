@@ -131,6 +131,7 @@ class JobRunner:
     def _record(
         self, claim: Claim, outcome: tuple[str, ...] | Failure | MoreMemoryNeeded, marks: telemetry.Marks
     ) -> None:
+        """Record a job's end, or hand it on; after a publication draw the room. Removes the run's folder."""
         lease = claim.lease
         if isinstance(outcome, MoreMemoryNeeded):
             _log.info("job %s is handed on: it needs %.1f GiB of memory", lease.job, outcome.memory_bytes / 2**30)
@@ -209,10 +210,13 @@ class JobRunner:
         self._folders.release(work)
 
     def _check_going_on(self) -> None:
+        """Raise Cancelled if the worker stops."""
         if self._stopping.is_set():
             raise Cancelled("The worker stops.")
 
     def _put(self, lease: Lease, work: JobWork, task: MappingTask) -> tuple[str, ...]:
+        """Publish the built map or links. Returns reasons not to trust them. Raises Cancelled if the lease was lost."""
+
         def note(connection: sa.Connection, map_: Map) -> None:
             if not self._leases.publish(lease, doubts(map_), connection):
                 raise Cancelled("This worker no longer has the job.")
@@ -245,6 +249,7 @@ class JobRunner:
             self._check_held(lease)
 
     def _note(self, lease: Lease, stage: Stage, fraction: float, message: str = "") -> None:
+        """Record progress; errors of the database are logged."""
         try:
             self._leases.note(lease, stage, fraction, message)
         except SQLAlchemyError:

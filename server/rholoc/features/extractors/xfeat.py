@@ -142,6 +142,7 @@ def _network(height: int, width: int) -> Iterator[cv2.dnn.Net]:
 
 @lru_cache(maxsize=_SIZES_KEPT)
 def _idle_networks(height: int, width: int) -> deque[cv2.dnn.Net]:
+    """The networks for pictures of one size that no thread uses at present, the same object at each call."""
     return deque()
 
 

@@ -163,6 +163,7 @@ class ViewStore:
             raise
 
     def _connected(self) -> sqlite3.Connection:
+        """An open connection; a corrupt file is removed first. Raises sqlite3.OperationalError."""
         try:
             return self._prepared()
         except sqlite3.OperationalError:

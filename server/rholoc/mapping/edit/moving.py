@@ -116,6 +116,7 @@ def _scaled_report(report: MapReport, scale: float) -> MapReport:
 
 
 def _scaled_lesson(report: LearningReport, scale: float) -> LearningReport:
+    """The report with its lengths multiplied by ``scale``."""
     queries = report.queries and replace(
         report.queries,
         median_before_m=_times(report.queries.median_before_m, scale),
@@ -157,4 +158,5 @@ def _scaled_trajectory(report: TrajectoryReport, scale: float) -> TrajectoryRepo
 
 
 def _times(value: float | None, scale: float) -> float | None:
+    """``value`` × ``scale``; None for None."""
     return None if value is None else value * scale

@@ -163,6 +163,7 @@ def _pairs(map_: Map, views: Sequence[int], most: int) -> list[_Pair]:
 
 
 def _distances(map_: Map, view: int, features: IntArray) -> FloatArray:
+    """Distances (N,) of landmarks from a view."""
     return np.asarray(np.linalg.norm(map_.landmarks.positions[features] - map_.views.positions[view], axis=1))
 
 

@@ -163,6 +163,7 @@ def _piece(
     cells: IntArray,
     kind: Cells,
 ) -> str:
+    """A piece of points with sigmas (N,) [m], channels (N,) and headings (N, 3), and their cells."""
     data = [
         data_array("sigma_m", "Float32", sigmas, "%.5f"),
         data_array("channel", "UInt8", channels, "%d"),

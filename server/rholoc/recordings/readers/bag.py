@@ -151,6 +151,7 @@ class _Topics:
 
 
 def _chosen(connections: Sequence[Connection], asked: Sequence[str]) -> Connection | None:
+    """The connection asked for, else the one with most messages; None without any."""
     ordered = sorted(connections, key=lambda one: (one.topic not in asked, -one.msgcount, one.topic))
     return next(iter(ordered), None)
 

@@ -113,6 +113,7 @@ class Audited:
 
 
 def _is_change(scope: Scope) -> bool:
+    """Whether a request of this route is logged: those of scope map or admin, except for pieces of uploads."""
     route = found_route(scope)
     if route is None or route.access is None or route.access.scope not in _SCOPES:
         return False
@@ -120,6 +121,7 @@ def _is_change(scope: Scope) -> bool:
 
 
 def _change(scope: Scope, status: int, job: str) -> Change:
+    """The log's entry for a request, with the id of the ``job`` that it began, if any."""
     key, client, state = request_key(scope), scope.get("client"), scope.get("state", {})
     who = key.name if key is not None else (client[0] if client else "")
     path: Any = scope["path"]

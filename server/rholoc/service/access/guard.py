@@ -182,6 +182,7 @@ class Guard:
 
 
 def _address(scope: Scope) -> str:
+    """The client's IP address; empty if unknown."""
     client = scope.get("client")
     return f"{client[0]}" if client else ""
 

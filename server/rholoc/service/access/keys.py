@@ -127,6 +127,7 @@ class KeyStore:
             self._reload()
 
     def _reload(self) -> dict[str, ApiKey]:
+        """Read all keys again; returns them by the hash of their secret."""
         with self._reading:
             stamp = self._files.stamp()
             found = {hashed: self._read(hashed) for hashed in self._hashes()}
@@ -276,6 +277,7 @@ class KeyStore:
         return None if key is None or self.chain(key)[-1].holder else key
 
     def _in_memory(self) -> dict[str, ApiKey]:
+        """All keys by the hash of their secret, as last read."""
         return self._reload() if self._known is None else self._known
 
     def _hashes(self) -> list[str]:

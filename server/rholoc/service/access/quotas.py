@@ -205,6 +205,7 @@ class Quotas:
         return Usage(len(_maps(held, present)), stored, sum(one.kind is Kind.JOB for one in held))
 
     def _map_bytes(self, name: str | None) -> int:
+        """Size of a map's file; 0 for None, or if it is not published yet."""
         try:
             return 0 if name is None else self._library.stat(name).size_bytes
         except UnknownMap:  # not published yet

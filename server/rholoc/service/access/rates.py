@@ -86,6 +86,7 @@ class RateLimited:
 
 
 def _rate(key: ApiKey) -> float:
+    """Requests a second that a key may send; inf without a limit."""
     return key.limits.requests_per_s or math.inf
 
 

@@ -200,6 +200,7 @@ class _Parts:
         self._value += self._of_header(data[start:end])
 
     def _of_header(self, data: bytes) -> bytes:
+        """``data`` itself, counted. Raises InvalidRequest if a part's header is too long."""
         self._header_bytes += len(data)
         if self._header_bytes > _MAX_PART_HEADER_BYTES:
             raise InvalidRequest("A part of the multipart body has too long a header.", "Let an HTTP library write it.")
@@ -273,6 +274,7 @@ def _write_all(write: FileSink, events: list[_Event]) -> None:
 
 
 def _check_fields(fields: dict[str, bytearray], name: str) -> None:
+    """Raise InvalidRequest for too many text fields, or if the field ``name`` is too long."""
     if len(fields) > _MAX_FIELDS or len(fields[name]) > _MAX_FIELD_BYTES:
         raise InvalidRequest(
             f"More than {_MAX_FIELDS} text fields, or one longer than {_MAX_FIELD_BYTES} bytes.",

@@ -191,6 +191,7 @@ def _contents(stores: Stores, folder: Path, recordings: bool) -> Generator[tuple
 
 
 def _file(folder: Path, path: str, content: bytes) -> tuple[str, Path]:
+    """A path in the backup and a file of ``content``, which the next call overwrites."""
     file = folder / "file"
     file.write_bytes(content)
     return path, file
@@ -226,6 +227,7 @@ class _Hashed(io.RawIOBase):
 
 
 def _add(tar: tarfile.TarFile, path: str, source: Path) -> BackedUp:
+    """Add a file to the archive; returns its size and hash."""
     with source.open("rb") as stream:
         status, hashed = os.fstat(stream.fileno()), _Hashed(stream)
         entry = tarfile.TarInfo(path)

@@ -93,6 +93,7 @@ def _issue(authority: trustme.CA, path: Path, names: tuple[str, ...]) -> None:
 
 
 def _serves(pem: bytes, names: tuple[str, ...]) -> bool:
+    """Whether a certificate covers the names, and does not expire within 30 days."""
     certificate = x509.load_pem_x509_certificate(pem)
     subject = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     covered = set(subject.get_values_for_type(x509.DNSName))
@@ -106,5 +107,6 @@ def _write_secret(path: Path, data: bytes) -> None:
 
 
 def _is_reachable(address: str) -> bool:
+    """Whether an address is neither loopback, link-local nor unspecified."""
     ip = ipaddress.ip_address(address.partition("%")[0])
     return not (ip.is_loopback or ip.is_link_local or ip.is_unspecified)

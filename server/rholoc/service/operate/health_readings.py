@@ -66,6 +66,7 @@ class LastKnown(Generic[T]):
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _take(self, answered: asyncio.Future[T]) -> None:
+        """Take the value or error of the call that has ended."""
         self._under_way = None
         if answered.cancelled():
             return
@@ -135,6 +136,7 @@ def unanswered(known: LastKnown[Any], what: str) -> str:
 
 
 def _folder(folder: Path) -> str:
+    """OK, or what is wrong with a folder."""
     if not folder.is_dir():
         return "the folder is missing"
     if not os.access(folder, os.R_OK | os.W_OK | os.X_OK) or os.statvfs(folder).f_flag & os.ST_RDONLY:
@@ -143,6 +145,7 @@ def _folder(folder: Path) -> str:
 
 
 def _storage(objects: ObjectStorage) -> str:
+    """OK, or that the storage does not answer."""
     try:
         next(iter(objects.list(_PROBED)), None)
     except StorageUnavailable:

@@ -223,6 +223,7 @@ class _Lane:
         return Busy("The service is overloaded.", "Try again after Retry-After.", wait_s)
 
     def _dispatch(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Start waiting calls in free threads, first those of the client that has used the least core time."""
         self._waiting = {client: calls for client, calls in self._waiting.items() if calls}
         while self._running < self._concurrency and self._waiting:
             client = min(self._waiting, key=lambda name: self._used_s[name])
@@ -242,6 +243,7 @@ class _Lane:
             loop.call_soon_threadsafe(self._ended, call, ended, loop)
 
     def _ended(self, call: _Call, ended: Future[_Ended], loop: asyncio.AbstractEventLoop) -> None:
+        """Take a call's outcome, count its core time to the client, and start the next calls."""
         self._running -= 1
         self._last_end_s = time.monotonic()
         if not ended.cancelled():

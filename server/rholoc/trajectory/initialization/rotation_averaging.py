@@ -53,6 +53,7 @@ def average_rotations(
 
 
 def _gyro_sigma_rad(seconds: float) -> float:
+    """Standard deviation [rad] of the gyroscope's rotation over ``seconds``."""
     return float(np.sqrt(_GYRO_SIGMA_RAD**2 + _GYRO_WALK_RAD**2 * seconds + (_GYRO_BIAS_RAD_S * seconds) ** 2))
 
 

@@ -156,6 +156,7 @@ def _marginal(tree: gtsam.GaussianBayesTree, key: int, size: int) -> FloatArray:
 
 
 def _state_of(values: gtsam.Values, problem: Problem, state: State, used: BoolArray) -> State:
+    """The ``state`` with the values of its unknowns; points without a used sighting stay."""
     T = np.array([values.atPose3(C(k)).matrix() for k in range(len(state.T_map_camera))])
     points = state.points.copy()
     for track in np.unique(problem.observations.tracks[used]).tolist():

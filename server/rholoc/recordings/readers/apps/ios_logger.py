@@ -66,6 +66,7 @@ def read(folder: Path) -> Recording:
 
 
 def _frames(folder: Path, times: FloatArray) -> TimedFrames:
+    """Frames of the video; without one their times alone, with a warning."""
     video = find_video(folder, "frames")
     if video is not None:
         return timed_video(video, times, "Frames.txt")

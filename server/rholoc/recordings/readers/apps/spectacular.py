@@ -114,6 +114,7 @@ def _imu(log: _Log, R_camera_imu: FloatArray | None) -> tuple[Imu | None, tuple[
 
 
 def _calibration(path: Path) -> dict[str, Any] | None:
+    """The first camera of ``calibration.json``; None without the file. Raises InvalidCamera."""
     if not path.is_file():
         return None
     try:
