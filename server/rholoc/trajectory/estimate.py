@@ -213,6 +213,7 @@ def rolling_shutter_of(
 
 
 def _given(recording: Recording) -> Trajectory:
+    """Trajectory of the recording's own poses, as they are. Raises InvalidRecording, InvalidCamera."""
     hint = "Put poses.txt beside the frames (frame or time, tx ty tz qx qy qz qw), or choose poses 'visual'."
     if recording.poses is None:
         raise InvalidRecording("The recording has no poses.", hint)
@@ -238,6 +239,7 @@ def _is_upright(R_map_camera: FloatArray) -> tuple[bool, str]:
 
 
 def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
+    """Trajectory of the keyframes between the waypoints, by the IMU and the waypoints alone."""
     camera = _known_camera(recording)
     if recording.imu is None:
         raise InvalidRecording("The recording has no IMU table.", "Choose poses 'visual'.")
@@ -272,6 +274,7 @@ def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
 def _visual(
     recording: Recording, method: PoseMethod, progress: ProgressListener, show: ImageListener | None
 ) -> Trajectory:
+    """Trajectory of the keyframes by what they see, and by the IMU if the method uses it."""
     imu = recording.imu if method is PoseMethod.VISUAL_INERTIAL and recording.frames.timed else None
     stops = rows_at(recording.frames.times, recording.waypoints).union(*rows_of(recording, recording.lengths))
     with KeyframeFeatures(recording.frames, stops, show, recording.camera) as features:
@@ -343,10 +346,11 @@ def _features_of(
 
 
 def _sights(recording: Recording, flow: Flow, rows: IntArray, features: list[FeatureSet]) -> Sights:
-    """Measurements of the keyframes ``rows`` (K,): ``features``, flow, depth, known lengths, odometry and mountings.
+    """Measurements of the keyframes ``rows`` (K,): their ``features``, flow, depth, known lengths, odometry and the
+    poses between cameras of a rig.
 
-    The features are corrected for the rolling shutter if its read-out time is known. Lengths and mountings are kept if
-    both of their frames are keyframes.
+    The features are corrected for the rolling shutter if its read-out time is known. Known lengths and poses by a rig
+    are kept if both of their frames are keyframes.
     """
     shutter: RollingShutter | None = None
     if recording.readout_s is not None and flow.timed:
@@ -379,6 +383,7 @@ def _is_film(recording: Recording, flow: Flow) -> bool:
 
 
 def _known_camera(recording: Recording) -> Camera:
+    """The recording's camera. Raises InvalidCamera without one."""
     if recording.camera is None:
         raise InvalidCamera(
             "The recording's intrinsics are unknown.",

@@ -106,16 +106,17 @@ def report_on(found: Reconstruction, method: PoseMethod, doubts: Sequence[str]) 
         waypoint_mistake=" ".join(mistakes) or None,
         expected_error_m=error_m if metric else None,
         expected_error_deg=_expected_error_deg(found),
-        disagreement_of_depth=None if found.agreement is None else _or_none(found.agreement.distance),
-        disagreement_deg=None if found.agreement is None else _or_none(found.agreement.angle_deg),
+        disagreement_of_depth=None if found.agreement is None else _finite_or_none(found.agreement.distance),
+        disagreement_deg=None if found.agreement is None else _finite_or_none(found.agreement.angle_deg),
     )
 
 
-def _or_none(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
 def _residuals(found: Reconstruction, figure: Callable[[LeftOut], float]) -> dict[str, float | None] | None:
+    """A figure of each waypoint by name, None if the waypoint was not compared; None without waypoints."""
     names = [waypoint.name for waypoint in found.frame.waypoints]
     return {name: figure(found.left_out[name]) if name in found.left_out else None for name in names} or None
 
