@@ -121,7 +121,7 @@ def serve(
 
 
 def _end_at_once(status: int) -> NoReturn:
-    """End this process with ``status``, without Python's clean-up, which waits for threads or crashes in libraries."""
+    """End this process with ``status`` at once: Python's clean-up waits for threads, or crashes beside native ones."""
     with suppress(OSError):  # nobody reads them any more
         sys.stdout.flush()
         sys.stderr.flush()

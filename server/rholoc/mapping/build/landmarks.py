@@ -249,7 +249,7 @@ def representative_rows(views: Views, labels: IntArray, count: int, metric: Metr
 
 
 def _representatives(rows: IntArray, views: Views, metric: Metric, most: int) -> IntArray:
-    """At most ``most`` of the rows (N,): their descriptors' medoid, then those that reduce the distances to it most."""
+    """At most ``most`` of the rows (N,): the medoid of their descriptors, then those that stand for the others best."""
     descriptors = views.features.descriptors[rows]
     n = len(rows)
     if n == 0:

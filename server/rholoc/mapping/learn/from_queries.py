@@ -73,8 +73,9 @@ def learn_from_queries(map_: Map, queries: Sequence[AnsweredQuery], progress: Pr
 
     Raises:
         InvalidInput: the map does not remember its observations.
-        Conflict: fewer than ``MIN_QUERIES`` queries are given, or believed.
-        MappingFailed: there is nothing to learn, or the map would be worse; says by how much.
+        Conflict: fewer than ``MIN_QUERIES`` queries are given.
+        MappingFailed: fewer than ``MIN_QUERIES`` are believed, there is nothing to learn, or the map would be worse;
+            says by how much.
         Cancelled: ``progress`` asked to stop.
     """
     check_memory(map_, "The map")
