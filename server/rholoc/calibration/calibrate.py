@@ -166,7 +166,7 @@ def _check(calibration: Calibration) -> None:
 
 
 def _without_outliers(found: BoardViews, board: Board, size: tuple[int, int], lens: Lens) -> Calibration:
-    """Calibration without the views whose RMS residual exceeds ``_OUTLIER`` × the median."""
+    """Calibration without the views whose RMS residual exceeds ``_OUTLIER`` × the median; they are left out once."""
     first = _solve(found, found.chosen, board, size, lens)
     errors = np.array([np.sqrt(np.mean(view.residuals_px**2)) for view in first.views])
     kept = [

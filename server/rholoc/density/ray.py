@@ -194,8 +194,8 @@ class RayDensities:
         return DensityRows(np.arange(count), tolerances[:, None].astype(np.float32))
 
     def coefficients_of(self, row: int, landmark: FloatArray, domain: FloatArray) -> FloatArray:
-        """All coefficients (729,) of the density of a landmark (3,) [m] whose tolerance r [m] is in ``domain`` (1,);
-        ``row`` is not used.
+        """All coefficients (729,), in Table 5's order, of the density of a landmark (3,) in the map frame;
+        ``domain`` (1,) is its tolerance r [m], ``row`` is not used.
         """
         return np.asarray(ray_coefficients(landmark[None].astype(np.float64), domain.astype(np.float64))[0])
 

@@ -65,7 +65,8 @@ class PosePairs:
 def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = None) -> PosePairs:
     """Pair poses by frame number if both tables have numbers, else by time.
 
-    By number, every true frame (in ``frames``, if given) is paired; one missing in ``estimated`` has no pose. By time,
+    By number, every true frame with a pose (in ``frames``, if given) is paired; one missing in ``estimated`` has no
+    pose. By time,
     only estimated poses within ``MATCH_TOLERANCE_S`` of a true one are paired, so failures do not show.
 
     Raises:

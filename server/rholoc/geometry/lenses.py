@@ -168,7 +168,9 @@ def _bending(angle: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
 
 
 def _angles_of(radius: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """Angles (N,) off the axis that a fisheye shows at radii (N,) in the image: Newton's steps within a bracket."""
+    """Angles (N,) [rad] off the axis that a fisheye shows at radii (N,), in focal lengths, of the image; at most the
+    widest. Newton's steps within a bracket.
+    """
     widest = widest_angle(distortion)
     if not distortion:
         return np.minimum(radius, widest)

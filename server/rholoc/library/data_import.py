@@ -87,25 +87,25 @@ def import_data(
     return ImportedData(**counts, left=left, unreadable=tuple(unreadable))
 
 
-def _maps(folder: MapLibrary, library: MapLibrary) -> Sequence[_Thing]:
-    present = set(library.names())
+def _maps(source: MapLibrary, target: MapLibrary) -> Sequence[_Thing]:
+    present = set(target.names())
 
     def bring(name: str) -> None:
-        for number in sorted(folder.versions(name), reverse=True):
+        for number in sorted(source.versions(name), reverse=True):
             with suppress(InvalidMap):
-                library.put_file(name, folder.version_path(name, number))
-        library.put_file(name, folder.path(name))
+                target.put_file(name, source.version_path(name, number))
+        target.put_file(name, source.path(name))
 
-    return [_Thing("maps", name, name in present, bring) for name in folder.names()]
+    return [_Thing("maps", name, name in present, bring) for name in source.names()]
 
 
-def _documents(kind: str, folder: FolderDocuments, files: Documents) -> Sequence[_Thing]:
-    present = set(files.names())
+def _documents(kind: str, source: FolderDocuments, target: Documents) -> Sequence[_Thing]:
+    present = set(target.names())
 
     def bring(name: str) -> None:
-        files.write(name, folder.read(name))
+        target.write(name, source.read(name))
 
-    return [_Thing(kind, name, name in present, bring) for name in sorted(folder.names())]
+    return [_Thing(kind, name, name in present, bring) for name in sorted(source.names())]
 
 
 def _recordings(data_dir: Path, stores: Stores) -> Sequence[_Thing]:

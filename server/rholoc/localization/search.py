@@ -187,7 +187,9 @@ class Search:
         return self.near if self.everywhere is None else self.everywhere
 
     def add(self, found: Found | None) -> None:
-        """Add a candidate and keep the likelier ones. None counts as fruitless if places were voted for."""
+        """Add a candidate, and note it if it is the likeliest that agrees with the prior, or of the others. None
+        counts as fruitless if the whole map was searched.
+        """
         if found is None:
             self.fruitless += self.everywhere is not None
             return

@@ -117,7 +117,7 @@ class MapLandmarks(MapTable):
 
     @property
     def known_colours(self) -> ByteArray:
-        """``colours`` (F, 3), all grey if None."""
+        """``colours`` (F, 3); mid-grey (128) if None."""
         return np.asarray(self.known("colours"))
 
     @property

@@ -19,7 +19,7 @@ class Trust:
 
     @property
     def reason(self) -> str:
-        """All reasons in one line."""
+        """The failed checks, or why the poses are trusted, in one line."""
         return " ".join(self.reasons)
 
 

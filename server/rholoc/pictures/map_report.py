@@ -67,6 +67,7 @@ def _held_out(report: MapReport) -> _HeldOut | None:
 
 
 def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) -> None:
+    """Draw the map from above, with a wedge for each place and heading, coloured by the number of landmarks in view."""
     colours: Colormap = ListedColormap(_COLOURS)
     norm = BoundaryNorm(_LEVELS, colours.N)
     landmarks, places = map_.landmarks.positions @ coverage.axes.T, map_.views.positions @ coverage.axes.T

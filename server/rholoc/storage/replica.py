@@ -269,7 +269,9 @@ class Replica:
             self._revision = changes.revision
 
     def _must_wait(self, name: str, row: MapRow) -> bool:
-        """Whether a newer row of a map is not prepared yet."""
+        """Whether ``row`` is newer than the map's row here, and its file is not prepared yet (:meth:`_see_late` does
+        that); False for a map that is new here.
+        """
         before = self._maps.get(name)
         return before is not None and before.revision < row.revision and not self._is_prepared(before, row)
 

@@ -261,12 +261,14 @@ def earth(
     ] = None,
     heading: Annotated[
         float | None,
-        typer.Option(metavar="DEG", help="Of the map's y axis from true north, clockwise; default: by two points."),
+        typer.Option(
+            metavar="DEG", help="Of the map's y axis from true north, clockwise; default: as the points give it."
+        ),
     ] = None,
     out: Out = None,
     as_json: options.Json = False,
 ) -> None:
-    """Place the map on Earth by two points or more, or by one and a heading; its frame stays."""
+    """Place the map on Earth by points: at least two, or one with --heading. Its frame stays."""
     import numpy as np
 
     from rholoc.geometry.earth import EarthPlace, places_in

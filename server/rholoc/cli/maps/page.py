@@ -139,6 +139,7 @@ def _source(source: Source) -> str:
 
 
 def _waypoints(info: MapInfo) -> str:
+    """Names of the waypoints, separated by commas, each with its residual where it is known."""
     return ", ".join(
         point.name if point.residual_m is None else f"{point.name} (missed by {100 * point.residual_m:.1f} cm)"
         for point in info.waypoints

@@ -73,7 +73,7 @@ class Verified:
 
 
 def evidence_of(index: MapIndex, matches: Matches, rays: FloatArray, camera: Camera) -> Evidence:
-    """Evidence of matches (M), given the rays (N, 3) of all the query's features in the camera frame."""
+    """Evidence of matches (M), given the unit rays (N, 3) of all the query's features in the camera frame."""
     return Evidence.of(
         matches.landmarks,
         rays[matches.detections],

@@ -166,7 +166,7 @@ def set_floor_plan(map_: Map, content: bytes, plan: FloorPlan | None) -> Map:
 def set_earth(map_: Map, points: FloatArray, places: Sequence[EarthPlace], heading_deg: float | None) -> Map:
     """Next version of the map with a pose on Earth, from points (N, 3) [m] in the map frame and their N ``places``.
 
-    One point suffices with ``heading_deg``, the direction of y [° from north]; it is None for several points.
+    ``heading_deg`` is the direction of y, clockwise from true north; with None, at least two points determine it.
 
     Raises:
         InvalidInput: as :meth:`SiteOnEarth.through`, or a number is out of range.

@@ -102,8 +102,8 @@ class Sights:
         return cls(np.repeat(np.arange(len(cameras)), counts), landmarks, chances, seen, occasions, len(index.map))
 
     def evidence(self, believed: BoolArray, misplaced: float = 0.0) -> FloatArray:
-        """Log-likelihood ratio (S,) [nats] of each row for its landmark being present, from the ``believed`` (C,)
-        cameras.
+        """Log-likelihood ratio (S,) [nats] of each row, of any camera, for its landmark being present. Which landmarks
+        count as present while the cameras' rates are estimated is judged by the ``believed`` (C,) cameras.
 
         A present landmark is seen as often as by the map's views, reduced by the camera's overall rate of sightings, so
         a dark or blurred picture says little. An absent one is seen by chance, and by the share ``misplaced`` of

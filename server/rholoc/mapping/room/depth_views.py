@@ -226,7 +226,7 @@ def _smoothed(image: ByteArray, scale: float) -> ByteArray:
 
 
 def _rays(focal: float, centre: FloatArray, step: int = 1) -> FloatArray:
-    """Rays (N · N, 3) with z = 1 of every ``step``-th pixel of a rectified picture, row by row."""
+    """Rays (N · N, 3) with z = 1 of every ``step``-th pixel of a rectified picture (SIDE, SIDE), row by row."""
     v, u = np.mgrid[0:SIDE:step, 0:SIDE:step]
     return np.stack([(u - centre[0]) / focal, (v - centre[1]) / focal, np.ones(u.shape)], axis=-1).reshape(-1, 3)
 

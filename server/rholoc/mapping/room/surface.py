@@ -122,7 +122,9 @@ def _kept_vertices(mesh: Quads, kept: BoolArray) -> Quads:
 
 
 def normals_of(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Unit normals (V, 3) of a mesh's vertices, towards the free side."""
+    """Unit normals (V, 3) of the vertices (V, 3) of quadrilaterals (Q, 4), towards the side from which these are
+    counter-clockwise; 0 without a face.
+    """
     diagonals = vertices[faces[:, 2]] - vertices[faces[:, 0]], vertices[faces[:, 3]] - vertices[faces[:, 1]]
     across = np.cross(*diagonals)
     sums = np.zeros_like(vertices)

@@ -71,7 +71,7 @@ class LoggedTable:
         return values
 
     def text(self, name: str) -> list[str]:
-        """The named column as text.
+        """The column of this name in ``header`` as text.
 
         Raises:
             InvalidRecording: there is no such column, or the header does not fit the rows.
@@ -132,7 +132,7 @@ def has_columns(path: Path, names: Sequence[str]) -> bool:
 
 
 def is_bare_table(path: Path, columns: int) -> bool:
-    """Whether a file is a table of numbers with this many columns, judged by its first line that begins with one."""
+    """Whether a file exists and is a table of so many columns of numbers, by its first line that begins with one."""
     first = next((line for line in _head(path) if _begins_with_number(line)), None)
     return first is not None and len(_fields(first, "," not in first)) == columns
 

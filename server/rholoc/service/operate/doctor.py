@@ -56,7 +56,7 @@ class Finding:
 
 
 def examine(settings: Settings) -> list[Finding]:
-    """Run all checks and return their findings in order; a check that raises becomes a finding."""
+    """Run all checks and return their findings in order, good ones too; a check that raises becomes a finding."""
     found: list[Finding] = []
     for check, look in _CHECKS.items():
         try:

@@ -264,6 +264,7 @@ class _Lane:
         self._prepare()
 
     def close(self) -> None:
+        """Start no more calls, without waiting for those that run."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def join(self, deadline_s: float) -> None:

@@ -51,7 +51,9 @@ class Agreement:
 
     @property
     def why(self) -> str:
-        """One line that states the differences, or that too few keyframes could be compared."""
+        """One line: whether they agree, with the distances [% of the median depth] and the angle [deg]; or that too few
+        keyframes could be compared.
+        """
         if not np.isfinite(self.distance):
             return f"Only {self.common} of {self.of} keyframes could be checked by a second reconstruction."
         verb = "agree" if self.same else "disagree"

@@ -139,10 +139,10 @@ def _sensor(path: Path) -> dict[str, Any]:
 def _camera(
     sensor: dict[str, Any], size: tuple[int, int], name: str
 ) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    """The camera of a sensor's description, at the pictures' ``size``, and warnings.
+    """The camera of a sensor's description, rescaled to the pictures' ``size``, and warnings.
 
     None without intrinsics, or (with a warning) if the distortion model is not supported. Raises InvalidCamera, naming
-    the folder ``name``, if the intrinsics are broken.
+    the folder ``name``, if the intrinsics are broken, or of pictures of another shape.
     """
     if "intrinsics" not in sensor:
         return None, ()

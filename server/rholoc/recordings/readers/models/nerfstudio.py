@@ -41,10 +41,12 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder: poses of unknown scale, ``applied_transform`` undone.
+
+    The camera is None, with a warning, if its model is not supported.
 
     Raises:
-        InvalidRecording: ``transforms.json`` or an image is broken.
+        InvalidRecording: ``transforms.json`` is broken, or an image is broken or missing.
         InvalidCamera: the intrinsics are broken.
         InvalidTrajectory: a pose is not a 4×4 matrix with a rotation in it.
     """
