@@ -1,11 +1,13 @@
 """Relative poses, and what agrees with a rotation that is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scene import CAMERA, arc, cloud, descriptors_of, on_plane, rays, sift_like
 from scipy.spatial.transform import Rotation
 
-from rholoc.geometry import FloatArray, pose_matrix, rotation_angles
+from rholoc.geometry import Camera, FloatArray, pose_matrix, rotation_angles
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.parallax import only_turned, shifts
 from rholoc.trajectory.visual.two_view import (
@@ -169,13 +171,13 @@ def test_two_matches_fix_a_translation_that_both_agree_with() -> None:
     assert inliers_of_rotation(rays(first), rays(second), np.eye(3), _TOLERANCE).all()
 
 
-_FOCAL_PX = 500.0
+_STRAIGHT = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+_LENSES = [_STRAIGHT, CAMERA, replace(_STRAIGHT, fx=380.0, fy=380.0), replace(_STRAIGHT, fx=700.0, fy=700.0)]
 _NOISE_PX = 0.5
 
 
 def _seen(points: FloatArray, R: FloatArray, position: FloatArray, rng: np.random.Generator) -> FloatArray:
-    seen = (points - position) @ R
-    return rays(seen[:, :2] / seen[:, 2:] + rng.normal(0, _NOISE_PX / _FOCAL_PX, (len(points), 2)))
+    return _STRAIGHT.project((points - position) @ R) + rng.normal(0, _NOISE_PX, (len(points), 2))
 
 
 def _walk(step_m: float, wrong: float = 0.0) -> tuple[list[VerifiedPair], list[FloatArray]]:
@@ -195,15 +197,24 @@ def _walk(step_m: float, wrong: float = 0.0) -> tuple[list[VerifiedPair], list[F
 @pytest.mark.parametrize("wrong", [0.0, 0.2])
 def test_a_camera_that_turns_where_it_stands_leaves_noise(wrong: float) -> None:
     pairs, seen = _walk(0.0, wrong)
-    assert only_turned(pairs, seen)
-    assert np.all(shifts(pairs, seen) < 2.5 * _NOISE_PX / _FOCAL_PX)
+    assert only_turned(pairs, seen, _STRAIGHT)
+    assert np.all(shifts(pairs, seen, _STRAIGHT) < 2.5 * _NOISE_PX / _STRAIGHT.focal)
+
+
+@pytest.mark.parametrize("assumed", _LENSES[1:], ids=["distorted", "wide", "long"])
+def test_a_wrong_camera_does_not_make_a_turn_a_motion(assumed: Camera) -> None:
+    """Pictures of a turning camera whose distortion was left out became a map, on which two reconstructions agreed."""
+    pairs, seen = _walk(0.0, wrong=0.2)
+    assert np.median(shifts(pairs, seen, assumed)) > 0.003
+    assert only_turned(pairs, seen, assumed)
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.2])
-def test_one_that_walks_does_not(wrong: float) -> None:
+@pytest.mark.parametrize("assumed", _LENSES, ids=["right", "distorted", "wide", "long"])
+def test_one_that_walks_does_not(assumed: Camera, wrong: float) -> None:
     pairs, seen = _walk(0.1, wrong)
-    assert not only_turned(pairs, seen)
-    assert np.median(shifts(pairs, seen)) > 0.005
+    assert not only_turned(pairs, seen, assumed)
+    assert np.median(shifts(pairs, seen, _STRAIGHT)) > 0.005
 
 
 def test_a_step_is_enough() -> None:
@@ -211,11 +222,18 @@ def test_a_step_is_enough() -> None:
     standing, seen = _walk(0.0)
     walking, more = _walk(0.2)
     later = [VerifiedPair(pair.first + 10, pair.second + 10, pair.matches, pair.R_second_first) for pair in walking]
-    assert not only_turned([*standing, *later], [*seen, *more])
+    assert not only_turned([*standing, *later], [*seen, *more], _STRAIGHT)
+
+
+def test_a_lens_of_the_narrowest_view_is_judged_too() -> None:
+    """A focal length that is longer yet is no camera's."""
+    pairs, seen = _walk(0.1)
+    narrow = replace(_STRAIGHT, fx=5000.0, fy=5000.0)
+    assert not only_turned(pairs, [5000 / 500 * (one - [319.5, 239.5]) + [319.5, 239.5] for one in seen], narrow)
 
 
 def test_no_pairs_say_nothing() -> None:
-    assert not only_turned([], [])
+    assert not only_turned([], [], _STRAIGHT)
 
 
 def test_a_shift_is_the_angle_left_by_the_best_rotation() -> None:
@@ -225,10 +243,9 @@ def test_a_shift_is_the_angle_left_by_the_best_rotation() -> None:
     points[:60] = rng.uniform([-1, -1, 4.9], [1, 1, 5.1], (60, 3))
     R = Rotation.from_euler("y", [[0], [5]], degrees=True).as_matrix()
     for sideways_m in (0.0, 0.05):
-        seen = [(points - [sideways_m * k, 0, 0]) @ R[k] for k in range(2)]
-        seen = [rays(one[:, :2] / one[:, 2:]) for one in seen]
+        seen = [_STRAIGHT.project((points - [sideways_m * k, 0, 0]) @ R[k]) for k in range(2)]
         pair = VerifiedPair(0, 1, np.tile(np.arange(101)[:, None], 2), R[1].T @ R[0])
-        (found,) = shifts([pair], seen)
+        (found,) = shifts([pair], seen, _STRAIGHT)
         assert found < 2e-3 if sideways_m == 0 else 0 < found < 0.05 / 5
     few = VerifiedPair(0, 1, np.tile(np.arange(40, 101)[:, None], 2), R[1].T @ R[0])
-    assert shifts([few], seen)[0] < 5e-4  # forty-one of sixty-one are far
+    assert shifts([few], seen, _STRAIGHT)[0] < 5e-4  # forty-one of sixty-one are far

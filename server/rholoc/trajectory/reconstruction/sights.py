@@ -142,7 +142,7 @@ def gather_evidence(
     Without it a set of pictures gets no corners, unless it has no features: over its steps they are less exact.
 
     Raises:
-        MappingFailed: the camera stayed in one place.
+        MappingFailed: the camera only turned.
         Cancelled: ``progress`` asked to stop.
     """
     rays = [camera.rays(features.pixels) for features in sights.features]
@@ -157,10 +157,10 @@ def gather_evidence(
         )
     else:
         sequential, weak = match_pictures(sights.features, rays, camera.focal, progress)
-    if only_turned(sequential, rays):
+    if only_turned(sequential, [features.pixels for features in sights.features], camera):
         raise MappingFailed(
-            "The camera stayed in one place; turning alone does not show how far away things are.",
-            "Walk through the room, sideways where you can.",
+            "The pictures were taken from one place; turning alone does not show how far away things are.",
+            "Walk through the room, sideways where you can: half a step between pictures.",
         )
     return Evidence(corners, rotations, sequential, loops, weak)
 
