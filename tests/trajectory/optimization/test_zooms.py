@@ -1,9 +1,9 @@
 """Autofocus zooms pictures: their zooms are told from how near they were, and taken out."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 from scene import CAMERA, arc, cloud, in_pixels
 
 from rholoc.features import Channel, FeatureSet
@@ -15,11 +15,12 @@ from rholoc.trajectory.optimization.problem import State
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
 from rholoc.trajectory.reconstruction import from_pictures
-from rholoc.trajectory.reconstruction.part import Pictured, adjusted_part
+from rholoc.trajectory.reconstruction.part import Part, Pictured, adjusted_part, agreement_of
 from rholoc.trajectory.visual.tracks import Observations
 
 COUNT, POINTS, NOISE_PX = 14, 150, 0.3
 T, PLACES = arc(COUNT), cloud(POINTS)
+PROGRESS = AdjustmentProgress(silent)
 ZOOMS = 1 + np.random.default_rng(1).uniform(-0.02, 0.02, COUNT)
 
 
@@ -43,20 +44,20 @@ def test_pictures_of_one_zoom_do_not_differ() -> None:
     assert not measure_zooms(seen(np.ones(COUNT)), State(T, PLACES, CAMERA), NOISE_PX)[1]
 
 
-@pytest.mark.parametrize("zooms", [ZOOMS, np.ones(COUNT)], ids=["autofocus", "fixed"])
-def test_zooms_are_taken_out_of_a_reconstruction(zooms: FloatArray) -> None:
+def reconstructed(zooms: FloatArray) -> tuple[Part, Pictured, Observations]:
+    """A reconstruction of pictures with these zooms, which it does not know, of the walk, and its sightings."""
     taken: Any = type("Sights", (), {"steps": ()})()
     things = {"rows": np.arange(COUNT), "times": np.arange(float(COUNT)), "camera": CAMERA, "take": lambda *_: taken}
     sights: Any = type("Sights", (), things)()
     evidence: Any = None
-    walk = Pictured(sights, CAMERA, evidence)
-    whole, progress = seen(zooms), AdjustmentProgress(silent)
+    walk, whole = Pictured(sights, CAMERA, evidence), seen(zooms)
     start = State(T, np.zeros((0, 3)), CAMERA), np.arange(COUNT)
-    part = adjusted_part(walk, whole, start, progress, (0.0, 0.5))
-    found = from_pictures._unzoomed(part, walk, whole, progress)
-    if zooms is not ZOOMS:
-        assert found is part
-        return
+    return adjusted_part(walk, whole, start, PROGRESS, (0.0, 0.5)), walk, whole
+
+
+def test_zooms_are_taken_out_of_a_reconstruction() -> None:
+    part, walk, whole = reconstructed(ZOOMS)
+    found = from_pictures._unzoomed(part, part, walk, whole, PROGRESS)
 
     def off_m(positions: FloatArray) -> float:
         return float(np.median(np.linalg.norm(umeyama(positions, T[:, :3, 3]).points(positions) - T[:, :3, 3], axis=1)))
@@ -64,6 +65,22 @@ def test_zooms_are_taken_out_of_a_reconstruction(zooms: FloatArray) -> None:
     assert found.zooms is not None
     assert np.corrcoef(found.zooms, ZOOMS)[0, 1] > 0.95
     assert off_m(found.adjusted.state.positions) < 0.4 * off_m(part.adjusted.state.positions)
+
+
+def test_where_zooms_are_alike_a_reconstruction_stays() -> None:
+    part, walk, whole = reconstructed(np.ones(COUNT))
+    assert from_pictures._unzoomed(part, None, walk, whole, PROGRESS) is part
+
+
+def test_where_another_reconstruction_contradicts_the_zooms_it_stays() -> None:
+    """Measured zooms bent a set that two reconstructions had agreed on: the map without them was not tried."""
+    part, walk, whole = reconstructed(ZOOMS)
+    state = part.adjusted.state
+    bent = state.T_map_camera.copy()
+    bent[:, 1, 3] += np.linspace(-1, 1, COUNT) ** 2 * 6
+    other = replace(part, adjusted=replace(part.adjusted, state=replace(state, T_map_camera=bent)))
+    assert agreement_of(part, other).contradicts
+    assert from_pictures._unzoomed(part, other, walk, whole, PROGRESS) is part
 
 
 def test_features_of_a_map_are_unzoomed() -> None:

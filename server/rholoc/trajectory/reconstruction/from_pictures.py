@@ -109,7 +109,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
         part = with_pieces_joined(refined, pieces, walk, whole, progress)
     least = _MOST * len(part.members) if part is refined else _MOST_OF_JOINED * count
     if refined is not best:  # zooms of one that more features bend would be as wrong
-        part = _unzoomed(part, walk, whole, progress)
+        part = _unzoomed(part, other, walk, whole, progress)
     reached = [some for some in walk.waypoints if fix_frame(walk.sights.times[part.members], some)]
     found = _finished(replace(walk, waypoints=reached), part, progress)
     if walk.waypoints and not reached:
@@ -235,9 +235,11 @@ def _refined(
     return found, replace(walk, evidence=richer), more
 
 
-def _unzoomed(part: Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> Part:
+def _unzoomed(
+    part: Part, other: Part | None, walk: Pictured, whole: Observations, progress: AdjustmentProgress
+) -> Part:
     """The part, adjusted again with each picture's zoom estimated. Returns ``part`` itself if the zooms are alike, the
-    camera is not a pinhole, or the adjustment fails.
+    camera is not a pinhole, the adjustment fails, or the ``other`` reconstruction contradicts the result.
     """
     if part.adjusted.state.camera.lens is not Lens.PINHOLE:
         return part
@@ -253,7 +255,9 @@ def _unzoomed(part: Part, walk: Pictured, whole: Observations, progress: Adjustm
             found = adjusted_part(walk, corrected, found.start, progress, (0.85, 0.85), problem.fixes)
         except (MappingFailed, RuntimeError):
             return part
-    return found if found is part else replace(found, zooms=zooms[found.members], by_waypoints=part.by_waypoints)
+    if found is part or (other is not None and agreement_of(found, other).contradicts):
+        return part
+    return replace(found, zooms=zooms[found.members], by_waypoints=part.by_waypoints)
 
 
 def _fitting(part: Part, walk: Pictured) -> list[VerifiedPair]:
