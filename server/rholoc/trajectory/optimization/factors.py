@@ -18,7 +18,6 @@ _FIXED = 1e-9
 _DEPTH_SIGMA_M = 0.01  # of a depth picture's pixel, in addition to a share of the depth
 _DEPTHS_PER_KEYFRAME = 40
 _MIN_SEEN = 4  # sightings that fix a keyframe without other measurements
-_FIRM = 0.5  # minimum share of the median number of sightings, of a keyframe that fixes the gauge
 _UNSEEN_SIGMA_RAD = 1.0  # of a keyframe that no measurement fixes
 
 
@@ -37,8 +36,7 @@ def graph_of(problem: Problem, state: State, used: BoolArray) -> tuple[gtsam.Non
     if not problem.fixes:
         is_inertial = state.inertial is not None
         has_scale = is_inertial or has_depths or bool(problem.steps)
-        sightings = np.bincount(problem.observations.keyframes[used], minlength=len(state.T_map_camera))
-        _fix_gauge(graph, values, state, sightings, has_gravity=is_inertial, has_scale=has_scale)
+        _fix_gauge(graph, values, state, has_gravity=is_inertial, has_scale=has_scale)
     return graph, values
 
 
@@ -139,32 +137,22 @@ def _add_depths(graph: gtsam.NonlinearFactorGraph, problem: Problem, state: Stat
 
 
 def _fix_gauge(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    state: State,
-    sightings: IntArray,
-    has_gravity: bool,
-    has_scale: bool,
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, state: State, has_gravity: bool, has_scale: bool
 ) -> None:
     """Add priors to ``graph`` on what no measurement fixes: the first camera's position and heading; without gravity
     its tilt, too; without a measured scale its distance to the farthest camera.
-
-    Without gravity, of the cameras with at least half as many sightings as the median of ``sightings`` (K,): a loosely
-    held camera would make the others' covariances, which are relative to it, as large as its own.
     """
     noise: gtsam.noiseModel.Base = gtsam.noiseModel.Isotropic.Sigma(6, GAUGE_SIGMA)
-    firm = np.flatnonzero(sightings >= (0 if has_gravity else _FIRM * np.median(sightings)))
-    first = int(firm[0])
     if has_gravity:
-        vertical = state.R_map_camera[first].T @ np.array([0.0, 0.0, 1.0])
+        vertical = state.R_map_camera[0].T @ np.array([0.0, 0.0, 1.0])
         information = np.zeros((6, 6))
         information[:3, :3] = np.outer(vertical, vertical) + 1e-9 * np.eye(3)
         information[3:, 3:] = np.eye(3)
         noise = gtsam.noiseModel.Gaussian.Information(information / GAUGE_SIGMA**2)
-    graph.add(gtsam.PriorFactorPose3(C(first), values.atPose3(C(first)), noise))
+    graph.add(gtsam.PriorFactorPose3(C(0), values.atPose3(C(0)), noise))
     if has_scale:
         return
-    away = np.linalg.norm(state.positions[firm] - state.positions[first], axis=1)
-    far = int(firm[np.argmax(away)])
-    range_noise = gtsam.noiseModel.Isotropic.Sigma(1, GAUGE_SIGMA * max(float(away.max()), 1e-9))
-    graph.add(gtsam.RangeFactorPose3(C(first), C(far), float(away.max()), range_noise))
+    away = np.linalg.norm(state.positions - state.positions[0], axis=1)
+    far = int(np.argmax(away))
+    range_noise = gtsam.noiseModel.Isotropic.Sigma(1, GAUGE_SIGMA * max(float(away[far]), 1e-9))
+    graph.add(gtsam.RangeFactorPose3(C(0), C(far), float(away[far]), range_noise))
