@@ -34,6 +34,7 @@ from rholoc.trajectory.reconstruction import (
     reconstruct_from_poses,
     unmoved_frame,
 )
+from rholoc.trajectory.reconstruction.outcome import fewest_placed
 from rholoc.trajectory.reconstruction.sights import DENSER
 from rholoc.trajectory.report import comparison_with_imu, doubts_about, imu_report_on, report_on
 from rholoc.trajectory.trajectory import PoseMethod, Scale, Trajectory
@@ -45,8 +46,6 @@ from rholoc.trajectory.visual.rolling_shutter import RollingShutter, measure_rol
 _FEWEST_GIVEN = 3
 _MAX_GIVEN_TILT_DEG = 5.0  # of given poses that count as upright
 _MOUNTING_SIGMA_M, _MOUNTING_SIGMA_RAD = 0.002, 0.002  # of cameras on a rig
-_MIN_PLACED = 0.5  # the share of a walk's keyframes that a map must have …
-_MIN_OF_SET, _ENOUGH_OF_SET = 0.25, 8  # … and of a set, which may show several places: a share, or so many pictures
 
 _SLOWER = "Walk slower, keep more texture in view: no blank walls, no darkness."
 
@@ -316,8 +315,7 @@ def _trajectory_of(found: Reconstruction, method: PoseMethod, sights: Sights, pr
     flow, rows, kept = sights.flow, sights.rows, np.flatnonzero(found.placed)
     missing = missing_spans(flow, rows, found.placed, found.disputed)
     count, share = len(rows), len(kept) / len(rows)
-    fewest = _MIN_PLACED * count if sights.is_film else min(_MIN_OF_SET * count, _ENOUGH_OF_SET)
-    if len(kept) < fewest:
+    if len(kept) < fewest_placed(count, sights.is_film):
         what, advice = ("keyframes", _SLOWER) if sights.is_film else ("pictures", DENSER)
         raise MappingFailed(f"Only {len(kept)} of {count} {what} could be placed. {describe(missing)}".strip(), advice)
     second = None if found.agreement is None else found.agreement.second_positions

@@ -90,7 +90,7 @@ def taken(
     compared: Compared,
     monkeypatch: pytest.MonkeyPatch,
     sigma_m: float = 0.01,
-    held: bool = True,
+    held: bool | BoolArray = True,
     waypoints: Sequence[tuple[Waypoint, ...]] = (),
     off_m: FloatArray | None = None,
     final: Agreement = NOT_COMPARED,
@@ -99,7 +99,7 @@ def taken(
     reconstruction has the pictures ``off_m`` (20,) beside where the first has them at last, and agrees with it so.
     """
     aside = np.outer(np.zeros(COUNT) if off_m is None else off_m, [0.0, 1.0, 0.0])
-    placed = np.full(COUNT, held)
+    placed = np.zeros(COUNT, np.bool_) | held
     covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
     evidence: Any = type("Evidence", (), {"observations": lambda *_: None, "sequential": []})()
@@ -118,7 +118,7 @@ def taken(
     monkeypatch.setattr(
         from_pictures, "comparison_with", lambda T, *_: replace(final, second_positions=T[:, :3, 3] + aside)
     )
-    monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, whole, _: (part, walk, whole))
+    monkeypatch.setattr(from_pictures, "_refined", lambda part, walk, whole, *_: (part, walk, whole))
     # Once, zooms were measured although more features contradicted the poses: a focal length of 311 px became 406.
     monkeypatch.setattr(from_pictures, "_unzoomed", lambda *_: pytest.fail("nothing was refined"))
     monkeypatch.setattr(from_pictures, "_finished", lambda walk, part, _: Result(part, covariances, placed))
@@ -189,8 +189,26 @@ def test_reconstructions_that_share_few_pictures_do_not_contradict_each_other(mo
 
 def test_reconstructions_that_contradict_each_other_make_no_map(monkeypatch: pytest.MonkeyPatch) -> None:
     apart = Agreement(0.3, 0.5, 9.0, 12, 12)
+    monkeypatch.setattr(from_pictures, "agreeing_cores", lambda *_: [])
     with pytest.raises(MappingFailed, match="contradict each other"):
         taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 12}, lambda one, other: apart, monkeypatch)
+
+
+def test_reconstructions_that_contradict_each_other_make_an_untrusted_map_of_what_they_agree_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a corridor at a picture in two seconds two mappers placed all 37 pictures, the first 14 alike and rightly."""
+    cores, placed = [Part(np.arange(8)), Part(np.arange(8))], np.arange(COUNT) < 8
+
+    def compared(one: Part, other: Part) -> Agreement:
+        return agreeing(one, other) if len(one.members) == 8 else Agreement(0.3, 0.5, 9.0, 18, 18)
+
+    monkeypatch.setattr(from_pictures, "agreeing_cores", lambda *_: cores)
+    found = taken({Mapper.OWN: 18, Mapper.GLOBAL: 18}, compared, monkeypatch, held=placed)
+    assert found.part is cores[0]
+    assert found.frame.doubts == ("Reconstructions agree on 8 of 20 pictures only.",)
+    assert found.disputed is not None
+    assert np.flatnonzero(found.disputed).tolist() == list(range(8, 18))
 
 
 @pytest.mark.parametrize(("sigma_m", "held"), [(3.0, True), (np.nan, True), (0.01, False)])
@@ -343,7 +361,7 @@ def test_pairs_contradict_a_focal_length_that_is_far_off(
 @pytest.mark.parametrize(("linked", "said"), [(3, ""), (4, "4 further pictures fit each other, but not these")])
 def test_pictures_that_fit_each_other_alone_may_be_of_another_place(linked: int, said: str) -> None:
     """Two rooms in one folder: the second one's pictures were missing without a word on why."""
-    placed = np.arange(20) < 12
+    placed: Any = Result(Part(np.arange(12)), np.zeros((COUNT, 6, 6)), np.arange(COUNT) < 12)
     first = [
         VerifiedPair(k, k + 1, np.zeros((40, 2), np.int64), np.eye(3)) for k in range(12)
     ]  # the last to one without

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rholoc.geometry import BoolArray, FloatArray, IntArray, align_poses, posed_alignment, rotation_angles
+from rholoc.geometry import BoolArray, FloatArray, IntArray, Similarity, align_poses, posed_alignment, rotation_angles
 
 _MIN_COMMON = 0.7  # share of the second reconstruction's keyframes that both must have placed
 _MAX_LINE_WIDTH = 0.02  # of collinear positions: spread across the line over spread along it
 _MAX_DISTANCE = 0.02  # median distance of equal reconstructions, as a share of the median depth …
-_MAX_DISTANCE_OF_MOST = 0.04  # … and its 90th percentile: one part may be wrong, the rest right
-_MAX_ANGLE_DEG = 2.0
+MAX_DISTANCE_OF_MOST = 0.04  # … and its 90th percentile: one part may be wrong, the rest right
+MAX_ANGLE_DEG = 2.0
 _CONTRADICTION = 0.1  # of the median depth, between reconstructions or poses of which at least one must be wrong
 
 
@@ -41,8 +41,8 @@ class Agreement:
 
         The median distance is up to 2 % of the median depth, its 90th percentile 4 %, and the median angle 2°.
         """
-        close = self.distance <= _MAX_DISTANCE and self.distance_of_most <= _MAX_DISTANCE_OF_MOST
-        return close and self.angle_deg <= _MAX_ANGLE_DEG
+        close = self.distance <= _MAX_DISTANCE and self.distance_of_most <= MAX_DISTANCE_OF_MOST
+        return close and self.angle_deg <= MAX_ANGLE_DEG
 
     @property
     def contradicts(self) -> bool:
@@ -89,9 +89,7 @@ def compare(
     if common < max(3, _MIN_COMMON * len(some)):
         return Agreement(np.nan, np.nan, np.nan, common, len(some))
     a, b = T[some[both]], other[both]
-    on_a_line = _is_line(a[:, :3, 3])
-    similarity = posed_alignment(b, a, np.ones(common), fixed_scale=False) if on_a_line else align_poses(b, a)
-    aligned = similarity.poses(b)
+    aligned = aligning(b, a).poses(b)
     apart = np.linalg.norm(aligned[:, :3, 3] - a[:, :3, 3], axis=1) / median_depth
     second_positions = np.full((len(T), 3), np.nan)
     second_positions[some[both]] = aligned[:, :3, 3]
@@ -105,9 +103,18 @@ def compare(
     )
 
 
+def aligning(source: FloatArray, target: FloatArray) -> Similarity:
+    """Similarity from poses ``source`` (N, 4, 4) to ``target`` (N, 4, 4): by the positions, a minority of wrong ones
+    ignored; if they are collinear, by the rotations too.
+    """
+    if _is_line(target[:, :3, 3]):
+        return posed_alignment(source, target, np.ones(len(source)), fixed_scale=False)
+    return align_poses(source, target)
+
+
 def _is_line(positions: FloatArray) -> bool:
-    """Whether positions (N, 3) are collinear (spread across below 2 % of that along): they leave the rotation about
+    """Whether positions (N, 3) are collinear (spread across up to 2 % of that along): they leave the rotation about
     their line open.
     """
-    along, across, _ = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
-    return bool(across < _MAX_LINE_WIDTH * along)
+    along, across = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)[:2]
+    return bool(across <= _MAX_LINE_WIDTH * along)

@@ -37,3 +37,14 @@ def median_depth_of(observations: Observations, adjusted: Adjusted) -> float:
     points, T = state.points[observations.tracks[used]], state.T_map_camera[observations.keyframes[used]]
     depths = np.einsum("ni,ni->n", points - T[:, :3, 3], T[:, :3, 2])
     return float(np.median(depths[depths > 0]))
+
+
+def depths_of(observations: Observations, adjusted: Adjusted, count: int) -> FloatArray:
+    """Median depth (K,) of the used points that each of K = ``count`` keyframes sees, in the state's unit; NaN without
+    any.
+    """
+    state, used = adjusted.state, adjusted.used
+    rows = observations.keyframes[used]
+    T = state.T_map_camera[rows]
+    depths = np.einsum("ni,ni->n", state.points[observations.tracks[used]] - T[:, :3, 3], T[:, :3, 2])
+    return np.array([np.median(depths[rows == k]) if (rows == k).any() else np.nan for k in range(count)])

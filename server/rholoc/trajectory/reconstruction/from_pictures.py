@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, Camera, FloatArray, IntArray, Lens, on_plane, pose_matrix
+from rholoc.geometry import Camera, FloatArray, IntArray, Lens, on_plane, pose_matrix
 from rholoc.geometry.graphs import components
 from rholoc.trajectory.checks.agreement import Agreement, disputed
 from rholoc.trajectory.frame.map_frame import up_by_pictures
@@ -18,6 +18,7 @@ from rholoc.trajectory.optimization.adjustment import adjust
 from rholoc.trajectory.optimization.problem import GUESSED, State
 from rholoc.trajectory.optimization.rounds import LAST_ITERATIONS, AdjustmentProgress
 from rholoc.trajectory.optimization.zooms import measure_zooms, zoomed
+from rholoc.trajectory.reconstruction.core import agreeing_cores
 from rholoc.trajectory.reconstruction.depth_start import depth_start
 from rholoc.trajectory.reconstruction.joining import with_pieces_joined
 from rholoc.trajectory.reconstruction.measured_scale import scale_by_depth, scale_by_steps, scales_by_lengths
@@ -73,14 +74,30 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     they see enough points. The reconstruction of which another one confirms most pictures is taken. If it is confirmed,
     further pieces are joined to it. If fewer than 90 % of all pictures are confirmed, so are the pictures that another
     agreeing reconstruction adds. With joined pictures, fewer than 90 % leave the map untrusted: one that may be trusted
-    without them gets none. Pictures that the confirming reconstruction places elsewhere are left out.
+    without them gets none. Pictures that the confirming reconstruction places elsewhere are left out. If none agrees
+    with another one to a tenth of the depth, the pictures over which all of them agree are taken, untrusted.
 
     Raises:
-        MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth, or the pictures
-            hardly overlap.
+        MappingFailed: no mapper places anything, the reconstructions agree over too few pictures, or these hardly
+            overlap.
     """
-    sights, count = walk.sights, len(walk.sights.rows)
     whole = walk.observations()
+    parts = _parts(walk, whole, progress)
+    if not parts:
+        raise MappingFailed("No two pictures overlap enough.", DENSER)
+    agreement, _ = _best_agreement(_most_confirmed(parts, len(walk.sights.rows)), parts)
+    if agreement is None or not agreement.contradicts:
+        found = _best_of(parts, walk, whole, progress)
+        return replace(found, note=f"{found.note} {_elsewhere(found, walk.evidence.sequential)}".strip())
+    cores = agreeing_cores(parts, walk, whole, progress)
+    if not cores:
+        raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
+    return _only_agreed(_best_of(cores, walk, whole, progress, grow=False), parts)
+
+
+def _parts(walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> list[Part]:
+    """The parts that the mappers place, until two agree on nearly all pictures."""
+    sights, count = walk.sights, len(walk.sights.rows)
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
     parts: list[Part] = []
     with PycolmapStarts(walk.camera, sights.camera is not None, pixels, walk.evidence.sequential) as starts:
@@ -94,15 +111,21 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
             parts.append(part)
             if _confirmed(_agreements(part, parts)) >= _ALL * count:
                 break
-    if not parts:
-        raise MappingFailed("No two pictures overlap enough.", DENSER)
+    return parts
+
+
+def _best_of(
+    parts: Sequence[Part], walk: Pictured, whole: Observations, progress: AdjustmentProgress, grow: bool = True
+) -> Reconstruction:
+    """The part of which another one confirms most pictures, refined, with pieces joined if it is confirmed, in the map
+    frame. Without ``grow`` no pictures are added to it. Raises MappingFailed if the pictures hardly overlap.
+    """
+    count = len(walk.sights.rows)
     best = _most_confirmed(parts, count)
     agreement, other = _best_agreement(best, parts)
-    if agreement is not None and agreement.contradicts:
-        raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
-    refined, walk, whole = _refined(best, walk, whole, progress)
+    refined, walk, whole = _refined(best, walk, whole, progress, grow)
     part = refined
-    if agreement is not None and agreement.same:  # else a wrong part would grow
+    if grow and agreement is not None and agreement.same:  # else a wrong part would grow
         pieces = [one for some in parts for one in some.apart]
         if agreement.common < _MOST_OF_JOINED * count:  # too few for a map with joined pictures to be trusted
             pieces = [] if _suffices(refined, walk, agreement) else [*_agreeing(best, parts), *pieces]
@@ -116,8 +139,7 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
         found = replace(found, frame=replace(found.frame, doubts=(*found.frame.doubts, _WAYPOINTS_MISSED)))
     if _is_loose(found):
         raise MappingFailed("Too few points are seen by several pictures from places far enough apart.", _SPACED)
-    notes = found.note, _by_waypoints(part.by_waypoints), _elsewhere(found.placed, walk.evidence.sequential)
-    found = replace(found, note=" ".join(note for note in notes if note))
+    found = replace(found, note=f"{found.note} {_by_waypoints(part.by_waypoints)}".strip())
     if agreement is None or other is None:
         return replace(found, agreement=Agreement(np.nan, np.nan, np.nan, 0, count))
     if agreement.common < least:
@@ -127,6 +149,17 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
         return replace(found, agreement=in_map_frame)
     found = replace(found, agreement=replace(agreement, second_positions=in_map_frame.second_positions))
     return _without_disputed(found) if agreement.same and in_map_frame.same else found
+
+
+def _only_agreed(found: Reconstruction, parts: Sequence[Part]) -> Reconstruction:
+    """The reconstruction of the pictures over which the ``parts`` agree, not trusted; others that these place are
+    disputed.
+    """
+    count = len(found.placed)
+    disputed = np.isin(np.arange(count), np.concatenate([part.members for part in parts])) & ~found.placed
+    why = f"Reconstructions agree on {int(found.placed.sum())} of {count} pictures only."
+    frame = replace(found.frame, doubts=(*found.frame.doubts, why))
+    return replace(found, frame=frame, disputed=disputed)
 
 
 def _without_disputed(found: Reconstruction) -> Reconstruction:
@@ -166,10 +199,11 @@ def _by_waypoints(pictures: Sequence[int]) -> str:
     return f"Only the waypoints connect its pieces of {sizes} and {pictures[-1]} pictures."
 
 
-def _elsewhere(placed: BoolArray, pairs: Sequence[VerifiedPair]) -> str:
-    """One line if four or more of the pictures that are not ``placed`` (K,) are linked by pairs, as in sets of two
-    rooms; else empty.
+def _elsewhere(found: Reconstruction, pairs: Sequence[VerifiedPair]) -> str:
+    """One line if four or more of the pictures that are neither placed nor disputed are linked by pairs, as in sets of
+    two rooms; else empty.
     """
+    placed = found.placed if found.disputed is None else found.placed | found.disputed
     links = [(pair.first, pair.second) for pair in pairs if not (placed[pair.first] or placed[pair.second])]
     together = int(np.bincount(components(len(placed), np.array(links, dtype=np.int64))).max())
     if together < _ANOTHER_PLACE:
@@ -216,9 +250,10 @@ def _starts_by(mapper: Mapper, walk: Pictured, whole: Observations, starts: Pyco
 
 
 def _refined(
-    part: Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress
+    part: Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress, grow: bool
 ) -> tuple[Part, Pictured, Observations]:
-    """Adjust a part to more features and to the weak pairs that fit it, and add the pictures that these place.
+    """Adjust a part to more features and to the weak pairs that fit it; to ``grow`` it, add the pictures that these
+    place.
 
     Returns the new part, the walk with the weak pairs used, and its sightings. If the adjustment fails or disagrees
     with ``part``, all three unchanged.
@@ -227,7 +262,8 @@ def _refined(
     richer = replace(evidence, sequential=[*evidence.sequential, *_fitting(part, walk)], weak=[])
     more = walk.observed(richer, MANY_FEATURES)
     try:
-        found = adjusted_part(walk, more, extended(part.start, walk, more), progress, (0.75, 0.85))
+        start = extended(part.start, walk, more) if grow else part.start
+        found = adjusted_part(walk, more, start, progress, (0.75, 0.85))
     except (MappingFailed, RuntimeError):
         return part, walk, whole
     if not agreement_of(found, part).same:

@@ -17,6 +17,8 @@ from rholoc.trajectory.reconstruction.figures import median_depth_of, spread_cov
 from rholoc.trajectory.visual.tracks import MIN_SIGHTINGS
 
 WELL_PLACED = 0.9  # minimum share of the keyframes for a trajectory to be trusted
+_MIN_PLACED = 0.5  # the share of a walk's keyframes that a map must have …
+_MIN_OF_SET, _ENOUGH_OF_SET = 0.25, 8  # … and of a set, which may show several places: a share, or so many pictures
 _SEEN, _FIXED = 12, 8  # minimum sightings to fix a keyframe, and minimum of these with a known distance
 _CARRIED_SIGMA_M = 0.05  # maximum, for a keyframe fixed by the IMU alone
 _SHARED = 0.0012  # of the median depth: sigma of errors that sightings share, which no number of them averages out
@@ -160,6 +162,13 @@ def finished(
         loops,
         median_depth,
     )
+
+
+def fewest_placed(count: int, is_film: bool) -> float:
+    """Minimum number of ``count`` keyframes that a map must have: half of a film's; of a set of pictures a quarter, or
+    eight.
+    """
+    return _MIN_PLACED * count if is_film else min(_MIN_OF_SET * count, _ENOUGH_OF_SET)
 
 
 def right_sightings(problem: Problem, adjusted: Adjusted) -> BoolArray:
