@@ -74,25 +74,26 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     they see enough points. The reconstruction of which another one confirms most pictures is taken. If it is confirmed,
     further pieces are joined to it. If fewer than 90 % of all pictures are confirmed, so are the pictures that another
     agreeing reconstruction adds. With joined pictures, fewer than 90 % leave the map untrusted: one that may be trusted
-    without them gets none. Pictures that the confirming reconstruction places elsewhere are left out. If none agrees
-    with another one to a tenth of the depth, the pictures over which all of them agree are taken, untrusted.
+    without them gets none. Pictures that the confirming reconstruction places elsewhere are left out. If no other one
+    confirms it, the pictures over which all reconstructions agree are taken instead, untrusted.
 
     Raises:
-        MappingFailed: no mapper places anything, the reconstructions agree over too few pictures, or these hardly
-            overlap.
+        MappingFailed: no mapper places anything, none agrees with another one to a tenth of the depth and all over too
+            few pictures, these hardly overlap, or the waypoints contradict them.
     """
     whole = walk.observations()
     parts = _parts(walk, whole, progress)
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", DENSER)
     agreement, _ = _best_agreement(_most_confirmed(parts, len(walk.sights.rows)), parts)
-    if agreement is None or not agreement.contradicts:
-        found = _best_of(parts, walk, whole, progress)
-        return replace(found, note=f"{found.note} {_elsewhere(found, walk.evidence.sequential)}".strip())
-    cores = agreeing_cores(parts, walk, whole, progress)
-    if not cores:
-        raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
-    return _only_agreed(_best_of(cores, walk, whole, progress, grow=False), parts)
+    if agreement is not None and not agreement.same:
+        cores = agreeing_cores(parts, walk, whole, progress)
+        if cores:
+            return _only_agreed(_best_of(cores, walk, whole, progress, grow=False), parts)
+        if agreement.contradicts:
+            raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
+    found = _best_of(parts, walk, whole, progress)
+    return replace(found, note=f"{found.note} {_elsewhere(found, walk.evidence.sequential)}".strip())
 
 
 def _parts(walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> list[Part]:
@@ -118,7 +119,7 @@ def _best_of(
     parts: Sequence[Part], walk: Pictured, whole: Observations, progress: AdjustmentProgress, grow: bool = True
 ) -> Reconstruction:
     """The part of which another one confirms most pictures, refined, with pieces joined if it is confirmed, in the map
-    frame. Without ``grow`` no pictures are added to it. Raises MappingFailed if the pictures hardly overlap.
+    frame. Without ``grow`` no pictures are added. Raises MappingFailed if they hardly overlap, or miss the waypoints.
     """
     count = len(walk.sights.rows)
     best = _most_confirmed(parts, count)
