@@ -27,7 +27,7 @@ from rholoc.recordings.readers import READERS
 from rholoc.recordings.recording import Waypoint
 from rholoc.reports import WarningKind
 
-UNTIMED = ("7-scenes", "colmap", "nerfstudio", "metashape")
+UNTIMED = ("7-scenes", "colmap", "nerfstudio", "kapture", "metashape")
 SCANNING_APPS = ("scanner-app", "polycam", "record3d", "arkit-scenes")
 WITHOUT_IMU = (*UNTIMED, "tum", *SCANNING_APPS)
 MOUNTED = {
@@ -49,13 +49,12 @@ DISTORTED = {
     "stray": (),
     **dict.fromkeys((*SCANNING_APPS, "mars-ios", "ios-logger"), ()),
     "spectacular": (0.01, -0.02, 0.0, 0.0, 0.003),
-    **dict.fromkeys(("euroc", "colmap", "nerfstudio"), (0.1, -0.05, 0.001, 0.002)),
+    **dict.fromkeys(("euroc", "colmap", "nerfstudio", "kapture"), (0.1, -0.05, 0.001, 0.002)),
     "metashape": (0.1, -0.05, 0.001, 0.002, 0.0),
 }
 WARNED = {
     "tum": [WarningKind.NOT_USED],
-    "colmap": [WarningKind.SCALE_UNKNOWN],
-    "nerfstudio": [WarningKind.SCALE_UNKNOWN],
+    **{name: [WarningKind.SCALE_UNKNOWN] for name in ("colmap", "nerfstudio", "kapture")},
 }
 
 
@@ -123,7 +122,7 @@ def check_poses(name: str, recording: Recording) -> None:
         assert recording.poses is None
         return
     assert recording.poses.known.all()
-    assert recording.poses.metric is (name not in ("colmap", "nerfstudio"))
+    assert recording.poses.metric is (name not in ("colmap", "nerfstudio", "kapture"))
     np.testing.assert_allclose(recording.poses.T_map_camera, phone.camera_poses(POSED[name]), atol=1e-4)
 
 
@@ -158,7 +157,7 @@ def test_every_reader_has_a_format_of_its_own_and_a_walk_here() -> None:
     formats = [reader.format for reader in READERS]
     assert len(set(formats)) == len(formats)
     written = {kind for kind, _ in phone.WRITERS.values()}
-    elsewhere = {RecordingFormat.BAG, RecordingFormat.KAPTURE}  # test_bags writes bags; kapture's is like COLMAP's
+    elsewhere = {RecordingFormat.BAG}  # test_bags writes them
     assert {*formats, RecordingFormat.RHOLOC} == written | elsewhere
     assert written | elsewhere | {RecordingFormat.VIDEO} == set(RecordingFormat)
 

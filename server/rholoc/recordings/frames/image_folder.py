@@ -126,9 +126,9 @@ def image_frames(
         focal_px = common.focal if 2 * len(known) >= len(paths) else None
         lenses = _lenses([max(size) if focal is None else None for size, focal in zip(sizes, focals, strict=True)])
         return UnifiedPictures(tuple(paths), tuple(cameras), common, numbers, times, timed, focal_px, lenses)
-    if len(set(cameras)) == 1 and set(sizes) == {(cameras[0].width, cameras[0].height)}:
-        return ImageFolderFrames(tuple(paths), numbers, times, sizes[0], timed)
     cameras = [camera.fitted(*size) for camera, size in zip(cameras, sizes, strict=True)]
+    if len(set(cameras)) == 1:
+        return ImageFolderFrames(tuple(paths), numbers, times, sizes[0], timed)
     return UnifiedPictures(tuple(paths), tuple(cameras), common_camera(cameras), numbers, times, timed)
 
 

@@ -23,6 +23,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
+from rholoc.recordings.readers._orientation import as_shown
 from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.recordings.tables.pose_table import poses_from_rows
@@ -102,12 +103,15 @@ def read(folder: Path) -> Recording:
         images, fields = _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
     source = _pictures_folder(folder, images[0].name)
     cameras, warnings = _cameras(fields, [image.camera for image in images])
-    timed = untimed_images([listed_file(source, image.name) for image in images], cameras)
-    T_camera_map = poses_from_rows(np.array([images[row].pose for row in timed.rows]), "the model's images")
+    paths = [listed_file(source, image.name) for image in images]
+    cameras, T_stored_shown = as_shown(paths, cameras)
+    timed = untimed_images(paths, cameras)
+    T_stored_map = poses_from_rows(np.array([image.pose for image in images]), "the model's images")
+    T_map_camera = np.linalg.inv(T_stored_map) @ T_stored_shown
     return Recording(
         timed.frames,
         camera=timed.camera,
-        poses=GivenPoses(np.ones(len(timed.rows), dtype=np.bool_), np.linalg.inv(T_camera_map), metric=False),
+        poses=GivenPoses(np.ones(len(timed.rows), dtype=np.bool_), T_map_camera[timed.rows], metric=False),
         warnings=(*timed.warnings, SCALE_WARNING, *warnings),
     )
 

@@ -26,6 +26,7 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import TimedFrames, listed_file, mounted_frames, timed_images, untimed_images
+from rholoc.recordings.readers._orientation import as_shown
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Imu, Recording
 from rholoc.recordings.tables.csv_table import read_text
@@ -66,16 +67,17 @@ def read(folder: Path) -> Recording:
         stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
     paths = [listed_file(tables / "records_data", path) for _, _, path in records]
     cameras, warnings = _cameras(known, [sensor for _, sensor, _ in records])
+    cameras, T_stored_shown = as_shown(paths, cameras)
     timed, unit_warnings = _frames(paths, stamps if is_timed else None, cameras)
     taken = [(stamp, sensor) for stamp, sensor, _ in records]
     mountings = _mountings(taken, rigs)
     moments = [(stamp, None if one is None else one[0]) for (stamp, _), one in zip(taken, mountings, strict=True)]
-    T_rig_cameras = [None if one is None else one[1] for one in mountings]
+    T_rig_cameras = [None if one is None else one[1] @ T for one, T in zip(mountings, T_stored_shown, strict=True)]
     return Recording(
         timed.frames,
         camera=timed.camera,
         imu=imu,
-        poses=_poses(tables, [taken[row] for row in timed.rows], rigs),
+        poses=_poses(tables, [taken[row] for row in timed.rows], rigs, T_stored_shown[timed.rows]),
         mounted=() if is_timed else mounted_frames(timed, moments, T_rig_cameras),
         warnings=(*unit_warnings, *timed.warnings, *warnings, *imu_warnings, SCALE_WARNING),
     )
@@ -175,10 +177,14 @@ def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[st
     return [of_sensor.get(sensor) for _, sensor in records]
 
 
-def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> GivenPoses | None:
-    """T_world_camera of each picture, by its sensor's trajectory, else by its rig's; None if no picture has a pose.
+def _poses(
+    tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose, T_stored_shown: FloatArray
+) -> GivenPoses | None:
+    """T_world_camera of each shown picture, by its sensor's trajectory, else by its rig's; None if no picture has a
+    pose.
 
-    ``records`` are the pictures' (timestamp, sensor). Raises InvalidTrajectory.
+    ``records`` are the pictures' (timestamp, sensor), ``T_stored_shown`` (N, 4, 4) their orientations. Raises
+    InvalidTrajectory.
     """
     placed = _pose_table(tables / "trajectories.txt")
     T = np.full((len(records), 4, 4), np.nan)
@@ -189,7 +195,7 @@ def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> Giv
             by_rig = (T_sensor_rig @ placed[stamp, rig] for rig, T_sensor_rig in mounted if (stamp, rig) in placed)
             found = next(by_rig, None)
         if found is not None:
-            T[row] = np.linalg.inv(found)
+            T[row] = np.linalg.inv(found) @ T_stored_shown[row]
     known = np.isfinite(T[:, 0, 0])
     return GivenPoses(known, T, metric=False) if known.any() else None
 

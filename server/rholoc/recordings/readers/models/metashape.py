@@ -26,6 +26,7 @@ from rholoc.geometry import Camera, FloatArray, Lens, is_rotation, pose_matrix
 from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
 from rholoc.recordings.readers._camera_models import CENTRE_SHIFT, unsupported
 from rholoc.recordings.readers._frames import untimed_images
+from rholoc.recordings.readers._orientation import as_shown
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
@@ -69,17 +70,17 @@ def read(folder: Path) -> Recording:
     placed, label_warnings = _with_own_photos(placed, list(document.iter("camera")), photos)
     sensors = {sensor.get("id"): sensor for sensor in document.iter("sensor")}
     cameras, warnings = _cameras([sensors.get(one.get("sensor_id")) for one in placed])
-    timed = untimed_images([photos[_label(one).lower()] for one in placed], cameras)
+    paths = [photos[_label(one).lower()] for one in placed]
+    cameras, T_stored_shown = as_shown(paths, cameras)
+    timed = untimed_images(paths, cameras)
     frames = {one.get("id"): one.find("transform") for one in document.iter("component")}
     whole = document.find("chunk/transform")
     metric = any(one is not None and one.find("scale") is not None for one in (*frames.values(), whole))
-    T = np.array(
-        [_pose(one, frames.get(one.get("component_id"), whole)) for one in (placed[row] for row in timed.rows)]
-    )
+    T = np.array([_pose(one, frames.get(one.get("component_id"), whole)) for one in placed]) @ T_stored_shown
     return Recording(
         timed.frames,
         camera=timed.camera,
-        poses=GivenPoses(np.ones(len(T), dtype=np.bool_), T, metric=metric),
+        poses=GivenPoses(np.ones(len(T), dtype=np.bool_), T[timed.rows], metric=metric),
         warnings=(*timed.warnings, *label_warnings, *warnings, *(() if metric else (SCALE_WARNING,))),
     )
 

@@ -18,10 +18,10 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidImage, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
-from rholoc.recordings.frames.image_decoding import image_size
 from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._camera_models import lens_of_model, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
+from rholoc.recordings.readers._orientation import as_shown, stored_size
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_json
@@ -54,13 +54,14 @@ def read(folder: Path) -> Recording:
     listed = values["frames"]
     paths = [_image(folder, frame) for frame in listed]
     cameras, warnings = _cameras(values, listed, paths)
+    cameras, T_stored_shown = as_shown(paths, cameras)
     timed = untimed_images(paths, cameras)
-    T_world_camera = opencv_camera(np.array([_pose(listed[row]) for row in timed.rows]))
-    T_map_camera = np.linalg.inv(_applied_transform(values)) @ T_world_camera
+    T_world_stored = opencv_camera(np.array([_pose(frame) for frame in listed]))
+    T_map_camera = np.linalg.inv(_applied_transform(values)) @ T_world_stored @ T_stored_shown
     return Recording(
         timed.frames,
         camera=timed.camera,
-        poses=GivenPoses(np.ones(len(paths), dtype=np.bool_), T_map_camera, metric=False),
+        poses=GivenPoses(np.ones(len(paths), dtype=np.bool_), T_map_camera[timed.rows], metric=False),
         warnings=(*timed.warnings, SCALE_WARNING, *warnings),
     )
 
@@ -120,7 +121,7 @@ def _cameras(
 
 def _size(path: Path) -> tuple[int, int]:
     try:
-        return image_size(path)
+        return stored_size(path)
     except (InvalidImage, OSError) as error:
         raise InvalidRecording(f"The image {path.name} is missing or broken.", "Leave it out of the list.") from error
 
@@ -162,7 +163,7 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         _distortion(values, lens),
         lens,
     )
-    return camera.fitted(*size), ()
+    return camera, ()
 
 
 def _distortion(values: dict[str, Any], lens: Lens) -> tuple[float, ...]:
