@@ -1,11 +1,15 @@
 """Models by other programs, as users have them: several models, other paths, other ways to state the intrinsics."""
 
+import json
+import math
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import phone_recordings as phone
 import pytest
 
-from rholoc.errors import InvalidRecording
+from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.recordings import Recording, RecordingFormat, read_recording
 from rholoc.reports import WarningKind
 
@@ -50,3 +54,170 @@ def test_images_of_a_colmap_model_without_their_lines_of_points_are_refused(tmp_
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(InvalidRecording, match=r"images\.txt: the line after walk/frame0023\.png"):
         read_recording(tmp_path / "walk")
+
+
+def write_transforms(folder: Path, **changes: Any) -> dict[str, Any]:
+    """The walk as ``transforms.json`` with some members changed; None removes one. Returns what is written."""
+    path = phone.write_recording("nerfstudio", folder) / "transforms.json"
+    values = {name: value for name, value in {**json.loads(path.read_text()), **changes}.items() if value is not None}
+    path.write_text(json.dumps(values))
+    return values
+
+
+def test_a_scale_that_nerfstudio_applied_is_undone(tmp_path: Path) -> None:
+    values = write_transforms(tmp_path / "walk", applied_scale=0.25)
+    for frame in values["frames"]:
+        for row in frame["transform_matrix"][:3]:
+            row[3] *= 0.25
+    (tmp_path / "walk" / "transforms.json").write_text(json.dumps(values))
+    poses = read_recording(tmp_path / "walk").poses
+    np.testing.assert_allclose(poses.T_map_camera, phone.camera_poses(phone.R_PORTRAIT_CAMERA_IMU), atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", [0, -1, "big", [1]])
+def test_an_impossible_applied_scale_is_refused(scale: Any, tmp_path: Path) -> None:
+    write_transforms(tmp_path / "walk", applied_scale=scale)
+    with pytest.raises(InvalidTrajectory, match="applied_scale is not a scale"):
+        read_recording(tmp_path / "walk")
+
+
+FX, FY = phone.INTRINSICS[:2]
+ANGLE_X, ANGLE_Y = 2 * math.atan(32 / FX), 2 * math.atan(24 / FY)
+
+
+@pytest.mark.parametrize(
+    ("stated", "focals"),
+    [
+        ({"camera_angle_x": ANGLE_X}, (FX, FX)),
+        ({"camera_angle_y": ANGLE_Y}, (FY, FY)),
+        ({"camera_angle_x": ANGLE_X, "camera_angle_y": ANGLE_Y}, (FX, FY)),
+        ({"x_fov": math.degrees(ANGLE_X)}, (FX, FX)),
+        ({"fl_y": FY}, (FY, FY)),
+    ],
+)
+def test_focal_lengths_may_be_stated_as_angles(
+    stated: dict[str, float], focals: tuple[float, float], tmp_path: Path
+) -> None:
+    write_transforms(tmp_path / "walk", **{"fl_x": None, "fl_y": None} | stated)
+    camera = read_recording(tmp_path / "walk").camera
+    assert (camera.fx, camera.fy) == pytest.approx(focals)
+
+
+@pytest.mark.parametrize("name", ["ftheta_p0", "latlong", "equirectangular"])
+def test_a_lens_that_only_instant_ngp_has_is_named(name: str, tmp_path: Path) -> None:
+    write_transforms(tmp_path / "walk", **{name: 0.0 if name == "ftheta_p0" else True})
+    recording = read_recording(tmp_path / "walk")
+    assert recording.camera is None
+    assert WarningKind.CAMERA_UNSUPPORTED in [warning.kind for warning in recording.warnings]
+
+
+def test_all_coefficients_of_full_opencv_are_read(tmp_path: Path) -> None:
+    write_transforms(tmp_path / "walk", camera_model="FULL_OPENCV", k3=0.01, k4=0.02, k5=0.03, k6=0.04)
+    assert read_recording(tmp_path / "walk").camera.distortion == (0.1, -0.05, 0.001, 0.002, 0.01, 0.02, 0.03, 0.04)
+
+
+def test_the_fourth_radial_coefficient_of_nerfstudio_is_not_lost(tmp_path: Path) -> None:
+    write_transforms(tmp_path / "walk", k3=0.01, k4=0.3)
+    camera = read_recording(tmp_path / "walk").camera
+    r2 = 0.5**2  # at x = 0.4, y = 0.3
+    radial = 1 + 0.1 * r2 - 0.05 * r2**2 + 0.01 * r2**3 + 0.3 * r2**4
+    tangential = 2 * 0.001 * 0.12 + 0.002 * (r2 + 2 * 0.16), 0.001 * (r2 + 2 * 0.09) + 2 * 0.002 * 0.12
+    expected = (0.4 * radial + tangential[0]) * FX + 31.5, (0.3 * radial + tangential[1]) * FY + 23.5
+    np.testing.assert_allclose(camera.project(np.array([[0.4, 0.3, 1.0]])), [expected], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("listed", "file"),
+    [
+        ("images\\frame_1.png", "images/frame_1.png"),
+        ("./images/frame_1", "images/frame_1.JPG"),
+        ("images/frame_1", "images/frame_1.jpeg"),
+        ("images/scan.0001", "images/scan.0001.png"),
+    ],
+)
+def test_pictures_are_found_by_paths_as_windows_has_them_and_without_suffix(
+    listed: str, file: str, tmp_path: Path
+) -> None:
+    values = write_transforms(tmp_path / "walk")
+    frame = values["frames"][0]
+    (tmp_path / "walk" / frame["file_path"]).rename(tmp_path / "walk" / file)
+    values["frames"] = [{**frame, "file_path": listed}]
+    (tmp_path / "walk" / "transforms.json").write_text(json.dumps(values))
+    assert read_recording(tmp_path / "walk").frames.paths == (tmp_path / "walk" / file,)
+
+
+def edit_metashape(folder: Path, *edits: tuple[str, str]) -> None:
+    """The walk as Metashape's cameras.xml with texts replaced."""
+    path = phone.write_recording("metashape", folder) / "cameras.xml"
+    text = path.read_text()
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+
+
+def without_transform(text: str) -> str:
+    """The text of cameras.xml whose component has no transform."""
+    start, end = text.index('<component id="0">'), text.index("</components>")
+    return text[:start] + '<component id="0"/><component id="1"/>' + text[end:]
+
+
+def test_metashapes_components_without_a_common_frame_are_not_mixed(tmp_path: Path) -> None:
+    path = phone.write_recording("metashape", tmp_path / "walk") / "cameras.xml"
+    text = without_transform(path.read_text())
+    for number in range(5):
+        camera = f'<camera id="{number}" sensor_id="0" component_id='
+        text = text.replace(f'{camera}"0"', f'{camera}"1"')
+    path.write_text(text)
+    recording = read_recording(tmp_path / "walk")
+    assert recording.frames.numbers.tolist() == list(range(5, phone.FRAMES))
+    assert any("19 cameras of the largest component" in one for one in not_used(recording))
+    assert not recording.poses.metric
+
+
+def test_a_component_that_is_not_placed_itself_is_placed_by_its_chunk(tmp_path: Path) -> None:
+    path = phone.write_recording("metashape", tmp_path / "walk") / "cameras.xml"
+    text = path.read_text()
+    start, end = text.index("<transform><rotation"), text.index("</component>")
+    path.write_text(without_transform(text).replace("</chunk>", text[start:end] + "</chunk>"))
+    poses = read_recording(tmp_path / "walk").poses
+    assert poses.metric
+    np.testing.assert_allclose(poses.T_map_camera, phone.camera_poses(phone.R_PORTRAIT_CAMERA_IMU), atol=1e-9)
+
+
+def test_a_mask_is_not_taken_for_the_photo_of_its_name(tmp_path: Path) -> None:
+    edit_metashape(tmp_path / "walk")
+    phone.write_images(tmp_path / "walk" / "masks", ["DSC00003.png"])
+    recording = read_recording(tmp_path / "walk")
+    assert recording.frames.numbers.tolist() == [0, 1, 2, *range(4, phone.FRAMES)]
+    assert any("DSC00003" in text and "label" in text for text in not_used(recording))
+    phone.write_images(tmp_path / "walk" / "masks", [f"DSC{number:05d}.png" for number in range(phone.FRAMES)])
+    with pytest.raises(InvalidRecording, match="shares its label with another camera or picture"):
+        read_recording(tmp_path / "walk")
+
+
+@pytest.mark.parametrize(("lens", "named"), [("frame", "b2, p3"), ("fisheye", "b2, p1, p2, p3")])
+def test_coefficients_of_metashape_that_have_no_place_are_named(lens: str, named: str, tmp_path: Path) -> None:
+    edit_metashape(
+        tmp_path / "walk",
+        ('type="frame"', f'type="{lens}"'),
+        ("<k2>", "<b2>3</b2><p3>0.1</p3><p4>0</p4><k2>"),
+    )
+    recording = read_recording(tmp_path / "walk")
+    assert recording.camera is not None
+    (text,) = (one.text for one in recording.warnings if one.kind is WarningKind.CAMERA_UNSUPPORTED)
+    assert f"The calibration's {named} cannot" in text
+
+
+def test_several_chunks_of_metashape_are_refused(tmp_path: Path) -> None:
+    edit_metashape(tmp_path / "walk", ("</document>", "<chunk><cameras/></chunk></document>"))
+    with pytest.raises(InvalidRecording, match="several chunks"):
+        read_recording(tmp_path / "walk")
+
+
+def test_a_focal_length_of_zero_is_an_error_of_the_camera(tmp_path: Path) -> None:
+    edit_metashape(tmp_path / "metashape", ("<f>61.0</f>", "<f>0</f>"), ("<b1>-1.0</b1>", ""))
+    write_transforms(tmp_path / "nerfstudio", fl_x=0)
+    for name in ("metashape", "nerfstudio"):
+        with pytest.raises(InvalidCamera, match="a focal length is positive"):
+            read_recording(tmp_path / name)

@@ -151,16 +151,19 @@ def require_video(folder: Path, name: str) -> Path:
 
 
 def listed_file(folder: Path, name: str) -> Path:
-    """The file that a list in the folder refers to, by a path relative to it.
+    """The file that a list in the folder refers to, by a path relative to it; also with Windows' separators.
 
     Raises:
         InvalidRecording: the name leads out of the folder, or is too long for a file.
     """
     if max(len(part.encode("utf-8", "surrogatepass")) for part in name.split("/")) > _LONGEST_NAME_BYTES:
         raise InvalidRecording(f"The list of images names '{name[:80]}…', which is too long for a file.")
-    path = folder / name
+    path = folder / name.replace("\\", "/")
     if "\0" in name or not path.resolve().is_relative_to(folder.resolve()):
-        raise InvalidRecording(f"The list of images names '{name[:80]}', outside the recording's folder.")
+        raise InvalidRecording(
+            f"The list of images names '{name[:80]}', outside the recording's folder.",
+            "Put the images into the folder, and list them by their paths in it.",
+        )
     return path
 
 
