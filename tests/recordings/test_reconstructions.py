@@ -221,3 +221,27 @@ def test_a_focal_length_of_zero_is_an_error_of_the_camera(tmp_path: Path) -> Non
     for name in ("metashape", "nerfstudio"):
         with pytest.raises(InvalidCamera, match="a focal length is positive"):
             read_recording(tmp_path / name)
+
+
+def test_the_rigs_in_kaptures_rigs_are_followed(tmp_path: Path) -> None:
+    sensors = phone.write_recording("kapture", tmp_path / "walk") / "sensors"
+    (sensors / "rigs.txt").write_text("robot, head, 1, 0, 0, 0, 0, 0, 1\nhead, cam, 1, 0, 0, 0, 0.5, 0, 0\n")
+    path = sensors / "trajectories.txt"
+    path.write_text(path.read_text().replace(", cam,", ", robot,"))
+    poses = read_recording(tmp_path / "walk").poses
+    expected = phone.camera_poses(phone.R_PORTRAIT_CAMERA_IMU)
+    expected[:, :3, 3] -= expected[:, :3, :3] @ [0.5, 0, 1]
+    np.testing.assert_allclose(poses.T_map_camera, expected, atol=1e-9)
+
+
+def test_rigs_of_kapture_that_hold_each_other_end(tmp_path: Path) -> None:
+    sensors = phone.write_recording("kapture", tmp_path / "walk") / "sensors"
+    (sensors / "rigs.txt").write_text("a, b, 1, 0, 0, 0, 0, 0, 0\nb, a, 1, 0, 0, 0, 0, 0, 0\n")
+    assert read_recording(tmp_path / "walk").poses.known.all()
+
+
+def test_trajectories_of_kapture_without_a_picture_are_refused(tmp_path: Path) -> None:
+    path = phone.write_recording("kapture", tmp_path / "walk") / "sensors" / "trajectories.txt"
+    path.write_text(path.read_text().replace(", cam,", ", lidar,"))
+    with pytest.raises(InvalidTrajectory, match="no pose of a picture"):
+        read_recording(tmp_path / "walk")

@@ -316,6 +316,23 @@ def test_a_partial_pose_of_kapture_counts_as_unknown(tmp_path: Path) -> None:
     np.testing.assert_allclose(poses.T_map_camera[0, :3, 3], [-1, -2, -3])
 
 
+def test_7_scenes_is_recognised_by_any_frame_and_in_capitals(tmp_path: Path) -> None:
+    folder = phone.write_recording("7-scenes", tmp_path / "walk")
+    (folder / "frame-000000.pose.txt").unlink()
+    for path in folder.glob("*.color.png"):
+        path.rename(path.with_suffix(".PNG"))
+    recording = read_recording(folder)
+    assert recording.format is RecordingFormat.SEVEN_SCENES
+    assert recording.poses.known.tolist() == [False, *[True] * (phone.FRAMES - 1)]
+
+
+def test_times_of_poses_that_belong_to_no_frame_are_written_in_full(tmp_path: Path) -> None:
+    folder = phone.write_recording("tum", tmp_path / "walk")
+    (folder / "groundtruth.txt").write_text("1305031102.25 0 0 0 0 0 0 1\n1305031105.5 0 0 0 0 0 0 1\n")
+    with pytest.raises(InvalidTrajectory, match=r"from 1305031102\.25 to 1305031105\.5"):
+        read_recording(folder)
+
+
 def test_frames_that_a_colmap_model_does_not_place_are_left_aside(tmp_path: Path) -> None:
     folder = phone.write_recording("colmap", tmp_path / "walk")
     phone.write_images(folder / "images", ["walk/frame0099.png"])

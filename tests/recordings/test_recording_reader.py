@@ -161,6 +161,10 @@ def test_broken_image_folders_are_reported(make_images, tmp_path: Path) -> None:
     with pytest.raises(InvalidRecording, match=r"IMG_0001\.HEIC is a HEIC picture.*JPEG"):
         read_recording(tmp_path / "empty")
 
+    (tmp_path / "empty" / "DSC1.tif").write_bytes(b"")
+    with pytest.raises(InvalidRecording, match=r"DSC1\.tif is a TIF picture.*JPEG"):
+        read_recording(tmp_path / "empty")
+
     with pytest.raises(InvalidRecording, match="There is no"):
         read_recording(tmp_path / "none")
 
@@ -364,6 +368,35 @@ def test_our_own_zip_file_and_its_temporary_folder(own: Path, inside: str) -> No
     assert not unpacked.exists()
     assert kept.exists()
     np.testing.assert_allclose(shades(chosen, [0]), [30], atol=4)
+
+
+@pytest.mark.parametrize("beside", ["", "README.txt", ".DS_Store", "__MACOSX/._phone"])
+def test_a_recording_is_found_in_the_only_folder_however_deep(own: Path, beside: str, tmp_path: Path) -> None:
+    folder = tmp_path / "sent"
+    shutil.copytree(own, folder / "data" / "2026" / "scan")
+    if beside:
+        (folder / beside).parent.mkdir(exist_ok=True)
+        (folder / beside).write_text("notes")
+    for path in (folder, zipped(folder)):
+        recording = read_recording(path)
+        assert recording.name == "sent"
+        assert recording.camera == CAMERA
+        assert len(recording.waypoints) == 3
+
+
+def test_a_table_beside_the_only_folder_is_not_lost(own: Path, tmp_path: Path) -> None:
+    shutil.copytree(own, tmp_path / "sent" / "walk")
+    shutil.move(own / "waypoints.csv", tmp_path / "sent" / "waypoints.csv")
+    with pytest.raises(InvalidRecording, match="neither a video nor images"):
+        read_recording(tmp_path / "sent")
+
+
+def test_folders_with_pictures_are_named_where_there_are_several(make_images, tmp_path: Path) -> None:
+    for name in ("cam0", "cam1", "cam2", "cam3", "cam4"):
+        make_images(tmp_path / "walk" / name)
+    with pytest.raises(InvalidRecording) as caught:
+        read_recording(tmp_path / "walk")
+    assert caught.value.hint == "There are pictures in cam0, cam1, cam2, cam3 and 1 more: give one of these folders."
 
 
 def test_a_zip_file_is_unpacked_into_the_workdir_and_stays(own: Path, tmp_path: Path) -> None:

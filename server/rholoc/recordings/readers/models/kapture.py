@@ -9,10 +9,10 @@
     sensors/records_accelerometer.txt  timestamp, sensor_id, x, y, z                             optional
     sensors/records_gyroscope.txt      timestamp, sensor_id, x, y, z                             optional
 
-Trajectories take the world to the sensor or rig, rigs take the rig to the sensor. The unit of time is not stated;
-timestamps that only count have none. Of several cameras with times, the one with most pictures is taken, unless they
-are mounted on a rig and there is no IMU; without times, all pictures are. The unit of poses is not stated, rigs are in
-metres. Partial poses, of a rotation or a translation alone, count as unknown.
+Trajectories take the world to the sensor or rig, rigs take the rig to the sensor, or to a rig in it. The unit of time
+is not stated; timestamps that only count have none. Of several cameras with times, the one with most pictures is taken,
+unless they are mounted on a rig and there is no IMU; without times, all pictures are. The unit of poses is not stated,
+rigs are in metres. Partial poses, of a rotation or a translation alone, count as unknown.
 """
 
 from collections import Counter
@@ -56,7 +56,7 @@ def read(folder: Path) -> Recording:
     known = read_cameras(tables / "sensors.txt")
     stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
     is_timed = bool(np.any(np.diff(np.unique(stamps)) != 1))
-    rigs = _pose_table(tables / "rigs.txt")
+    rigs = _flattened(_pose_table(tables / "rigs.txt"))
     imu, imu_warnings = _imu(tables) if is_timed else (None, ())
     sensors = {sensor for _, sensor, _ in records}
     if imu is None and len({sensor for _, sensor in rigs} & sensors) > 1:
@@ -171,6 +171,20 @@ def _imu(tables: Path) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
     return normalise_imu(samples[0], samples[1], ImuConvention(time_unit="ns"))
 
 
+def _flattened(rigs: _Pose) -> _Pose:
+    """T_sensor_rig (4, 4) of each sensor in a rig, also by the rigs in it, the outermost rig of a sensor last."""
+    flat, added = dict(rigs), rigs
+    while added:
+        added = {
+            (rig, sensor): T_sensor_inner @ T_inner_rig
+            for (rig, inner), T_inner_rig in added.items()
+            for (name, sensor), T_sensor_inner in rigs.items()
+            if name == inner and (rig, sensor) not in flat
+        }
+        flat |= added
+    return flat
+
+
 def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[str, FloatArray] | None]:
     """The rig of each picture's sensor, and T_rig_sensor (4, 4); None for sensors without a rig."""
     of_sensor = {sensor: (rig, np.linalg.inv(T_sensor_rig)) for (rig, sensor), T_sensor_rig in rigs.items()}
@@ -197,6 +211,10 @@ def _poses(
         if found is not None:
             T[row] = np.linalg.inv(found) @ T_stored_shown[row]
     known = np.isfinite(T[:, 0, 0])
+    if placed and not known.any():
+        raise InvalidTrajectory(
+            "trajectories.txt has no pose of a picture.", "Its timestamps and sensors must be those of the pictures."
+        )
     return GivenPoses(known, T, metric=False) if known.any() else None
 
 
