@@ -277,6 +277,16 @@ def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
         assert recording.camera.distortion[:2] == DISTORTED[name][:2]  # nerfstudio's others are called k3 and k4
 
 
+def test_a_camera_model_of_euroc_that_is_not_a_pinhole_is_named(tmp_path: Path) -> None:
+    sensor = phone.write_recording("euroc", tmp_path / "walk") / "mav0" / "cam0" / "sensor.yaml"
+    sensor.write_text(sensor.read_text().replace("intrinsics: [", "camera_model: omni\nintrinsics: [1.2, "))
+    recording = read_recording(tmp_path / "walk")
+    assert recording.camera is None
+    (warning,) = recording.warnings
+    assert warning.kind is WarningKind.CAMERA_UNSUPPORTED
+    assert "omni" in warning.text
+
+
 def test_the_broken_camera_of_a_rig_is_named(tmp_path: Path) -> None:
     root = phone.write_recording("euroc", tmp_path / "walk") / "mav0"
     for name in ("imu0", "state_groundtruth_estimate0"):
