@@ -209,6 +209,17 @@ def test_coefficients_of_metashape_that_have_no_place_are_named(lens: str, named
     assert f"The calibration's {named} cannot" in text
 
 
+def test_a_photo_of_metashape_in_a_format_that_is_not_read_is_named(tmp_path: Path) -> None:
+    edit_metashape(tmp_path / "walk")
+    photo = tmp_path / "walk" / "photos" / "DSC00003.JPG"
+    photo.rename(photo.with_suffix(".DNG"))
+    with pytest.raises(InvalidRecording, match=r"DSC00003\.DNG is a DNG picture"):
+        read_recording(tmp_path / "walk")
+    photo.with_suffix(".DNG").unlink()
+    with pytest.raises(InvalidRecording, match=r"no photo DSC00003\."):
+        read_recording(tmp_path / "walk")
+
+
 def test_several_chunks_of_metashape_are_refused(tmp_path: Path) -> None:
     edit_metashape(tmp_path / "walk", ("</document>", "<chunk><cameras/></chunk></document>"))
     with pytest.raises(InvalidRecording, match="several chunks"):

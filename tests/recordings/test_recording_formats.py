@@ -447,6 +447,13 @@ def test_pictures_of_a_scanner_app_with_their_own_focal_lengths_become_frames_of
     assert recording.frames.size == (recording.camera.width, recording.camera.height)
 
 
+def test_a_broken_picture_of_a_scan_is_named(tmp_path: Path) -> None:
+    folder = phone.write_recording("scanner-app", tmp_path / "walk")
+    (folder / "frame_00003.jpg").write_bytes(b"")
+    with pytest.raises(InvalidRecording, match=r"frame_00003\.jpg: .*Leave that file out"):
+        read_recording(folder)
+
+
 @pytest.mark.parametrize("shift_s", [-0.001, 0.001])
 def test_intrinsics_of_arkit_scenes_may_be_a_millisecond_off(tmp_path: Path, shift_s: float) -> None:
     folder = phone.write_recording("arkit-scenes", tmp_path / "walk")

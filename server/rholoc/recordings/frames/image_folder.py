@@ -114,7 +114,7 @@ def image_frames(
         raise InvalidRecording(f"The image {missing.name} is listed but missing.", "Pack the images with the lists.")
     timed = times is not None
     times = np.arange(len(paths), dtype=np.float64) if times is None else times
-    sizes = [_size_of(path) for path in paths]
+    sizes = [picture_size(path) for path in paths]
     if cameras is None:
         focals = [exif_focal_px(path) for path in paths]
         known = [focal for focal in focals if focal is not None]
@@ -178,7 +178,12 @@ def _times_of(numbers: IntArray, times_csv: Path) -> FloatArray:
     return table_times[np.searchsorted(table_numbers, numbers)]
 
 
-def _size_of(path: Path) -> tuple[int, int]:
+def picture_size(path: Path) -> tuple[int, int]:
+    """Width and height [px] of a picture file as it is shown.
+
+    Raises:
+        InvalidRecording: it has no image header, a side below 16 px or over 8K pixels.
+    """
     try:
         size = image_size(path)
     except InvalidImage as error:

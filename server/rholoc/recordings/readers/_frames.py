@@ -17,6 +17,7 @@ from rholoc.recordings.imu_normalisation import advancing_rows
 from rholoc.recordings.recording import FrameSource, Mounted
 from rholoc.reports import RecordingWarning, WarningKind
 
+UNREADABLE_SUFFIXES = (".heic", ".heif", ".avif", ".tif", ".tiff", ".dng")  # of pictures by phones and cameras
 MAX_FRAME_COUNT_DIFFERENCE = 2  # frames lost at the end of the video or of its table
 
 _LONGEST_NAME_BYTES = 240  # of a listed file's or folder's name, without suffix
@@ -148,6 +149,14 @@ def require_video(folder: Path, name: str) -> Path:
     if video is None:
         raise InvalidRecording(f"The folder {folder.name} contains no video.", "Pack the video with the tables.")
     return video
+
+
+def unreadable(picture: Path) -> InvalidRecording:
+    """The error for a picture in a format that cannot be read, see ``UNREADABLE_SUFFIXES``."""
+    return InvalidRecording(
+        f"{picture.name} is a {picture.suffix[1:].upper()} picture, which cannot be read.",
+        "Export the pictures as JPEG, or set the phone's camera to its most compatible format.",
+    )
 
 
 def listed_file(folder: Path, name: str) -> Path:

@@ -23,14 +23,13 @@ from rholoc.recordings.frames.image_folder import ImageFolderFrames, find_images
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures, require_one_camera
 from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.readers._frames import find_video, timed_video
+from rholoc.recordings.readers._frames import UNREADABLE_SUFFIXES, find_video, timed_video, unreadable
 from rholoc.recordings.recording import FrameSource, Imu, Recording
 from rholoc.recordings.tables.own_tables import read_frame_numbers, read_imu_rows, read_odometry_csv
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.reports import RecordingWarning
 
-_UNREADABLE = (".heic", ".heif", ".avif", ".tif", ".tiff", ".dng")  # pictures of phones and cameras
 _MAX_NAMED = 4
 TABLES = ("frames.csv", "times.csv", "imu.csv", "poses.txt", "poses.csv", "odometry.csv", "truth.csv")
 
@@ -108,7 +107,7 @@ def _without_frames(folder: Path) -> InvalidRecording:
     """The error for a folder without readable frames, which says where else pictures are."""
     below = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if not path.name.startswith(".")]
     places = [*dict.fromkeys(path.parts[0] for path in below if path.suffix.lower() in IMAGE_SUFFIXES)]
-    unreadable = next((path for path in below if path.suffix.lower() in _UNREADABLE), None)
+    other = next((path for path in below if path.suffix.lower() in UNREADABLE_SUFFIXES), None)
     hint = "It needs video.mp4, or images (JPEG, PNG, WebP), here or in frames/."
     if not any(folder.iterdir()):
         return InvalidRecording(f"The folder {folder.name} is empty.", hint)
@@ -116,11 +115,8 @@ def _without_frames(folder: Path) -> InvalidRecording:
         more = f" and {len(places) - _MAX_NAMED} more" if len(places) > _MAX_NAMED else ""
         which = "one of these folders" if len(places) > 1 else "that folder"
         hint = f"There are pictures in {', '.join(places[:_MAX_NAMED])}{more}: give {which}."
-    elif unreadable is not None:
-        return InvalidRecording(
-            f"{unreadable.name} is a {unreadable.suffix[1:].upper()} picture, which cannot be read.",
-            "Export the pictures as JPEG, or set the phone's camera to its most compatible format.",
-        )
+    elif other is not None:
+        return unreadable(other)
     return InvalidRecording(f"The folder {folder.name} contains neither a video nor images.", hint)
 
 

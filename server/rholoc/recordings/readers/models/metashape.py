@@ -14,7 +14,7 @@ cameras that were not aligned are ignored, and so are those whose label another 
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -26,7 +26,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, Lens, is_rotation, pose_matrix
 from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
 from rholoc.recordings.readers._camera_models import CENTRE_SHIFT, three_coefficients, unsupported
-from rholoc.recordings.readers._frames import untimed_images
+from rholoc.recordings.readers._frames import UNREADABLE_SUFFIXES, unreadable, untimed_images
 from rholoc.recordings.readers._orientation import as_shown
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording
@@ -69,8 +69,12 @@ def read(folder: Path) -> Recording:
     chunk, *others = (one for one in document.iterfind("chunk") if one.find("cameras") is not None)
     if others:
         raise InvalidRecording("The cameras' file has several chunks.", "Export the cameras of one chunk.")
-    photos = _photos(folder)
-    placed, label_warnings = _with_own_photos(_aligned(chunk, photos), list(chunk.iter("camera")), photos)
+    photos = _photos(folder, IMAGE_SUFFIXES)
+    aligned = _aligned(chunk)
+    missing = next((_label(one) for one in aligned if _label(one).lower() not in photos), None)
+    if missing is not None:
+        raise _no_photo(missing, folder)
+    placed, label_warnings = _with_own_photos(aligned, list(chunk.iter("camera")), photos)
     frames = {one.get("id"): one.find("transform") for one in chunk.iter("component")}
     placed, frame_warnings = _in_one_frame(placed, {name for name, frame in frames.items() if frame is None})
     sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
@@ -108,14 +112,14 @@ def _without_entities(text: str) -> str:
     return text
 
 
-def _photos(folder: Path) -> dict[str, list[Path]]:
-    """Photos below the folder by their lower-case names, with and without suffix; hidden files and folders are not
-    searched.
+def _photos(folder: Path, suffixes: Container[str]) -> dict[str, list[Path]]:
+    """Photos below the folder with such suffixes, by their lower-case names with and without suffix; hidden files and
+    folders are not searched.
     """
     photos: dict[str, list[Path]] = defaultdict(list)
     for path in sorted(folder.rglob("*")):
         hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file() and not hidden:
+        if path.suffix.lower() in suffixes and path.is_file() and not hidden:
             for name in (path.stem, path.name):
                 photos[name.lower()].append(path)
     return dict(photos)
@@ -125,15 +129,20 @@ def _label(camera: Element) -> str:
     return camera.get("label", "")
 
 
-def _aligned(chunk: Element, photos: Mapping[str, Sequence[Path]]) -> list[Element]:
-    """The cameras of a chunk with a pose. Raises InvalidRecording if there are none, or one has no photo."""
+def _aligned(chunk: Element) -> list[Element]:
+    """The cameras of a chunk with a pose and a label. Raises InvalidRecording if there are none."""
     aligned = [one for one in chunk.iter("camera") if one.find("transform") is not None and _label(one)]
     if not aligned:
         raise InvalidRecording("The cameras' file has no aligned camera.", "Align the photos, then export the cameras.")
-    missing = next((_label(one) for one in aligned if _label(one).lower() not in photos), None)
-    if missing is not None:
-        raise InvalidRecording(f"There is no photo {missing[:60]}.", "Put the photos beside the cameras' file.")
     return aligned
+
+
+def _no_photo(label: str, folder: Path) -> InvalidRecording:
+    """The error for a camera without a photo that can be read."""
+    others = _photos(folder, UNREADABLE_SUFFIXES).get(label.lower())
+    if others:
+        return unreadable(others[0])
+    return InvalidRecording(f"There is no photo {label[:60]}.", "Put the photos beside the cameras' file.")
 
 
 def _with_own_photos(
