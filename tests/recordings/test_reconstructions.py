@@ -48,6 +48,29 @@ def test_a_colmap_model_need_not_have_the_number_0(tmp_path: Path) -> None:
     assert not not_used(recording)
 
 
+@pytest.mark.parametrize("place", ["colmap/sparse/0", "colmap_sparse/0", "colmap_text"])
+def test_models_that_nerfstudio_and_instant_ngp_had_colmap_write_are_read(place: str, tmp_path: Path) -> None:
+    folder = phone.write_recording("colmap", tmp_path / "walk")
+    (folder / place).parent.mkdir(exist_ok=True, parents=True)
+    (folder / "sparse" / "0").rename(folder / place)
+    (folder / "sparse").rmdir()
+    recording = read_recording(folder)
+    assert recording.format is RecordingFormat.COLMAP
+    assert recording.poses.known.all()
+    assert not not_used(recording)
+
+
+@pytest.mark.parametrize("place", ["colmap/sparse/0", "colmap_text"])
+def test_transforms_are_read_rather_than_the_model_that_they_were_made_from(place: str, tmp_path: Path) -> None:
+    folder = phone.write_recording("nerfstudio", tmp_path / "walk")
+    (phone.write_recording("colmap", tmp_path / "other") / "sparse" / "0").rename(tmp_path / "model")
+    (folder / place).parent.mkdir(exist_ok=True, parents=True)
+    (tmp_path / "model").rename(folder / place)
+    recording = read_recording(folder)
+    assert recording.format is RecordingFormat.NERFSTUDIO
+    assert not not_used(recording)
+
+
 def test_images_of_a_colmap_model_without_their_lines_of_points_are_refused(tmp_path: Path) -> None:
     path = phone.write_recording("colmap", tmp_path / "walk") / "sparse" / "0" / "images.txt"
     lines = [line for line in path.read_text().splitlines() if "walk/" in line or line.startswith("#")]

@@ -31,6 +31,7 @@ from rholoc.recordings import (
     write_waypoints_csv,
 )
 from rholoc.recordings.recording import Recording
+from rholoc.reports import WarningKind
 
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
 INTRINSICS = "60,60,32,24"
@@ -389,6 +390,22 @@ def test_a_table_beside_the_only_folder_is_not_lost(own: Path, tmp_path: Path) -
     shutil.move(own / "waypoints.csv", tmp_path / "sent" / "waypoints.csv")
     with pytest.raises(InvalidRecording, match="neither a video nor images"):
         read_recording(tmp_path / "sent")
+
+
+@pytest.mark.parametrize("mask", ["frame-{:06d}_mask.png", "frame-{:06d}.mask.png", "frame-{:06d}.png.png"])
+def test_masks_beside_the_pictures_are_no_pictures(make_images, mask: str, tmp_path: Path) -> None:
+    make_images(tmp_path / "walk")
+    make_images(tmp_path / "walk", name=mask)
+    recording = read_recording(tmp_path / "walk")
+    assert recording.frames.numbers.tolist() == list(range(6))
+    (warning,) = recording.warnings
+    assert warning.kind is WarningKind.NOT_USED
+    assert mask.format(0) in warning.text
+
+
+def test_pictures_that_are_only_called_masks_are_pictures(make_images, tmp_path: Path) -> None:
+    make_images(tmp_path / "walk", name="{:03d}_mask.png")
+    assert len(read_recording(tmp_path / "walk").frames.times) == 6
 
 
 def test_folders_with_pictures_are_named_where_there_are_several(make_images, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from rholoc.recordings.frames.video import check_frame_size
 from rholoc.recordings.tables.own_tables import read_frames_csv
 
 _SUBFOLDERS = (".", "frames", "images")
+_MASKS = ("_mask", ".mask")
 _LAST_DIGITS = re.compile(r"(\d+)\D*$")
 _SAME_FOCAL = 1.02  # maximum ratio of focal lengths of one lens
 _MAX_FRAME_NUMBER = 2**63 - 1
@@ -151,13 +152,26 @@ def nominal_camera(size: tuple[int, int], focal_px: float | None = None) -> Came
 
 
 def _images_in(folder: Path) -> tuple[Path, ...]:
+    """The image files of a folder by name; neither hidden ones nor masks of others."""
     if not folder.is_dir():
         return ()
-    return tuple(
+    paths = [
         path
         for path in sorted(folder.iterdir())
         if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
-    )
+    ]
+    names = {name for path in paths for name in (path.stem, path.name)}
+    return tuple(path for path in paths if not _is_mask(path, names))
+
+
+def _is_mask(path: Path, names: Container[str]) -> bool:
+    """Whether a file is named after another picture: ``a_mask.png`` or ``a.mask.png`` after a, ``a.jpg.png`` after
+    a.jpg. ``names`` are those of the pictures, with and without suffix.
+    """
+    pictures = {path.stem[: -len(ending)] for ending in _MASKS if path.stem.lower().endswith(ending)}
+    if Path(path.stem).suffix.lower() in IMAGE_SUFFIXES:
+        pictures.add(path.stem)
+    return any(name in names for name in pictures)
 
 
 def number_in_name(path: Path) -> int | None:

@@ -7,6 +7,8 @@
     sparse/0/images.txt        IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of points
     sparse/0/*.bin             the same as binary
     outputs/sfm*/              a model by hloc, or sfm*/; its features-*.h5 and matches-*.h5 are not used
+    colmap/sparse/0/           by nerfstudio, if there is no transforms.json, which it makes from this
+    colmap_sparse/0/           the same by Instant NGP, or colmap_text/
 
 Poses are of the world in the camera; pixel (0.5, 0.5) is the centre of the top-left one. The unit of length is not
 stated. Of several models, which have no common frame, the one with most images is read.
@@ -45,7 +47,13 @@ TABLES = (
     "sfm*/*",
     "outputs/sfm*/*",
     "*pairs*.txt",
+    "colmap/*",
+    "colmap_*/*",
+    "colmap.db",
 )
+
+_PLACES = (("sparse/[0-9]*",), ("sparse",), ("",), ("sfm*", "outputs/sfm*"))
+_BEFORE_TRANSFORMS = (("colmap/sparse/[0-9]*",), ("colmap_sparse/[0-9]*",), ("colmap_text",))  # before transforms.json
 
 # COLMAP's numbers of the models in binary files, and how many parameters each has.
 _BINARY_MODELS = {
@@ -124,8 +132,9 @@ def _pictures_folder(folder: Path, name: str) -> Path:
 
 def _models(folder: Path) -> list[Path]:
     """The folders of the models in the first place that has any; empty if there are none."""
-    by_colmap, by_hloc = folder.glob("sparse/[0-9]*"), [*folder.glob("sfm*"), *folder.glob("outputs/sfm*")]
-    for places in (sorted(by_colmap), [folder / "sparse"], [folder], sorted(by_hloc)):
+    sought = _PLACES if (folder / "transforms.json").is_file() else (*_PLACES, *_BEFORE_TRANSFORMS)
+    for patterns in sought:
+        places = sorted(path for pattern in patterns for path in (folder.glob(pattern) if pattern else [folder]))
         found = [place for place in places if _is_complete(place, "bin") or _is_complete(place, "txt")]
         if found:
             return found

@@ -30,7 +30,7 @@ from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_json
 from rholoc.reports import RecordingWarning
 
-TABLES = ("transforms.json",)
+TABLES = ("transforms.json", "colmap/*", "colmap_*/*", "colmap.db", "sparse_pc.ply")
 _FILE = "transforms.json"
 _LENSES = {"PERSPECTIVE": Lens.PINHOLE}  # names that only nerfstudio has
 _FLAGS = {  # Instant NGP's members that name a lens
