@@ -212,7 +212,7 @@ def test_a_walk_comes_back_from_every_kind_of_bag(kind: str, tmp_path: Path) -> 
     np.testing.assert_allclose(recording.imu.angular_velocity[5], [0, np.radians(60), 0.1], atol=1e-9)
     np.testing.assert_allclose(recording.imu.R_camera_imu, T_base_cam[:3, :3].T, atol=1e-9)
     assert recording.poses.kind is PoseKind.ODOMETRY
-    np.testing.assert_allclose(recording.poses.T_map_camera, T_map_camera, atol=1e-9)
+    np.testing.assert_allclose(recording.poses.T_map_camera, T_map_camera, atol=1e-5)  # odometry is 1 µs later
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidTrajectory
-from rholoc.geometry import FloatArray, IntArray, pose_matrix
+from rholoc.geometry import FloatArray, IntArray, interpolated_poses, pose_matrix
 from rholoc.recordings.recording import FrameSource, GivenPoses
 from rholoc.recordings.tables.csv_table import read_text
 
@@ -79,8 +79,8 @@ def poses_from_rows(rows: FloatArray, source: str, hint: str = "") -> FloatArray
 
 
 def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
-    """Give each frame the pose with its number, or the one nearest in time within half a frame interval; NaN for
-    others.
+    """Give each frame the pose with its number, or that at its time: interpolated between two poses that are at most
+    two frame intervals apart, else the nearest one. NaN without a pose within half a frame interval.
 
     By number if the keys are frame numbers or the frames have no times.
 
@@ -103,6 +103,10 @@ def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
             + (f", times {frames.times[0]:.12g}–{frames.times[-1]:.12g} s." if frames.timed else ", without times."),
         )
     T = table.T_map_camera[order][nearest]
+    between = known & (keys[before] < wanted) & (wanted < keys[after]) & (keys[after] - keys[before] <= 4 * tolerance)
+    if between.any():
+        single, rows = np.unique(keys, return_index=True)
+        T[between] = interpolated_poses(single, table.T_map_camera[order][rows], wanted[between])
     T[~known] = np.nan
     return GivenPoses(known, T)
 
