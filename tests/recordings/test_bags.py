@@ -394,6 +394,22 @@ def test_intrinsics_may_lie_beside_the_bag(tmp_path: Path) -> None:
     assert read_recording(tmp_path).camera == Camera(*SIZE, 30.0, 30.0, 31.0, 23.0)
 
 
+@pytest.mark.parametrize(
+    ("sensors", "named"),
+    [
+        ("cam, c, camera, THIN_PRISM_FISHEYE, 64, 48, 20, 21, 32, 24, 0, 0, 0, 0, 0, 0, 0, 0\n", "THIN_PRISM_FISHEYE"),
+        ("".join(f"{name}, c, camera, PINHOLE, 64, 48, 40, 41, 32, 24\n" for name in "ab"), "2 cameras"),
+    ],
+)
+def test_intrinsics_beside_the_bag_that_cannot_be_used_are_named(sensors: str, named: str, tmp_path: Path) -> None:
+    with bag(tmp_path) as (_, writing):
+        pictures(writing, count=3)
+    (tmp_path / "sensors.txt").write_text(sensors)
+    recording = read_recording(tmp_path)
+    assert recording.camera is None
+    assert any(named in warning.text for warning in recording.warnings)
+
+
 def test_a_file_of_a_bag_reads_without_its_folder(tmp_path: Path) -> None:
     for kind in ("db3", "mcap"):
         with bag(tmp_path / kind, kind) as (path, writing):

@@ -257,6 +257,18 @@ def test_a_focal_length_of_zero_is_an_error_of_the_camera(tmp_path: Path) -> Non
             read_recording(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("model", "warned"), [("THIN_PRISM_FISHEYE, 64, 48, 60, 61, 32, 24", True), ("UNKNOWN_CAMERA, 64, 48", False)]
+)
+def test_a_model_of_kapture_that_is_not_supported_is_named(model: str, warned: bool, tmp_path: Path) -> None:
+    sensors = phone.write_recording("kapture", tmp_path / "walk") / "sensors" / "sensors.txt"
+    sensors.write_text(f"cam, , camera, {model}\n")
+    recording = read_recording(tmp_path / "walk")
+    assert recording.camera is None
+    texts = [one.text for one in recording.warnings if one.kind is WarningKind.CAMERA_UNSUPPORTED]
+    assert [model.split(",")[0] in text for text in texts] == [True] * warned
+
+
 def test_the_rigs_in_kaptures_rigs_are_followed(tmp_path: Path) -> None:
     sensors = phone.write_recording("kapture", tmp_path / "walk") / "sensors"
     (sensors / "rigs.txt").write_text("robot, head, 1, 0, 0, 0, 0, 0, 1\nhead, cam, 1, 0, 0, 0, 0.5, 0, 0\n")

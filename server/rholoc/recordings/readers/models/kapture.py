@@ -16,7 +16,7 @@ rigs are in metres. Partial poses, of a rotation or a translation alone, count a
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,7 @@ from rholoc.reports import RecordingWarning
 
 TABLES = ("sensors/*.txt", "reconstruction/*")
 _ADVICE = "Leave it as kapture wrote it."
+_UNKNOWN = "UNKNOWN_CAMERA"  # the model of a camera without intrinsics
 _Pose = dict[tuple[str, str], FloatArray]
 
 
@@ -83,20 +84,20 @@ def read(folder: Path) -> Recording:
     )
 
 
-def read_cameras(path: Path) -> dict[str, Camera | None]:
-    """The cameras of ``sensors.txt`` by sensor, in the file's order; None where the model is not supported.
+def read_cameras(path: Path) -> dict[str, Camera | str]:
+    """The cameras of ``sensors.txt`` by sensor, in the file's order; the model's name where it is not supported.
 
     Raises:
         InvalidCamera: a line is broken.
     """
-    found: dict[str, Camera | None] = {}
+    found: dict[str, Camera | str] = {}
     for sensor, _, kind, *parameters in _rows(path, 3, InvalidCamera):
         if kind != "camera":
             continue
         try:
             model, width, height, *values = parameters
             size = int(float(width)), int(float(height))
-            found[sensor] = camera_of_model(model, size, [float(value) for value in values])
+            found[sensor] = camera_of_model(model, size, [float(value) for value in values]) or model
         except InvalidCamera:
             raise
         except (ValueError, IndexError, OverflowError) as error:
@@ -135,14 +136,14 @@ def _number(text: str, table: str) -> float:
 
 
 def _cameras(
-    known: dict[str, Camera | None], used: Sequence[str]
+    known: Mapping[str, Camera | str], used: Sequence[str]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
     """The camera of each picture, by the sensors ``used``; None if one is unknown, with a warning for its model."""
-    cameras = [known.get(sensor) for sensor in used]
-    unknown = next((sensor for sensor, camera in zip(used, cameras, strict=True) if camera is None), None)
-    if unknown is None:
-        return [camera for camera in cameras if camera is not None], ()
-    return None, (unsupported(f"that of {unknown[:40]}"),) if unknown in known else ()
+    cameras = [known.get(sensor, _UNKNOWN) for sensor in used]
+    models = sorted({camera for camera in cameras if isinstance(camera, str)})
+    if models:
+        return None, tuple(unsupported(model[:40]) for model in models if model != _UNKNOWN)
+    return [camera for camera in cameras if isinstance(camera, Camera)], ()
 
 
 def _frames(
