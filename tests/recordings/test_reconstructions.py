@@ -104,6 +104,20 @@ def test_an_impossible_applied_scale_is_refused(scale: Any, tmp_path: Path) -> N
         read_recording(tmp_path / "walk")
 
 
+def test_the_parts_of_a_set_in_files_of_their_own_are_read_together(tmp_path: Path) -> None:
+    values = write_transforms(tmp_path / "walk")
+    (tmp_path / "walk" / "transforms.json").unlink()
+    frames = values.pop("frames")
+    for name, part in (("train", frames[:10]), ("val", frames[10:15]), ("test", frames[15:])):
+        (tmp_path / "walk" / f"transforms_{name}.json").write_text(json.dumps({**values, "frames": part}))
+    (tmp_path / "walk" / "transforms_backup.json").write_text("{")
+    recording = read_recording(tmp_path / "walk")
+    assert recording.format is RecordingFormat.NERFSTUDIO
+    expected = phone.camera_poses(phone.R_PORTRAIT_CAMERA_IMU)
+    np.testing.assert_allclose(recording.poses.T_map_camera, expected, atol=1e-9)
+    assert any("transforms_backup.json" in text for text in not_used(recording))
+
+
 FX, FY = phone.INTRINSICS[:2]
 ANGLE_X, ANGLE_Y = 2 * math.atan(32 / FX), 2 * math.atan(24 / FY)
 

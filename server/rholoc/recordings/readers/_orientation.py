@@ -44,7 +44,7 @@ def as_shown(paths: Sequence[Path], cameras: Sequence[Camera] | None) -> tuple[l
 def stored_size(path: Path) -> tuple[int, int]:
     """Width and height of a picture [px] as it is stored. Raises InvalidImage if it has no image header."""
     width, height = image_size(path)
-    return (height, width) if exif_orientation(path) > 4 else (width, height)
+    return (height, width) if exif_orientation(path) >= 5 else (width, height)  # 5 to 8 swap the sides
 
 
 def _quarter_turns(path: Path, camera: Camera | None) -> int:

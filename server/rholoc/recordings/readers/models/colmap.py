@@ -132,7 +132,7 @@ def _pictures_folder(folder: Path, name: str) -> Path:
 
 def _models(folder: Path) -> list[Path]:
     """The folders of the models in the first place that has any; empty if there are none."""
-    sought = _PLACES if (folder / "transforms.json").is_file() else (*_PLACES, *_BEFORE_TRANSFORMS)
+    sought = _PLACES if any(folder.glob("transforms*.json")) else (*_PLACES, *_BEFORE_TRANSFORMS)
     for patterns in sought:
         places = sorted(path for pattern in patterns for path in (folder.glob(pattern) if pattern else [folder]))
         found = [place for place in places if _is_complete(place, "bin") or _is_complete(place, "txt")]

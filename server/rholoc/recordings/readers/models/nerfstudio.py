@@ -9,7 +9,8 @@
 ``transform_matrix`` is T_world_camera of a camera that looks along −z with y up; pixel (0.5, 0.5) is the centre of the
 top-left one. Each frame may have its own intrinsics instead. ``applied_transform`` (3×4) and then ``applied_scale``,
 which turned the original world into this one, are undone. The unit of length is not stated. A pinhole's k4 is
-that of a polynomial. A file_path may lack its suffix.
+that of a polynomial. A file_path may lack its suffix. Without the file ``transforms_train.json``, ``…_val.json`` and
+``…_test.json`` are read together.
 """
 
 import math
@@ -30,8 +31,9 @@ from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_json
 from rholoc.reports import RecordingWarning
 
-TABLES = ("transforms.json", "colmap/*", "colmap_*/*", "colmap.db", "sparse_pc.ply")
 _FILE = "transforms.json"
+_PARTS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
+TABLES = (_FILE, *_PARTS, "colmap/*", "colmap_*/*", "colmap.db", "sparse_pc.ply")
 _LENSES = {"PERSPECTIVE": Lens.PINHOLE}  # names that only nerfstudio has
 _FLAGS = {  # Instant NGP's members that name a lens
     "ftheta_p0": "f-theta",
@@ -46,8 +48,8 @@ _LARGEST = 1e9
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a ``transforms.json``."""
-    return (folder / _FILE).is_file()
+    """Whether there is a ``transforms.json``, or one of its parts."""
+    return bool(_files(folder))
 
 
 def read(folder: Path) -> Recording:
@@ -60,15 +62,12 @@ def read(folder: Path) -> Recording:
         InvalidCamera: the intrinsics are broken.
         InvalidTrajectory: a pose is not a 4×4 matrix with a rotation in it.
     """
-    values = _read_json(folder / _FILE)
-    listed = values["frames"]
-    paths = [_image(folder, frame) for frame in listed]
-    cameras, warnings = _cameras(values, listed, paths)
+    frames = [frame for path in _files(folder) for frame in _frames(path)]
+    paths = [_image(folder, frame) for frame in frames]
+    cameras, warnings = _cameras(frames, paths)
     cameras, T_stored_shown = as_shown(paths, cameras)
     timed = untimed_images(paths, cameras)
-    T_world_stored = opencv_camera(np.array([_pose(frame) for frame in listed]))
-    T_world_stored[:, :3, 3] /= _applied_scale(values)
-    T_map_camera = np.linalg.inv(_applied_transform(values)) @ T_world_stored @ T_stored_shown
+    T_map_camera = opencv_camera(np.array([_pose(frame) for frame in frames])) @ T_stored_shown
     return Recording(
         timed.frames,
         camera=timed.camera,
@@ -77,12 +76,19 @@ def read(folder: Path) -> Recording:
     )
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def _files(folder: Path) -> list[Path]:
+    """The files of a set: ``transforms.json``, else its parts; empty if there are none."""
+    parts = [folder / name for name in _PARTS]
+    return [path for path in ([folder / _FILE] if (folder / _FILE).is_file() else parts) if path.is_file()]
+
+
+def _frames(path: Path) -> list[dict[str, Any]]:
+    """The frames of a file, each with the members that the file states for all. Raises InvalidRecording."""
     values = read_json(path)
     frames = values.get("frames") if isinstance(values, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
         raise InvalidRecording(f"{path.name} lists no frames.", "It needs 'frames', each with its transform_matrix.")
-    return dict(values)
+    return [{**values, **frame} for frame in frames]
 
 
 def _image(folder: Path, frame: dict[str, Any]) -> Path:
@@ -95,14 +101,15 @@ def _image(folder: Path, frame: dict[str, Any]) -> Path:
 
 
 def _pose(frame: dict[str, Any]) -> FloatArray:
-    """The frame's transform (4, 4), in Nerfstudio's axes. Raises InvalidTrajectory."""
+    """The frame's pose (4, 4) in the original world, in nerfstudio's camera axes. Raises InvalidTrajectory."""
     try:
         T = np.array(frame.get("transform_matrix"), dtype=np.float64)
     except (TypeError, ValueError):
         T = np.zeros(0)
     if T.shape != (4, 4) or not np.isfinite(T).all() or not is_rotation(T[:3, :3], _ROTATION_TOLERANCE):
         raise InvalidTrajectory(f"{_FILE}: the transform_matrix of {frame['file_path']} is not a pose.")
-    return T
+    T[:3, 3] /= _applied_scale(frame)
+    return np.asarray(np.linalg.inv(_applied_transform(frame)) @ T)
 
 
 def _applied_scale(values: dict[str, Any]) -> float:
@@ -126,12 +133,12 @@ def _applied_transform(values: dict[str, Any]) -> FloatArray:
 
 
 def _cameras(
-    values: dict[str, Any], frames: list[dict[str, Any]], paths: list[Path]
+    frames: list[dict[str, Any]], paths: list[Path]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
     """Camera of each frame; None, with warnings, if one is unknown or of an unsupported model. Raises InvalidCamera."""
     cameras = []
     for frame, path in zip(frames, paths, strict=True):
-        camera, warnings = _camera({**values, **frame}, _size(path))
+        camera, warnings = _camera(frame, _size(path))
         if camera is None:
             return None, warnings
         cameras.append(camera)
