@@ -215,3 +215,17 @@ def test_points_in_the_field_of_view_are_shown() -> None:
     expected: FloatArray = T265.contains(T265.project(points.reshape(-1, 3)))
     np.testing.assert_array_equal(shown.ravel(), expected)
     assert PANORAMA.shows(points).all()
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+@pytest.mark.parametrize("lens", [Lens.PINHOLE, Lens.FISHEYE])
+def test_the_camera_of_a_turned_image(lens: Lens, quarters: int) -> None:
+    camera = Camera(64, 48, 60, 61, 30, 20, (0.1, -0.05, 0.01, 0.02), lens)
+    points = np.array([[0.3, 0.1, 1.0], [-0.2, 0.2, 1.5]])
+    turned = camera.turned(quarters)
+    c, s = [(1, 0), (0, 1), (-1, 0), (0, -1)][quarters]  # clockwise in the image, whose v points down
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    centre, turned_centre = np.array([31.5, 23.5]), np.array([turned.width - 1, turned.height - 1]) / 2
+    expected = (camera.project(points) - centre) @ R[:2, :2].T + turned_centre
+    np.testing.assert_allclose(turned.project(points @ R.T), expected, atol=1e-9)
+    assert turned.turned(4 - quarters) == camera

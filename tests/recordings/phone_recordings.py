@@ -324,6 +324,23 @@ def write_colmap(folder: Path) -> None:
     (model / "points3D.txt").write_text("# 3D point list\n")
 
 
+def write_kapture(folder: Path) -> None:
+    T = np.linalg.inv(camera_poses(R_PORTRAIT_CAMERA_IMU))
+    names = [f"walk/{i:04d}.png" for i in range(FRAMES)]
+    sensors = folder / "sensors"
+    write_images(sensors / "records_data", names)
+    fx, fy, cx, cy = INTRINSICS
+    camera = ["cam", "back", "camera", "OPENCV", *SIZE, fx, fy, cx + 0.5, cy + 0.5, 0.1, -0.05, 0.001, 0.002]
+    poses = np.column_stack([np.roll(quaternions(T[:, :3, :3]), 1, axis=1), T[:, :3, 3]]).tolist()
+    tables: dict[str, list[list[object]]] = {
+        "sensors": [camera],
+        "records_camera": [[i, "cam", name] for i, name in enumerate(names)],
+        "trajectories": [[i, "cam", *pose] for i, pose in enumerate(poses)],
+    }
+    for name, rows in tables.items():
+        write_rows(sensors / f"{name}.txt", "# kapture format: 1.1", rows, ", ")
+
+
 def write_nerfstudio(folder: Path) -> None:
     T = camera_poses(R_PORTRAIT_CAMERA_IMU) @ np.diag([1.0, -1, -1, 1])
     names = [f"images/frame_{i + 1:05d}.png" for i in range(FRAMES)]
@@ -435,6 +452,7 @@ WRITERS: dict[str, tuple[RecordingFormat, Callable[[Path], None]]] = {
     "7-scenes": (RecordingFormat.SEVEN_SCENES, write_seven_scenes),
     "colmap": (RecordingFormat.COLMAP, write_colmap),
     "nerfstudio": (RecordingFormat.NERFSTUDIO, write_nerfstudio),
+    "kapture": (RecordingFormat.KAPTURE, write_kapture),
     "scanner-app": (RecordingFormat.SCANNER_APP, write_scanner_app),
     "polycam": (RecordingFormat.POLYCAM, write_polycam),
     "record3d": (RecordingFormat.RECORD3D, write_record3d),

@@ -212,7 +212,7 @@ def test_a_walk_comes_back_from_every_kind_of_bag(kind: str, tmp_path: Path) -> 
     np.testing.assert_allclose(recording.imu.angular_velocity[5], [0, np.radians(60), 0.1], atol=1e-9)
     np.testing.assert_allclose(recording.imu.R_camera_imu, T_base_cam[:3, :3].T, atol=1e-9)
     assert recording.poses.kind is PoseKind.ODOMETRY
-    np.testing.assert_allclose(recording.poses.T_map_camera, T_map_camera, atol=1e-9)
+    np.testing.assert_allclose(recording.poses.T_map_camera, T_map_camera, atol=1e-5)  # odometry is 1 µs later
 
 
 @pytest.mark.parametrize(
@@ -392,6 +392,22 @@ def test_intrinsics_may_lie_beside_the_bag(tmp_path: Path) -> None:
     assert read_recording(tmp_path, topics=["/b/image_raw"]).camera == Camera(*SIZE, 40.0, 41.0, 31.5, 23.5)
     (tmp_path / "camera.json").write_text('{"width": 64, "height": 48, "fx": 30, "fy": 30, "cx": 31, "cy": 23}')
     assert read_recording(tmp_path).camera == Camera(*SIZE, 30.0, 30.0, 31.0, 23.0)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "named"),
+    [
+        ("cam, c, camera, THIN_PRISM_FISHEYE, 64, 48, 20, 21, 32, 24, 0, 0, 0, 0, 0, 0, 0, 0\n", "THIN_PRISM_FISHEYE"),
+        ("".join(f"{name}, c, camera, PINHOLE, 64, 48, 40, 41, 32, 24\n" for name in "ab"), "2 cameras"),
+    ],
+)
+def test_intrinsics_beside_the_bag_that_cannot_be_used_are_named(sensors: str, named: str, tmp_path: Path) -> None:
+    with bag(tmp_path) as (_, writing):
+        pictures(writing, count=3)
+    (tmp_path / "sensors.txt").write_text(sensors)
+    recording = read_recording(tmp_path)
+    assert recording.camera is None
+    assert any(named in warning.text for warning in recording.warnings)
 
 
 def test_a_file_of_a_bag_reads_without_its_folder(tmp_path: Path) -> None:

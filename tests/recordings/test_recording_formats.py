@@ -27,7 +27,7 @@ from rholoc.recordings.readers import READERS
 from rholoc.recordings.recording import Waypoint
 from rholoc.reports import WarningKind
 
-UNTIMED = ("7-scenes", "colmap", "nerfstudio", "metashape")
+UNTIMED = ("7-scenes", "colmap", "nerfstudio", "kapture", "metashape")
 SCANNING_APPS = ("scanner-app", "polycam", "record3d", "arkit-scenes")
 WITHOUT_IMU = (*UNTIMED, "tum", *SCANNING_APPS)
 MOUNTED = {
@@ -49,13 +49,12 @@ DISTORTED = {
     "stray": (),
     **dict.fromkeys((*SCANNING_APPS, "mars-ios", "ios-logger"), ()),
     "spectacular": (0.01, -0.02, 0.0, 0.0, 0.003),
-    **dict.fromkeys(("euroc", "colmap", "nerfstudio"), (0.1, -0.05, 0.001, 0.002)),
+    **dict.fromkeys(("euroc", "colmap", "nerfstudio", "kapture"), (0.1, -0.05, 0.001, 0.002)),
     "metashape": (0.1, -0.05, 0.001, 0.002, 0.0),
 }
 WARNED = {
     "tum": [WarningKind.NOT_USED],
-    "colmap": [WarningKind.SCALE_UNKNOWN],
-    "nerfstudio": [WarningKind.SCALE_UNKNOWN],
+    **{name: [WarningKind.SCALE_UNKNOWN] for name in ("colmap", "nerfstudio", "kapture")},
 }
 
 
@@ -123,7 +122,7 @@ def check_poses(name: str, recording: Recording) -> None:
         assert recording.poses is None
         return
     assert recording.poses.known.all()
-    assert recording.poses.metric is (name not in ("colmap", "nerfstudio"))
+    assert recording.poses.metric is (name not in ("colmap", "nerfstudio", "kapture"))
     np.testing.assert_allclose(recording.poses.T_map_camera, phone.camera_poses(POSED[name]), atol=1e-4)
 
 
@@ -158,7 +157,7 @@ def test_every_reader_has_a_format_of_its_own_and_a_walk_here() -> None:
     formats = [reader.format for reader in READERS]
     assert len(set(formats)) == len(formats)
     written = {kind for kind, _ in phone.WRITERS.values()}
-    elsewhere = {RecordingFormat.BAG, RecordingFormat.KAPTURE}  # test_bags writes bags; kapture's is like COLMAP's
+    elsewhere = {RecordingFormat.BAG}  # test_bags writes them
     assert {*formats, RecordingFormat.RHOLOC} == written | elsewhere
     assert written | elsewhere | {RecordingFormat.VIDEO} == set(RecordingFormat)
 
@@ -278,6 +277,16 @@ def test_fisheye_intrinsics_are_read(tmp_path: Path) -> None:
         assert recording.camera.distortion[:2] == DISTORTED[name][:2]  # nerfstudio's others are called k3 and k4
 
 
+def test_a_camera_model_of_euroc_that_is_not_a_pinhole_is_named(tmp_path: Path) -> None:
+    sensor = phone.write_recording("euroc", tmp_path / "walk") / "mav0" / "cam0" / "sensor.yaml"
+    sensor.write_text(sensor.read_text().replace("intrinsics: [", "camera_model: omni\nintrinsics: [1.2, "))
+    recording = read_recording(tmp_path / "walk")
+    assert recording.camera is None
+    (warning,) = recording.warnings
+    assert warning.kind is WarningKind.CAMERA_UNSUPPORTED
+    assert "omni" in warning.text
+
+
 def test_the_broken_camera_of_a_rig_is_named(tmp_path: Path) -> None:
     root = phone.write_recording("euroc", tmp_path / "walk") / "mav0"
     for name in ("imu0", "state_groundtruth_estimate0"):
@@ -315,6 +324,23 @@ def test_a_partial_pose_of_kapture_counts_as_unknown(tmp_path: Path) -> None:
     assert poses is not None
     assert poses.known.tolist() == [True, False, False]
     np.testing.assert_allclose(poses.T_map_camera[0, :3, 3], [-1, -2, -3])
+
+
+def test_7_scenes_is_recognised_by_any_frame_and_in_capitals(tmp_path: Path) -> None:
+    folder = phone.write_recording("7-scenes", tmp_path / "walk")
+    (folder / "frame-000000.pose.txt").unlink()
+    for path in folder.glob("*.color.png"):
+        path.rename(path.with_suffix(".PNG"))
+    recording = read_recording(folder)
+    assert recording.format is RecordingFormat.SEVEN_SCENES
+    assert recording.poses.known.tolist() == [False, *[True] * (phone.FRAMES - 1)]
+
+
+def test_times_of_poses_that_belong_to_no_frame_are_written_in_full(tmp_path: Path) -> None:
+    folder = phone.write_recording("tum", tmp_path / "walk")
+    (folder / "groundtruth.txt").write_text("1305031102.25 0 0 0 0 0 0 1\n1305031105.5 0 0 0 0 0 0 1\n")
+    with pytest.raises(InvalidTrajectory, match=r"from 1305031102\.25 to 1305031105\.5"):
+        read_recording(folder)
 
 
 def test_frames_that_a_colmap_model_does_not_place_are_left_aside(tmp_path: Path) -> None:
@@ -419,6 +445,13 @@ def test_pictures_of_a_scanner_app_with_their_own_focal_lengths_become_frames_of
     recording = read_recording(folder)
     assert 60 < recording.camera.fx < 60 + 0.1 * phone.FRAMES
     assert recording.frames.size == (recording.camera.width, recording.camera.height)
+
+
+def test_a_broken_picture_of_a_scan_is_named(tmp_path: Path) -> None:
+    folder = phone.write_recording("scanner-app", tmp_path / "walk")
+    (folder / "frame_00003.jpg").write_bytes(b"")
+    with pytest.raises(InvalidRecording, match=r"frame_00003\.jpg: .*Leave that file out"):
+        read_recording(folder)
 
 
 @pytest.mark.parametrize("shift_s", [-0.001, 0.001])

@@ -31,6 +31,7 @@ from rholoc.recordings import (
     write_waypoints_csv,
 )
 from rholoc.recordings.recording import Recording
+from rholoc.reports import WarningKind
 
 CAMERA = Camera(64, 48, 60, 60, 32, 24)
 INTRINSICS = "60,60,32,24"
@@ -137,7 +138,7 @@ def test_poses_belong_to_frames_by_number_or_by_time(make_images, tmp_path: Path
     given = read_recording(folder).poses
     assert np.flatnonzero(given.known).tolist() == known
     order = np.argsort(np.array(keys, dtype=float))[: len(known)]
-    np.testing.assert_array_equal(given.T_map_camera[given.known, 0, 3], order)
+    np.testing.assert_allclose(given.T_map_camera[given.known, 0, 3], order, atol=1e-3)  # 0.0667 s is not 2/30 s
     assert np.isnan(given.T_map_camera[~given.known]).all()
 
 
@@ -159,6 +160,10 @@ def test_broken_image_folders_are_reported(make_images, tmp_path: Path) -> None:
 
     (tmp_path / "empty" / "IMG_0001.HEIC").write_bytes(b"")
     with pytest.raises(InvalidRecording, match=r"IMG_0001\.HEIC is a HEIC picture.*JPEG"):
+        read_recording(tmp_path / "empty")
+
+    (tmp_path / "empty" / "DSC1.tif").write_bytes(b"")
+    with pytest.raises(InvalidRecording, match=r"DSC1\.tif is a TIF picture.*JPEG"):
         read_recording(tmp_path / "empty")
 
     with pytest.raises(InvalidRecording, match="There is no"):
@@ -364,6 +369,51 @@ def test_our_own_zip_file_and_its_temporary_folder(own: Path, inside: str) -> No
     assert not unpacked.exists()
     assert kept.exists()
     np.testing.assert_allclose(shades(chosen, [0]), [30], atol=4)
+
+
+@pytest.mark.parametrize("beside", ["", "README.txt", ".DS_Store", "__MACOSX/._phone"])
+def test_a_recording_is_found_in_the_only_folder_however_deep(own: Path, beside: str, tmp_path: Path) -> None:
+    folder = tmp_path / "sent"
+    shutil.copytree(own, folder / "data" / "2026" / "scan")
+    if beside:
+        (folder / beside).parent.mkdir(exist_ok=True)
+        (folder / beside).write_text("notes")
+    for path in (folder, zipped(folder)):
+        recording = read_recording(path)
+        assert recording.name == "sent"
+        assert recording.camera == CAMERA
+        assert len(recording.waypoints) == 3
+
+
+def test_a_table_beside_the_only_folder_is_not_lost(own: Path, tmp_path: Path) -> None:
+    shutil.copytree(own, tmp_path / "sent" / "walk")
+    shutil.move(own / "waypoints.csv", tmp_path / "sent" / "waypoints.csv")
+    with pytest.raises(InvalidRecording, match="neither a video nor images"):
+        read_recording(tmp_path / "sent")
+
+
+@pytest.mark.parametrize("mask", ["frame-{:06d}_mask.png", "frame-{:06d}.mask.png", "frame-{:06d}.png.png"])
+def test_masks_beside_the_pictures_are_no_pictures(make_images, mask: str, tmp_path: Path) -> None:
+    make_images(tmp_path / "walk")
+    make_images(tmp_path / "walk", name=mask)
+    recording = read_recording(tmp_path / "walk")
+    assert recording.frames.numbers.tolist() == list(range(6))
+    (warning,) = recording.warnings
+    assert warning.kind is WarningKind.NOT_USED
+    assert mask.format(0) in warning.text
+
+
+def test_pictures_that_are_only_called_masks_are_pictures(make_images, tmp_path: Path) -> None:
+    make_images(tmp_path / "walk", name="{:03d}_mask.png")
+    assert len(read_recording(tmp_path / "walk").frames.times) == 6
+
+
+def test_folders_with_pictures_are_named_where_there_are_several(make_images, tmp_path: Path) -> None:
+    for name in ("cam0", "cam1", "cam2", "cam3", "cam4"):
+        make_images(tmp_path / "walk" / name)
+    with pytest.raises(InvalidRecording) as caught:
+        read_recording(tmp_path / "walk")
+    assert caught.value.hint == "There are pictures in cam0, cam1, cam2, cam3 and 1 more: give one of these folders."
 
 
 def test_a_zip_file_is_unpacked_into_the_workdir_and_stays(own: Path, tmp_path: Path) -> None:

@@ -23,8 +23,9 @@ from rholoc.recordings import (
     write_frames_csv,
     write_imu_csv,
 )
+from rholoc.recordings.frames.memory_frames import MissingImages
 from rholoc.recordings.tables.logged_table import read_logged_table
-from rholoc.recordings.tables.pose_table import poses_from_rows
+from rholoc.recordings.tables.pose_table import PoseTable, match_poses, poses_from_rows
 
 IMU_HEADER = "timestamp,ax,ay,az,gx,gy,gz"
 _SHARED_FOLDER = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
@@ -242,3 +243,27 @@ def test_poses_that_are_no_numbers_are_refused(column: int) -> None:
     rows[0, column] = np.nan
     with pytest.raises(InvalidTrajectory):
         poses_from_rows(rows, "images.txt")
+
+
+def turning_walk(times: np.ndarray) -> np.ndarray:
+    """Poses (N, 4, 4) of a walk at 2 m/s that turns at 1 rad/s."""
+    T = np.tile(np.eye(4), (len(times), 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(times, [0, 0, 1])).as_matrix()
+    T[:, 0, 3] = 2 * times
+    return T
+
+
+def test_poses_by_time_are_interpolated_to_the_frames() -> None:
+    keys = np.arange(0, 1.0, 0.01)
+    frames = MissingImages(0.0133 + np.arange(25) / 30, np.arange(25))
+    poses = match_poses(PoseTable(keys, turning_walk(keys)), frames)
+    assert poses.known.all()
+    np.testing.assert_allclose(poses.T_map_camera, turning_walk(frames.times), atol=1e-9)
+
+
+def test_poses_are_not_interpolated_across_gaps_nor_beyond_the_ends() -> None:
+    keys = np.array([0.01, 0.5, 0.5, 0.99])
+    frames = MissingImages(np.arange(11) / 10, np.arange(11))
+    poses = match_poses(PoseTable(keys, turning_walk(keys)), frames)
+    assert np.flatnonzero(poses.known).tolist() == [0, 5, 10]
+    np.testing.assert_allclose(poses.T_map_camera[poses.known], turning_walk(np.array([0.01, 0.5, 0.99])), atol=1e-12)

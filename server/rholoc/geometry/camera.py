@@ -204,6 +204,20 @@ class Camera:
         """The same camera with ``scale`` times the focal length."""
         return replace(self, fx=self.fx * scale, fy=self.fy * scale)
 
+    def turned(self, quarters: int) -> Camera:
+        """The camera for its image turned clockwise by quarter turns; the camera frame turns with the image, about the
+        optical axis. Not for panoramas.
+        """
+        if quarters % 4 == 0:
+            return self
+        distortion = self.distortion
+        if self.lens is Lens.PINHOLE and distortion:
+            k1, k2, p1, p2, *others = distortion
+            distortion = (k1, k2, p2, -p1, *others)
+        centre = self.height - 1 - self.cy, self.cx
+        once = Camera(self.height, self.width, self.fy, self.fx, *centre, distortion, self.lens)
+        return once.turned(quarters - 1)
+
     def fitted(self, width: int, height: int) -> Camera:
         """The camera resized for images of ``width`` × ``height``, whose aspect ratio must be the same within 1 %.
 

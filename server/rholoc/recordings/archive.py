@@ -23,14 +23,9 @@ MAX_RATIO = 200.0  # unpacked to packed; tables of numbers reach 20, zip bombs 1
 _PACK_AGAIN = "Pack the recording's own files, and nothing else."
 _RATIO_FREE_BYTES = 2**20  # below this size the ratio does not matter
 
-_FORMATS_FOLDERS = ("frames", "images", "keyframes", "sensors")  # of rholoc, Polycam and kapture
 
-
-def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> Path:
-    """Unpack a ZIP file into ``folder``; returns the folder of the recording in it.
-
-    The recording's folder is ``folder`` itself, or the only folder in the archive if everything is in one
-    that is not a format's own, like ``frames``.
+def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_files: int = MAX_FILES) -> None:
+    """Unpack a ZIP file into ``folder``.
 
     Raises:
         InvalidRecording: not a ZIP file, damaged, encrypted, or with an entry that is a link, leads out of the folder,
@@ -44,7 +39,6 @@ def unpack(archive: Path, folder: Path, max_bytes: int = DEFAULT_MAX_BYTES, max_
     with _opened(archive, max_files) as packed:
         for entry in _checked_entries(packed, archive, max_bytes):
             _unpack_entry(packed, entry, folder)
-    return _recording_folder(folder)
 
 
 def check_archive(archive: Path, max_files: int = MAX_FILES) -> None:
@@ -153,10 +147,3 @@ def _unpack_entry(packed: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path)
         with target.open("wb") as sink:
             sink.write(start)
             shutil.copyfileobj(source, sink, 2**20)
-
-
-def _recording_folder(folder: Path) -> Path:
-    """The only folder inside ``folder``, unless it is part of a format; else ``folder``."""
-    inside = list(folder.iterdir())
-    wrapped = len(inside) == 1 and inside[0].is_dir() and inside[0].name not in _FORMATS_FOLDERS
-    return inside[0] if wrapped else folder

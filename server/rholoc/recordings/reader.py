@@ -110,7 +110,8 @@ def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Seq
 def _read_zip(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Sequence[str]) -> Recording:
     folder = Path(tempfile.mkdtemp(prefix="rholoc-recording-", dir=workdir))
     try:
-        recording = replace(read_folder(unpack(path, folder, max_unpacked_bytes), topics), name=path.stem)
+        unpack(path, folder, max_unpacked_bytes)
+        recording = replace(read_folder(folder, topics), name=path.stem)
     except InvalidRecording as error:
         shutil.rmtree(folder, ignore_errors=True)
         # The name of our temporary folder means nothing to the sender.

@@ -127,9 +127,23 @@ def image_size(
     """
     with _opened(io.BytesIO(file) if isinstance(file, bytes) else file, max_pixels, formats) as image:
         width, height = image.size
-        exif = Image.Image.getexif(image)  # a PNG file's own getexif would decode the pixels
-        transposed = exif.get(_ORIENTATION_TAG) in _TRANSPOSED
+        transposed = _orientation(image) in _TRANSPOSED
     return (height, width) if transposed else (width, height)
+
+
+def exif_orientation(path: Path) -> int:
+    """EXIF orientation of an image file: 1 to 8, where 1, also if none is stated, is the image as it is stored.
+
+    Raises:
+        InvalidImage: the file cannot be opened, or has no image header.
+    """
+    with _opened(path, DEFAULT_MAX_PIXELS) as image:
+        return _orientation(image)
+
+
+def _orientation(image: Image.Image) -> int:
+    stated = Image.Image.getexif(image).get(_ORIENTATION_TAG, 1)  # a PNG file's own getexif would decode the pixels
+    return int(stated) if stated in range(1, 9) else 1
 
 
 def exif_focal_px(path: Path) -> float | None:

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from rholoc.recordings.frames.video import check_frame_size
 from rholoc.recordings.tables.own_tables import read_frames_csv
 
 _SUBFOLDERS = (".", "frames", "images")
+_MASKS = ("_mask", ".mask")
 _LAST_DIGITS = re.compile(r"(\d+)\D*$")
 _SAME_FOCAL = 1.02  # maximum ratio of focal lengths of one lens
 _MAX_FRAME_NUMBER = 2**63 - 1
@@ -114,7 +115,7 @@ def image_frames(
         raise InvalidRecording(f"The image {missing.name} is listed but missing.", "Pack the images with the lists.")
     timed = times is not None
     times = np.arange(len(paths), dtype=np.float64) if times is None else times
-    sizes = [_size_of(path) for path in paths]
+    sizes = [picture_size(path) for path in paths]
     if cameras is None:
         focals = [exif_focal_px(path) for path in paths]
         known = [focal for focal in focals if focal is not None]
@@ -126,9 +127,9 @@ def image_frames(
         focal_px = common.focal if 2 * len(known) >= len(paths) else None
         lenses = _lenses([max(size) if focal is None else None for size, focal in zip(sizes, focals, strict=True)])
         return UnifiedPictures(tuple(paths), tuple(cameras), common, numbers, times, timed, focal_px, lenses)
-    if len(set(cameras)) == 1 and set(sizes) == {(cameras[0].width, cameras[0].height)}:
-        return ImageFolderFrames(tuple(paths), numbers, times, sizes[0], timed)
     cameras = [camera.fitted(*size) for camera, size in zip(cameras, sizes, strict=True)]
+    if len(set(cameras)) == 1:
+        return ImageFolderFrames(tuple(paths), numbers, times, sizes[0], timed)
     return UnifiedPictures(tuple(paths), tuple(cameras), common_camera(cameras), numbers, times, timed)
 
 
@@ -151,13 +152,26 @@ def nominal_camera(size: tuple[int, int], focal_px: float | None = None) -> Came
 
 
 def _images_in(folder: Path) -> tuple[Path, ...]:
+    """The image files of a folder by name; neither hidden ones nor masks of others."""
     if not folder.is_dir():
         return ()
-    return tuple(
+    paths = [
         path
         for path in sorted(folder.iterdir())
         if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
-    )
+    ]
+    names = {name for path in paths for name in (path.stem, path.name)}
+    return tuple(path for path in paths if not _is_mask(path, names))
+
+
+def _is_mask(path: Path, names: Container[str]) -> bool:
+    """Whether a file is named after another picture: ``a_mask.png`` or ``a.mask.png`` after a, ``a.jpg.png`` after
+    a.jpg. ``names`` are those of the pictures, with and without suffix.
+    """
+    pictures = {path.stem[: -len(ending)] for ending in _MASKS if path.stem.lower().endswith(ending)}
+    if Path(path.stem).suffix.lower() in IMAGE_SUFFIXES:
+        pictures.add(path.stem)
+    return any(name in names for name in pictures)
 
 
 def number_in_name(path: Path) -> int | None:
@@ -178,7 +192,12 @@ def _times_of(numbers: IntArray, times_csv: Path) -> FloatArray:
     return table_times[np.searchsorted(table_numbers, numbers)]
 
 
-def _size_of(path: Path) -> tuple[int, int]:
+def picture_size(path: Path) -> tuple[int, int]:
+    """Width and height [px] of a picture file as it is shown.
+
+    Raises:
+        InvalidRecording: it has no image header, a side below 16 px or over 8K pixels.
+    """
     try:
         size = image_size(path)
     except InvalidImage as error:

@@ -7,8 +7,9 @@ folder each; rholoc's own layout and ROS bags are here.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 
+from rholoc.disk import is_system_file
 from rholoc.errors import InvalidRecording
 from rholoc.recordings.frames.unified_pictures import require_one_camera, with_logged_intrinsics
 from rholoc.recordings.readers import bag, own
@@ -68,8 +69,12 @@ READERS = tuple(
 ) + tuple(Reader(app.format, app.recognises, app.read, app.tables) for app in APPS)
 
 
+_FORMATS_FOLDERS = ("frames", "images", "keyframes", "sensors")  # of rholoc, Polycam and kapture
+_NOTES = ("readme", "licence", "license")
+
+
 def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
-    """Read a folder in the recognised format, by default rholoc's own.
+    """Read a folder, or the only folder in it (:func:`_innermost`), in the recognised format, by default rholoc's own.
 
     ``waypoints.csv``, ``lengths.csv`` and ``camera.json`` may be added to any format. Unused files cause a warning.
     ``topics`` names a bag's topics to use, if there are several of a kind.
@@ -81,20 +86,34 @@ def read_folder(folder: Path, topics: Sequence[str] = ()) -> Recording:
         InvalidWaypoints: ``waypoints.csv`` is broken.
         InvalidTrajectory: the poses are broken.
     """
+    name, folder = folder.resolve().name, _innermost(folder)
     found = [reader for reader in READERS if reader.recognises(folder)]
     if len(found) > 1:
         formats = " and ".join(reader.format.value for reader in found)
-        raise InvalidRecording(f"The folder {folder.name} contains files of {formats}.", "Keep those of one.")
+        raise InvalidRecording(f"The folder {name} contains files of {formats}.", "Keep those of one.")
     if found:
         read = found[0].read(folder) if found[0].format is not RecordingFormat.BAG else bag.read(folder, topics)
         recording, tables = _with_additions(replace(read, format=found[0].format), folder), found[0].tables
     else:
         recording, tables = own.read(folder), own.TABLES
-    recording = replace(recording, name=folder.resolve().name, path=folder)
+    recording = replace(recording, name=name, path=folder)
     lengths_csv = folder / "lengths.csv"
     if lengths_csv.is_file():
         recording = replace(recording, lengths=read_lengths_csv(lengths_csv, recording.frames.numbers))
     return with_unused_files(recording, folder, tables)
+
+
+def _innermost(folder: Path) -> Path:
+    """The folder or, while it holds nothing but one folder that is no format's own, that folder. Hidden and system
+    files and notes (readme, licence) do not count.
+    """
+    inside = [path for path in folder.iterdir() if not _is_aside(path)]
+    wrapped = len(inside) == 1 and inside[0].is_dir() and not inside[0].is_symlink()
+    return _innermost(inside[0]) if wrapped and inside[0].name not in _FORMATS_FOLDERS else folder
+
+
+def _is_aside(path: Path) -> bool:
+    return path.name.startswith(".") or is_system_file(PurePath(path.name)) or path.name.lower().startswith(_NOTES)
 
 
 def _with_additions(recording: Recording, folder: Path) -> Recording:

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from rholoc.geometry import Camera, Lens
 from rholoc.reports import RecordingWarning, WarningKind
 
@@ -64,6 +66,19 @@ def lens_of_model(model: str) -> Lens | None:
     """The lens of a camera model by its name; None where it is not supported."""
     known = _MODELS.get(model)
     return None if known is None else known.lens
+
+
+def three_coefficients(radial: Sequence[float], camera: Camera) -> tuple[float, float, float]:
+    """k1, k2, k3 that approximate the distortion by ``radial``, k1 … k4 of a polynomial: least squares over the image
+    of a ``camera`` without distortion. If k4 is 0, the first three unchanged.
+    """
+    if not radial[3]:
+        return radial[0], radial[1], radial[2]
+    radius = float(np.hypot(camera.width, camera.height)) / 2 / camera.focal
+    squares = np.linspace(0.05, 1, 40) ** 2 * radius**2
+    powers = squares[:, None] ** np.arange(1, 5)
+    found = np.linalg.lstsq(powers[:, :3], powers @ np.array(radial), rcond=None)[0]
+    return float(found[0]), float(found[1]), float(found[2])
 
 
 def unsupported(model: str) -> RecordingWarning:

@@ -17,6 +17,7 @@ from rholoc.recordings.imu_normalisation import advancing_rows
 from rholoc.recordings.recording import FrameSource, Mounted
 from rholoc.reports import RecordingWarning, WarningKind
 
+UNREADABLE_SUFFIXES = (".heic", ".heif", ".avif", ".tif", ".tiff", ".dng")  # of pictures by phones and cameras
 MAX_FRAME_COUNT_DIFFERENCE = 2  # frames lost at the end of the video or of its table
 
 _LONGEST_NAME_BYTES = 240  # of a listed file's or folder's name, without suffix
@@ -150,17 +151,28 @@ def require_video(folder: Path, name: str) -> Path:
     return video
 
 
+def unreadable(picture: Path) -> InvalidRecording:
+    """The error for a picture in a format that cannot be read, see ``UNREADABLE_SUFFIXES``."""
+    return InvalidRecording(
+        f"{picture.name} is a {picture.suffix[1:].upper()} picture, which cannot be read.",
+        "Export the pictures as JPEG, or set the phone's camera to its most compatible format.",
+    )
+
+
 def listed_file(folder: Path, name: str) -> Path:
-    """The file that a list in the folder refers to, by a path relative to it.
+    """The file that a list in the folder refers to, by a path relative to it; also with Windows' separators.
 
     Raises:
         InvalidRecording: the name leads out of the folder, or is too long for a file.
     """
     if max(len(part.encode("utf-8", "surrogatepass")) for part in name.split("/")) > _LONGEST_NAME_BYTES:
         raise InvalidRecording(f"The list of images names '{name[:80]}…', which is too long for a file.")
-    path = folder / name
+    path = folder / name.replace("\\", "/")
     if "\0" in name or not path.resolve().is_relative_to(folder.resolve()):
-        raise InvalidRecording(f"The list of images names '{name[:80]}', outside the recording's folder.")
+        raise InvalidRecording(
+            f"The list of images names '{name[:80]}', outside the recording's folder.",
+            "Put the images into the folder, and list them by their paths in it.",
+        )
     return path
 
 

@@ -27,6 +27,7 @@ from rholoc.errors import InvalidRecording, InvalidTrajectory
 from rholoc.geometry import R_FORWARD_OPTICAL, Camera, pose_matrix
 from rholoc.recordings.frames.bag import BAG_SUFFIXES, COMPRESSED_IMAGE, IMAGE, BagFrames, opened_bag, picture_size
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, advancing_rows, normalise_imu
+from rholoc.recordings.readers._camera_models import unsupported
 from rholoc.recordings.readers._ros import Mounting, camera_of_info, pose_of, stamp_ns, vector
 from rholoc.recordings.readers.models.kapture import read_cameras
 from rholoc.recordings.recording import GivenPoses, Imu, PoseKind, Recording, RecordingFormat
@@ -221,9 +222,10 @@ def _camera(
     cameras = list(read_cameras(sensors).values())
     pictures = sorted({one.topic for one in found.of_types(IMAGE, COMPRESSED_IMAGE)})
     if len(cameras) not in (1, len(pictures)):
-        return None, ()
+        text = f"sensors.txt is not used: it has {len(cameras)} cameras, the bag {len(pictures)} topics of pictures."
+        return None, (RecordingWarning(WarningKind.NOT_USED, text),)
     camera = cameras[pictures.index(found.picture.topic) if len(cameras) > 1 else 0]
-    return None if camera is None else camera.fitted(*size), ()
+    return (None, (unsupported(camera[:40]),)) if isinstance(camera, str) else (camera.fitted(*size), ())
 
 
 def _namespace(connection: Connection) -> str:

@@ -18,18 +18,19 @@ import numpy as np
 from rholoc.errors import InvalidRecording
 from rholoc.geometry import IntArray
 from rholoc.recordings.camera_file import CameraFile, read_camera_json
+from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
 from rholoc.recordings.frames.image_folder import ImageFolderFrames, find_images, read_image_folder
 from rholoc.recordings.frames.unified_pictures import UnifiedPictures, require_one_camera
 from rholoc.recordings.frames.video import read_video
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
-from rholoc.recordings.readers._frames import find_video, timed_video
+from rholoc.recordings.readers._frames import UNREADABLE_SUFFIXES, find_video, timed_video, unreadable
 from rholoc.recordings.recording import FrameSource, Imu, Recording
 from rholoc.recordings.tables.own_tables import read_frame_numbers, read_imu_rows, read_odometry_csv
 from rholoc.recordings.tables.pose_table import match_poses, read_pose_table
 from rholoc.recordings.tables.waypoints import read_waypoints_csv
 from rholoc.reports import RecordingWarning
 
-_HEIC = (".heic", ".heif")  # an iPhone's pictures; no permissive library decodes them
+_MAX_NAMED = 4
 TABLES = ("frames.csv", "times.csv", "imu.csv", "poses.txt", "poses.csv", "odometry.csv", "truth.csv")
 
 
@@ -99,19 +100,24 @@ def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tu
     images = find_images(folder)
     if images:
         return read_image_folder(images, times_csv, description.fps), ()
-    heic = next((path for path in sorted(folder.rglob("*")) if path.suffix.lower() in _HEIC), None)
-    if heic is not None:
-        raise InvalidRecording(
-            f"{heic.name} is a HEIC picture, which cannot be read.",
-            "Export the pictures as JPEG, or set the phone's camera to its most compatible format.",
-        )
-    empty = not any(folder.iterdir())
-    raise InvalidRecording(
-        f"The folder {folder.name} is empty."
-        if empty
-        else f"The folder {folder.name} contains neither a video nor images.",
-        "It needs video.mp4, or images (JPEG, PNG, WebP), here or in frames/.",
-    )
+    raise _without_frames(folder)
+
+
+def _without_frames(folder: Path) -> InvalidRecording:
+    """The error for a folder without readable frames, which says where else pictures are."""
+    below = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if not path.name.startswith(".")]
+    places = [*dict.fromkeys(path.parts[0] for path in below if path.suffix.lower() in IMAGE_SUFFIXES)]
+    other = next((path for path in below if path.suffix.lower() in UNREADABLE_SUFFIXES), None)
+    hint = "It needs video.mp4, or images (JPEG, PNG, WebP), here or in frames/."
+    if not any(folder.iterdir()):
+        return InvalidRecording(f"The folder {folder.name} is empty.", hint)
+    if places:
+        more = f" and {len(places) - _MAX_NAMED} more" if len(places) > _MAX_NAMED else ""
+        which = "one of these folders" if len(places) > 1 else "that folder"
+        hint = f"There are pictures in {', '.join(places[:_MAX_NAMED])}{more}: give {which}."
+    elif other is not None:
+        return unreadable(other)
+    return InvalidRecording(f"The folder {folder.name} contains neither a video nor images.", hint)
 
 
 def _require_no_gap(numbers: IntArray, table: str) -> None:

@@ -54,7 +54,7 @@ def read_json(path: Path, error: type[InvalidInput] = InvalidRecording, max_byte
     except RecursionError as cause:
         raise error(f"{path.name} is not JSON that can be read: it is nested too deep.", "Write plain JSON.") from cause
     except ValueError as cause:
-        raise error(f"{path.name} is not JSON: {cause}.") from cause
+        raise error(f"{path.name} is not JSON: {cause}.", "Write plain JSON; decimal numbers have points.") from cause
 
 
 def parse_json(text: str) -> Any:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rholoc.errors import InvalidTrajectory
-from rholoc.geometry import FloatArray, IntArray, pose_matrix
+from rholoc.geometry import FloatArray, IntArray, interpolated_poses, pose_matrix
 from rholoc.recordings.recording import FrameSource, GivenPoses
 from rholoc.recordings.tables.csv_table import read_text
 
@@ -56,14 +56,14 @@ def read_pose_table(path: Path) -> PoseTable:
     if not rows:
         raise InvalidTrajectory(f"{path.name} has no poses.", _COLUMNS_HINT)
     table = np.array(rows)
-    poses = poses_from_rows(table[:, 1:], path.name)
+    poses = poses_from_rows(table[:, 1:], path.name, _COLUMNS_HINT)
     if len(np.unique(table[:, 0])) < len(table):
         raise InvalidTrajectory(f"{path.name}: a frame or time occurs twice.")
     return PoseTable(table[:, 0], poses)
 
 
-def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
-    """Rows (N, 7) of tx ty tz qx qy qz qw → poses (N, 4, 4); ``source`` is the table's name.
+def poses_from_rows(rows: FloatArray, source: str, hint: str = "") -> FloatArray:
+    """Rows (N, 7) of tx ty tz qx qy qz qw → poses (N, 4, 4); ``source`` is the table's name, ``hint`` the errors'.
 
     Raises:
         InvalidTrajectory: a quaternion's length is off by more than 1 %, or a coordinate is beyond 1e8.
@@ -71,18 +71,16 @@ def poses_from_rows(rows: FloatArray, source: str) -> FloatArray:
     q = rows[:, 3:].clip(-2, 2)  # squares of more may overflow, and are not of unit length either
     wrong = np.flatnonzero(~(np.abs(np.linalg.norm(q, axis=1) - 1) <= _NORM_TOLERANCE))  # NaN is wrong, too
     if len(wrong):
-        raise InvalidTrajectory(
-            f"{source}: the quaternion of pose {wrong[0] + 1} is not of unit length.", _COLUMNS_HINT
-        )
+        raise InvalidTrajectory(f"{source}: the quaternion of pose {wrong[0] + 1} is not of unit length.", hint)
     far = np.flatnonzero(~(np.abs(rows[:, :3]).max(axis=1) <= _FARTHEST))
     if len(far):
-        raise InvalidTrajectory(f"{source}: pose {far[0] + 1} is implausibly far away.", _COLUMNS_HINT)
+        raise InvalidTrajectory(f"{source}: pose {far[0] + 1} is not finite, or implausibly far away.", hint)
     return pose_matrix(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
 
 
 def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
-    """Give each frame the pose with its number, or the one nearest in time within half a frame interval; NaN for
-    others.
+    """Give each frame the pose with its number, or that at its time: interpolated between two poses that are at most
+    two frame intervals apart, else the nearest one. NaN without a pose within half a frame interval.
 
     By number if the keys are frame numbers or the frames have no times.
 
@@ -100,11 +98,15 @@ def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
     known = np.abs(keys[nearest] - wanted) <= tolerance
     if not known.any():
         raise InvalidTrajectory(
-            f"No pose belongs to a frame: the table runs from {keys[0]:g} to {keys[-1]:g}.",
+            f"No pose belongs to a frame: the table runs from {keys[0]:.12g} to {keys[-1]:.12g}.",
             f"Frames are {frames.numbers[0]}–{frames.numbers[-1]}"
-            + (f", times {frames.times[0]:g}–{frames.times[-1]:g} s." if frames.timed else ", without times."),
+            + (f", times {frames.times[0]:.12g}–{frames.times[-1]:.12g} s." if frames.timed else ", without times."),
         )
     T = table.T_map_camera[order][nearest]
+    between = known & (keys[before] < wanted) & (wanted < keys[after]) & (keys[after] - keys[before] <= 4 * tolerance)
+    if between.any():
+        single, rows = np.unique(keys, return_index=True)
+        T[between] = interpolated_poses(single, table.T_map_camera[order][rows], wanted[between])
     T[~known] = np.nan
     return GivenPoses(known, T)
 

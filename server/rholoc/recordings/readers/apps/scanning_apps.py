@@ -30,6 +30,7 @@ from rholoc.errors import InvalidCamera, InvalidImage, InvalidInput, InvalidReco
 from rholoc.geometry import Camera, FloatArray, is_rotation, pose_matrix
 from rholoc.recordings.frames.depth import MILLIMETRE_M
 from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES, image_size
+from rholoc.recordings.frames.image_folder import picture_size
 from rholoc.recordings.imu_normalisation import frame_times_s
 from rholoc.recordings.readers._apple import opencv_camera, z_up
 from rholoc.recordings.readers._frames import depth_images, timed_images, untimed_images
@@ -129,7 +130,7 @@ def _scanner_app(folder: Path) -> list[_Shot]:
         T = _numbers(values, ("cameraPoseARFrame",), 16, source, InvalidTrajectory).reshape(4, 4)
         time = _numbers(values, ("time",), 1, source)[0]
         depth = picture.with_name(picture.stem.replace("frame", "depth", 1) + ".png")
-        camera = Camera(*image_size(picture), *K[[0, 4, 2, 5]].tolist())
+        camera = Camera(*picture_size(picture), *K[[0, 4, 2, 5]].tolist())
         shots.append(_Shot(picture, camera, _from_arkit(T, source), float(time), depth))
     return shots
 

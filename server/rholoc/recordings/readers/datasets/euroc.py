@@ -3,7 +3,8 @@
 ::
 
     mav0/cam0/data.csv      #timestamp [ns],filename        images in cam0/data/
-    mav0/cam0/sensor.yaml   intrinsics, distortion_model (radial-tangential, equidistant), …_coefficients, T_BS
+    mav0/cam0/sensor.yaml   camera_model (pinhole), intrinsics, T_BS,
+                            distortion_model (radial-tangential, equidistant), …_coefficients
     mav0/imu0/data.csv      #timestamp [ns],w_RS_S_x [rad s^-1],…,a_RS_S_x [m s^-2],…    gravity included
     mav0/imu0/sensor.yaml   T_BS
     mav0/state_groundtruth_estimate0/data.csv    #timestamp, p_RS_R_x [m],…,q_RS_w [],…    of the body
@@ -141,14 +142,14 @@ def _camera(
 ) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
     """The camera of a sensor's description, rescaled to the pictures' ``size``, and warnings.
 
-    None without intrinsics, or (with a warning) if the distortion model is not supported. Raises InvalidCamera, naming
-    the folder ``name``, if the intrinsics are broken, or of pictures of another shape.
+    None without intrinsics, or (with a warning) if the camera or distortion model is not supported. Raises
+    InvalidCamera, naming the folder ``name``, if the intrinsics are broken, or of pictures of another shape.
     """
     if "intrinsics" not in sensor:
         return None, ()
-    distortion = str(sensor.get("distortion_model", "radial-tangential"))
-    if distortion not in _LENSES:
-        return None, (unsupported(shortened(distortion)),)
+    model, distortion = str(sensor.get("camera_model", "pinhole")), str(sensor.get("distortion_model", "none"))
+    if model != "pinhole" or distortion not in _LENSES:
+        return None, (unsupported(shortened(distortion if model == "pinhole" else model)),)
     try:
         fx, fy, cx, cy = (float(value) for value in sensor["intrinsics"])
         coefficients = tuple(float(value) for value in sensor.get("distortion_coefficients") or ())

@@ -27,8 +27,8 @@ _COLOUR = (".color.png", ".color.jpg")
 
 
 def recognises(folder: Path) -> bool:
-    """Whether the first colour image (``.color.png`` or ``.jpg``) has a pose beside it, by its name."""
-    return any(_pose_file(image).is_file() for image in _images(folder)[:1])
+    """Whether a colour image (``.color.png`` or ``.jpg``) has a pose beside it, by its name."""
+    return any(_pose_file(image).is_file() for image in _images(folder))
 
 
 def read(folder: Path) -> Recording:
@@ -53,7 +53,9 @@ def read(folder: Path) -> Recording:
 
 
 def _images(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.name.endswith(_COLOUR) and not path.name.startswith("."))
+    return sorted(
+        path for path in folder.iterdir() if path.name.lower().endswith(_COLOUR) and not path.name.startswith(".")
+    )
 
 
 def _pose_file(image: Path) -> Path:

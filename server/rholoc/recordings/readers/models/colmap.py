@@ -3,19 +3,21 @@
 ::
 
     images/                    or the folder itself
-    sparse/0/cameras.txt       CAMERA_ID MODEL WIDTH HEIGHT PARAMS…       or sparse/, or the folder itself
+    sparse/0/cameras.txt       CAMERA_ID MODEL WIDTH HEIGHT PARAMS…       or sparse/1/, …, sparse/, the folder itself
     sparse/0/images.txt        IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of points
     sparse/0/*.bin             the same as binary
     outputs/sfm*/              a model by hloc, or sfm*/; its features-*.h5 and matches-*.h5 are not used
+    colmap/sparse/0/           by nerfstudio, if there is no transforms.json, which it makes from this
+    colmap_sparse/0/           the same by Instant NGP, or colmap_text/
 
 Poses are of the world in the camera; pixel (0.5, 0.5) is the centre of the top-left one. The unit of length is not
-stated.
+stated. Of several models, which have no common frame, the one with most images is read.
 """
 
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from rholoc.errors import InvalidCamera, InvalidRecording
 from rholoc.geometry import Camera
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
+from rholoc.recordings.readers._orientation import as_shown
 from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
 from rholoc.recordings.tables.pose_table import poses_from_rows
@@ -44,7 +47,13 @@ TABLES = (
     "sfm*/*",
     "outputs/sfm*/*",
     "*pairs*.txt",
+    "colmap/*",
+    "colmap_*/*",
+    "colmap.db",
 )
+
+_PLACES = (("sparse/[0-9]*",), ("sparse",), ("",), ("sfm*", "outputs/sfm*"))
+_BEFORE_TRANSFORMS = (("colmap/sparse/[0-9]*",), ("colmap_sparse/[0-9]*",), ("colmap_text",))  # before transforms.json
 
 # COLMAP's numbers of the models in binary files, and how many parameters each has.
 _BINARY_MODELS = {
@@ -83,7 +92,7 @@ class _Image:
 
 def recognises(folder: Path) -> bool:
     """Whether the folder has a COLMAP model, as text or binary."""
-    return _model(folder) is not None
+    return bool(_models(folder))
 
 
 def read(folder: Path) -> Recording:
@@ -94,21 +103,21 @@ def read(folder: Path) -> Recording:
         InvalidCamera: a camera is broken.
         InvalidTrajectory: a pose is broken.
     """
-    model = _model(folder)
-    assert model is not None
-    if _is_complete(model, "bin"):
-        images, fields = _read_binary(model)
-    else:
-        images, fields = _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
+    models = [(model, *_read_model(model)) for model in _models(folder)]
+    chosen, images, fields = max(models, key=lambda one: len(one[1]))
+    others = [f"{path.relative_to(folder)} ({len(listed)})" for path, listed, _ in models if path != chosen]
     source = _pictures_folder(folder, images[0].name)
     cameras, warnings = _cameras(fields, [image.camera for image in images])
-    timed = untimed_images([listed_file(source, image.name) for image in images], cameras)
-    T_camera_map = poses_from_rows(np.array([images[row].pose for row in timed.rows]), "the model's images")
+    paths = [listed_file(source, image.name) for image in images]
+    cameras, T_stored_shown = as_shown(paths, cameras)
+    timed = untimed_images(paths, cameras)
+    T_stored_map = poses_from_rows(np.array([image.pose for image in images]), "the model's images")
+    T_map_camera = np.linalg.inv(T_stored_map) @ T_stored_shown
     return Recording(
         timed.frames,
         camera=timed.camera,
-        poses=GivenPoses(np.ones(len(timed.rows), dtype=np.bool_), np.linalg.inv(T_camera_map), metric=False),
-        warnings=(*timed.warnings, SCALE_WARNING, *warnings),
+        poses=GivenPoses(np.ones(len(timed.rows), dtype=np.bool_), T_map_camera[timed.rows], metric=False),
+        warnings=(*timed.warnings, SCALE_WARNING, *warnings, *_not_read(others, chosen.relative_to(folder))),
     )
 
 
@@ -121,18 +130,37 @@ def _pictures_folder(folder: Path, name: str) -> Path:
     return next((path for path in some if listed_file(path, name).is_file()), some[0])
 
 
-def _model(folder: Path) -> Path | None:
-    by_hloc = sorted(path for pattern in ("sfm*", "outputs/sfm*") for path in folder.glob(pattern))
-    for place in (folder / "sparse" / "0", folder / "sparse", folder, *by_hloc):
-        for ending in ("bin", "txt"):
-            if _is_complete(place, ending):
-                return place
-    return None
+def _models(folder: Path) -> list[Path]:
+    """The folders of the models in the first place that has any; empty if there are none."""
+    sought = _PLACES if any(folder.glob("transforms*.json")) else (*_PLACES, *_BEFORE_TRANSFORMS)
+    for patterns in sought:
+        places = sorted(path for pattern in patterns for path in (folder.glob(pattern) if pattern else [folder]))
+        found = [place for place in places if _is_complete(place, "bin") or _is_complete(place, "txt")]
+        if found:
+            return found
+    return []
+
+
+def _not_read(others: Sequence[str], chosen: PurePath) -> tuple[RecordingWarning, ...]:
+    """Warning that names the models that are not read, and their numbers of pictures; none without others."""
+    if not others:
+        return ()
+    text = f"Of {len(others) + 1} models {chosen} is read, which places most pictures; not {', '.join(others)}."
+    return (RecordingWarning(WarningKind.NOT_USED, text),)
 
 
 def _is_complete(place: Path, ending: str) -> bool:
     """Whether a folder has the files of the cameras and of the images with this ending."""
     return all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images"))
+
+
+def _read_model(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
+    """The images, and the fields of each camera by identifier, of a binary model, else of text. Raises
+    InvalidRecording.
+    """
+    if _is_complete(model, "bin"):
+        return _read_binary(model)
+    return _read_images(model / "images.txt"), _read_cameras(model / "cameras.txt")
 
 
 def _read_binary(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
@@ -183,13 +211,17 @@ def _read_images(path: Path) -> list[_Image]:
     for line in lines:
         if not line.strip() or line.startswith("#"):
             continue
-        next(lines, None)  # lists the image's points, and may be empty
-        parts = line.split(maxsplit=9)
+        points, parts = next(lines, ""), line.split(maxsplit=9)
         try:
             qw, qx, qy, qz, tx, ty, tz = (float(part) for part in parts[1:8])
             images.append(_Image(parts[9].strip(), parts[8], [tx, ty, tz, qx, qy, qz, qw]))
         except (ValueError, IndexError) as error:
             raise InvalidRecording(f"{path.name}: '{line[:60]}' is not a valid image line.") from error
+        if len(points.split()) % 3 != 0:
+            raise InvalidRecording(
+                f"{path.name}: the line after {images[-1].name[:60]} is not a list of its points (X Y POINT3D_ID).",
+                "Leave a line empty where an image has no points.",
+            )
     if not images:
         raise InvalidRecording(f"{path.name} lists no images.")
     return images

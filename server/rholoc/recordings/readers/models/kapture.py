@@ -9,14 +9,14 @@
     sensors/records_accelerometer.txt  timestamp, sensor_id, x, y, z                             optional
     sensors/records_gyroscope.txt      timestamp, sensor_id, x, y, z                             optional
 
-Trajectories take the world to the sensor or rig, rigs take the rig to the sensor. The unit of time is not stated;
-timestamps that only count have none. Of several cameras with times, the one with most pictures is taken, unless they
-are mounted on a rig and there is no IMU; without times, all pictures are. The unit of poses is not stated, rigs are in
-metres. Partial poses, of a rotation or a translation alone, count as unknown.
+Trajectories take the world to the sensor or rig, rigs take the rig to the sensor, or to a rig in it. The unit of time
+is not stated; timestamps that only count have none. Of several cameras with times, the one with most pictures is taken,
+unless they are mounted on a rig and there is no IMU; without times, all pictures are. The unit of poses is not stated,
+rigs are in metres. Partial poses, of a rotation or a translation alone, count as unknown.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from rholoc.geometry import Camera, FloatArray
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, frame_times_s, normalise_imu
 from rholoc.recordings.readers._camera_models import camera_of_model, unsupported
 from rholoc.recordings.readers._frames import TimedFrames, listed_file, mounted_frames, timed_images, untimed_images
+from rholoc.recordings.readers._orientation import as_shown
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Imu, Recording
 from rholoc.recordings.tables.csv_table import read_text
@@ -34,6 +35,7 @@ from rholoc.reports import RecordingWarning
 
 TABLES = ("sensors/*.txt", "reconstruction/*")
 _ADVICE = "Leave it as kapture wrote it."
+_UNKNOWN = "UNKNOWN_CAMERA"  # the model of a camera without intrinsics
 _Pose = dict[tuple[str, str], FloatArray]
 
 
@@ -55,7 +57,7 @@ def read(folder: Path) -> Recording:
     known = read_cameras(tables / "sensors.txt")
     stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
     is_timed = bool(np.any(np.diff(np.unique(stamps)) != 1))
-    rigs = _pose_table(tables / "rigs.txt")
+    rigs = _flattened(_pose_table(tables / "rigs.txt"))
     imu, imu_warnings = _imu(tables) if is_timed else (None, ())
     sensors = {sensor for _, sensor, _ in records}
     if imu is None and len({sensor for _, sensor in rigs} & sensors) > 1:
@@ -66,35 +68,36 @@ def read(folder: Path) -> Recording:
         stamps = np.array([_number(stamp, "records_camera.txt") for stamp, _, _ in records])
     paths = [listed_file(tables / "records_data", path) for _, _, path in records]
     cameras, warnings = _cameras(known, [sensor for _, sensor, _ in records])
+    cameras, T_stored_shown = as_shown(paths, cameras)
     timed, unit_warnings = _frames(paths, stamps if is_timed else None, cameras)
     taken = [(stamp, sensor) for stamp, sensor, _ in records]
     mountings = _mountings(taken, rigs)
     moments = [(stamp, None if one is None else one[0]) for (stamp, _), one in zip(taken, mountings, strict=True)]
-    T_rig_cameras = [None if one is None else one[1] for one in mountings]
+    T_rig_cameras = [None if one is None else one[1] @ T for one, T in zip(mountings, T_stored_shown, strict=True)]
     return Recording(
         timed.frames,
         camera=timed.camera,
         imu=imu,
-        poses=_poses(tables, [taken[row] for row in timed.rows], rigs),
+        poses=_poses(tables, [taken[row] for row in timed.rows], rigs, T_stored_shown[timed.rows]),
         mounted=() if is_timed else mounted_frames(timed, moments, T_rig_cameras),
         warnings=(*unit_warnings, *timed.warnings, *warnings, *imu_warnings, SCALE_WARNING),
     )
 
 
-def read_cameras(path: Path) -> dict[str, Camera | None]:
-    """The cameras of ``sensors.txt`` by sensor, in the file's order; None where the model is not supported.
+def read_cameras(path: Path) -> dict[str, Camera | str]:
+    """The cameras of ``sensors.txt`` by sensor, in the file's order; the model's name where it is not supported.
 
     Raises:
         InvalidCamera: a line is broken.
     """
-    found: dict[str, Camera | None] = {}
+    found: dict[str, Camera | str] = {}
     for sensor, _, kind, *parameters in _rows(path, 3, InvalidCamera):
         if kind != "camera":
             continue
         try:
             model, width, height, *values = parameters
             size = int(float(width)), int(float(height))
-            found[sensor] = camera_of_model(model, size, [float(value) for value in values])
+            found[sensor] = camera_of_model(model, size, [float(value) for value in values]) or model
         except InvalidCamera:
             raise
         except (ValueError, IndexError, OverflowError) as error:
@@ -133,14 +136,14 @@ def _number(text: str, table: str) -> float:
 
 
 def _cameras(
-    known: dict[str, Camera | None], used: Sequence[str]
+    known: Mapping[str, Camera | str], used: Sequence[str]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
     """The camera of each picture, by the sensors ``used``; None if one is unknown, with a warning for its model."""
-    cameras = [known.get(sensor) for sensor in used]
-    unknown = next((sensor for sensor, camera in zip(used, cameras, strict=True) if camera is None), None)
-    if unknown is None:
-        return [camera for camera in cameras if camera is not None], ()
-    return None, (unsupported(f"that of {unknown[:40]}"),) if unknown in known else ()
+    cameras = [known.get(sensor, _UNKNOWN) for sensor in used]
+    models = sorted({camera for camera in cameras if isinstance(camera, str)})
+    if models:
+        return None, tuple(unsupported(model[:40]) for model in models if model != _UNKNOWN)
+    return [camera for camera in cameras if isinstance(camera, Camera)], ()
 
 
 def _frames(
@@ -169,16 +172,34 @@ def _imu(tables: Path) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
     return normalise_imu(samples[0], samples[1], ImuConvention(time_unit="ns"))
 
 
+def _flattened(rigs: _Pose) -> _Pose:
+    """T_sensor_rig (4, 4) of each sensor in a rig, also by the rigs in it, the outermost rig of a sensor last."""
+    flat, added = dict(rigs), rigs
+    while added:
+        added = {
+            (rig, sensor): T_sensor_inner @ T_inner_rig
+            for (rig, inner), T_inner_rig in added.items()
+            for (name, sensor), T_sensor_inner in rigs.items()
+            if name == inner and (rig, sensor) not in flat
+        }
+        flat |= added
+    return flat
+
+
 def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[str, FloatArray] | None]:
     """The rig of each picture's sensor, and T_rig_sensor (4, 4); None for sensors without a rig."""
     of_sensor = {sensor: (rig, np.linalg.inv(T_sensor_rig)) for (rig, sensor), T_sensor_rig in rigs.items()}
     return [of_sensor.get(sensor) for _, sensor in records]
 
 
-def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> GivenPoses | None:
-    """T_world_camera of each picture, by its sensor's trajectory, else by its rig's; None if no picture has a pose.
+def _poses(
+    tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose, T_stored_shown: FloatArray
+) -> GivenPoses | None:
+    """T_world_camera of each shown picture, by its sensor's trajectory, else by its rig's; None if no picture has a
+    pose.
 
-    ``records`` are the pictures' (timestamp, sensor). Raises InvalidTrajectory.
+    ``records`` are the pictures' (timestamp, sensor), ``T_stored_shown`` (N, 4, 4) their orientations. Raises
+    InvalidTrajectory.
     """
     placed = _pose_table(tables / "trajectories.txt")
     T = np.full((len(records), 4, 4), np.nan)
@@ -189,8 +210,12 @@ def _poses(tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose) -> Giv
             by_rig = (T_sensor_rig @ placed[stamp, rig] for rig, T_sensor_rig in mounted if (stamp, rig) in placed)
             found = next(by_rig, None)
         if found is not None:
-            T[row] = np.linalg.inv(found)
+            T[row] = np.linalg.inv(found) @ T_stored_shown[row]
     known = np.isfinite(T[:, 0, 0])
+    if placed and not known.any():
+        raise InvalidTrajectory(
+            "trajectories.txt has no pose of a picture.", "Its timestamps and sensors must be those of the pictures."
+        )
     return GivenPoses(known, T, metric=False) if known.any() else None
 
 

@@ -8,13 +8,14 @@
                    cameras/camera: sensor_id, component_id, label, transform (4×4, by rows)
 
 A camera's transform is T_chunk_camera with OpenCV's camera axes; a component's takes the chunk to the reference, in
-metres. Without it the unit of length is not stated. Of a geocentric reference only the scale is used. A photo is found
-by its label, with or without its suffix; cameras that were not aligned are ignored, and so are cameras that share a
-label, whose photos cannot be told apart.
+metres. Without it the unit of length is not stated, and components have no common frame: the cameras of the largest are
+read. Of a geocentric reference only the scale is used. A photo is found by its label, with or without its suffix;
+cameras that were not aligned are ignored, and so are those whose label another camera or several pictures have.
 """
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Container, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -24,8 +25,9 @@ import numpy as np
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, Lens, is_rotation, pose_matrix
 from rholoc.recordings.frames.image_decoding import IMAGE_SUFFIXES
-from rholoc.recordings.readers._camera_models import CENTRE_SHIFT, unsupported
-from rholoc.recordings.readers._frames import untimed_images
+from rholoc.recordings.readers._camera_models import CENTRE_SHIFT, three_coefficients, unsupported
+from rholoc.recordings.readers._frames import UNREADABLE_SUFFIXES, unreadable, untimed_images
+from rholoc.recordings.readers._orientation import as_shown
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_text
@@ -37,6 +39,11 @@ _LENSES = {
     "fisheye": Lens.FISHEYE,
     "equidistant_fisheye": Lens.FISHEYE,
     "spherical": Lens.EQUIRECTANGULAR,
+}
+_IGNORED = {  # coefficients that a calibration may have and a camera of the lens has not
+    Lens.PINHOLE: ("b2", "p3", "p4"),
+    Lens.FISHEYE: ("b2", "p1", "p2", "p3", "p4"),
+    Lens.EQUIRECTANGULAR: (),
 }
 _ROTATION_TOLERANCE = 1e-3
 _GEOCENTRIC_M = 1e6  # a component's distance from the origin, beyond which its frame is geocentric
@@ -59,28 +66,30 @@ def read(folder: Path) -> Recording:
     """
     document = _document(folder)
     assert document is not None
-    placed = [one for one in document.iter("camera") if one.find("transform") is not None and _label(one)]
-    if not placed:
-        raise InvalidRecording("The cameras' file has no aligned camera.", "Align the photos, then export the cameras.")
-    photos = _photos(folder)
-    missing = next((_label(one) for one in placed if _label(one).lower() not in photos), None)
+    chunk, *others = (one for one in document.iterfind("chunk") if one.find("cameras") is not None)
+    if others:
+        raise InvalidRecording("The cameras' file has several chunks.", "Export the cameras of one chunk.")
+    photos = _photos(folder, IMAGE_SUFFIXES)
+    aligned = _aligned(chunk)
+    missing = next((_label(one) for one in aligned if _label(one).lower() not in photos), None)
     if missing is not None:
-        raise InvalidRecording(f"There is no photo {missing[:60]}.", "Put the photos beside the cameras' file.")
-    placed, label_warnings = _with_own_photos(placed, list(document.iter("camera")), photos)
-    sensors = {sensor.get("id"): sensor for sensor in document.iter("sensor")}
+        raise _no_photo(missing, folder)
+    placed, label_warnings = _with_own_photos(aligned, list(chunk.iter("camera")), photos)
+    frames = {one.get("id"): one.find("transform") for one in chunk.iter("component")}
+    placed, frame_warnings = _in_one_frame(placed, {name for name, frame in frames.items() if frame is None})
+    sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
     cameras, warnings = _cameras([sensors.get(one.get("sensor_id")) for one in placed])
-    timed = untimed_images([photos[_label(one).lower()] for one in placed], cameras)
-    frames = {one.get("id"): one.find("transform") for one in document.iter("component")}
-    whole = document.find("chunk/transform")
-    metric = any(one is not None and one.find("scale") is not None for one in (*frames.values(), whole))
-    T = np.array(
-        [_pose(one, frames.get(one.get("component_id"), whole)) for one in (placed[row] for row in timed.rows)]
-    )
+    paths = [photos[_label(one).lower()][0] for one in placed]
+    cameras, T_stored_shown = as_shown(paths, cameras)
+    timed = untimed_images(paths, cameras)
+    used = [_frame_of(one, frames, chunk) for one in placed]
+    metric = any(one is not None and one.find("scale") is not None for one in used)
+    T = np.array([_pose(one, frame) for one, frame in zip(placed, used, strict=True)]) @ T_stored_shown
     return Recording(
         timed.frames,
         camera=timed.camera,
-        poses=GivenPoses(np.ones(len(T), dtype=np.bool_), T, metric=metric),
-        warnings=(*timed.warnings, *label_warnings, *warnings, *(() if metric else (SCALE_WARNING,))),
+        poses=GivenPoses(np.ones(len(T), dtype=np.bool_), T[timed.rows], metric=metric),
+        warnings=(*timed.warnings, *label_warnings, *frame_warnings, *warnings, *(() if metric else (SCALE_WARNING,))),
     )
 
 
@@ -103,35 +112,80 @@ def _without_entities(text: str) -> str:
     return text
 
 
-def _photos(folder: Path) -> dict[str, Path]:
-    """Photos below the folder, by their lower-case names with and without suffix; of equal names the first by path."""
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
-    return {name.lower(): path for path in reversed(found) for name in (path.stem, path.name)}
+def _photos(folder: Path, suffixes: Container[str]) -> dict[str, list[Path]]:
+    """Photos below the folder with such suffixes, by their lower-case names with and without suffix; hidden files and
+    folders are not searched.
+    """
+    photos: dict[str, list[Path]] = defaultdict(list)
+    for path in sorted(folder.rglob("*")):
+        hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if path.suffix.lower() in suffixes and path.is_file() and not hidden:
+            for name in (path.stem, path.name):
+                photos[name.lower()].append(path)
+    return dict(photos)
 
 
 def _label(camera: Element) -> str:
     return camera.get("label", "")
 
 
+def _aligned(chunk: Element) -> list[Element]:
+    """The cameras of a chunk with a pose and a label. Raises InvalidRecording if there are none."""
+    aligned = [one for one in chunk.iter("camera") if one.find("transform") is not None and _label(one)]
+    if not aligned:
+        raise InvalidRecording("The cameras' file has no aligned camera.", "Align the photos, then export the cameras.")
+    return aligned
+
+
+def _no_photo(label: str, folder: Path) -> InvalidRecording:
+    """The error for a camera without a photo that can be read."""
+    others = _photos(folder, UNREADABLE_SUFFIXES).get(label.lower())
+    if others:
+        return unreadable(others[0])
+    return InvalidRecording(f"There is no photo {label[:60]}.", "Put the photos beside the cameras' file.")
+
+
 def _with_own_photos(
-    placed: Sequence[Element], cameras: Sequence[Element], photos: Mapping[str, Path]
+    placed: Sequence[Element], cameras: Sequence[Element], photos: Mapping[str, Sequence[Path]]
 ) -> tuple[list[Element], tuple[RecordingWarning, ...]]:
-    """The ``placed`` cameras with a photo that no other of the ``cameras`` has, and a warning about the rest.
+    """The ``placed`` cameras whose label is the name of one photo that no other of the ``cameras`` has, and a warning
+    about the rest.
 
     Raises InvalidRecording if none is left.
     """
-    uses = Counter(photos.get(_label(one).lower()) for one in cameras)
-    own = [one for one in placed if uses[photos[_label(one).lower()]] == 1]
+    uses = Counter(path for one in cameras for path in photos.get(_label(one).lower(), ()))
+    own = [one for one in placed if sum(uses[path] for path in photos[_label(one).lower()]) == 1]
     if not own:
-        hint = "Give each photo a name of its own, and export the cameras again."
-        raise InvalidRecording("Every aligned camera shares its label with another.", hint)
+        hint = "Give each photo a name of its own, without copies or masks of that name, and export the cameras again."
+        raise InvalidRecording("Every aligned camera shares its label with another camera or picture.", hint)
     shared = sorted({_label(one) for one in placed} - {_label(one) for one in own})
     if not shared:
         return own, ()
     more = f" and {len(shared) - _MAX_NAMED} more" if len(shared) > _MAX_NAMED else ""
     listed = ", ".join(label[:60] for label in shared[:_MAX_NAMED]) + more
-    text = f"Cameras with the same label are left out, as their photos cannot be told apart: {listed}."
+    text = f"Cameras are left out whose label several cameras or pictures have: {listed}."
     return own, (RecordingWarning(WarningKind.NOT_USED, text),)
+
+
+def _in_one_frame(
+    placed: Sequence[Element], unplaced: Collection[str | None]
+) -> tuple[list[Element], tuple[RecordingWarning, ...]]:
+    """The largest set of cameras in one frame, and a warning about the rest: those of one of the ``unplaced``
+    components, or those of all others.
+    """
+    of_camera = [component if (component := one.get("component_id")) in unplaced else None for one in placed]
+    largest = Counter(of_camera).most_common(1)[0][0]
+    kept = [one for one, component in zip(placed, of_camera, strict=True) if component == largest]
+    if len(kept) == len(placed):
+        return kept, ()
+    text = f"Only the {len(kept)} cameras of the largest component are used: nothing places the others in its frame."
+    return kept, (RecordingWarning(WarningKind.NOT_USED, text),)
+
+
+def _frame_of(camera: Element, frames: Mapping[str | None, Element | None], chunk: Element) -> Element | None:
+    """The transform of a camera's component, else of its chunk; None if neither is placed."""
+    own = frames.get(camera.get("component_id"))
+    return chunk.find("transform") if own is None else own
 
 
 def _pose(camera: Element, frame: Element | None) -> FloatArray:
@@ -163,48 +217,57 @@ def _numbers(element: Element | None, count: int) -> FloatArray:
 
 
 def _cameras(sensors: Sequence[Element | None]) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
-    """Camera of each sensor; None, with a warning, if one is missing or of unknown type. Raises InvalidCamera."""
+    """Camera of each sensor, with a warning about coefficients that it has no place for; None, with a warning, if one
+    is missing or of unknown type. Raises InvalidCamera.
+    """
     known: dict[Element | None, Camera] = {}
+    ignored: set[str] = set()
     for sensor in dict.fromkeys(sensors):
         kind = "unknown" if sensor is None else str(sensor.get("type", "frame"))
         if sensor is None or kind not in _LENSES:
             return None, (unsupported(kind),)
         known[sensor] = _camera(sensor, _LENSES[kind])
-    return [known[sensor] for sensor in sensors], ()
+        ignored |= {name for name in _IGNORED[_LENSES[kind]] if _calibration(sensor).get(name)}
+    text = f"The calibration's {', '.join(sorted(ignored))} cannot be used: poses may be a little off."
+    warnings = (RecordingWarning(WarningKind.CAMERA_UNSUPPORTED, text),) if ignored else ()
+    return [known[sensor] for sensor in sensors], warnings
+
+
+def _calibration(sensor: Element) -> dict[str, float]:
+    """Numbers of a sensor's adjusted calibration by name, else of its first one; empty if it has none. Raises
+    InvalidCamera.
+    """
+    calibration = sensor.find("calibration[@class='adjusted']")
+    calibration = sensor.find("calibration") if calibration is None else calibration
+    numbers = [] if calibration is None else [one for one in calibration if one.tag != "resolution" and len(one) == 0]
+    try:
+        return {one.tag: float(one.text or "") for one in numbers}
+    except ValueError as error:
+        raise _no_calibration(sensor) from error
+
+
+def _no_calibration(sensor: Element) -> InvalidCamera:
+    return InvalidCamera(f"The sensor {str(sensor.get('label'))[:60]} has no valid calibration.", _ADVICE)
 
 
 def _camera(sensor: Element, lens: Lens) -> Camera:
-    """Camera of a sensor's adjusted calibration, else of its first one. Raises InvalidCamera if it has no valid one."""
-    calibration = sensor.find("calibration[@class='adjusted']")
-    calibration = sensor.find("calibration") if calibration is None else calibration
+    """Camera of a sensor. Raises InvalidCamera if it has no valid calibration."""
     resolution = sensor.find("resolution")
     size = {} if resolution is None else resolution.attrib
-    numbers = [] if calibration is None else [one for one in calibration if one.tag != "resolution" and len(one) == 0]
     try:
         width, height = int(size["width"]), int(size["height"])
         if lens is Lens.EQUIRECTANGULAR:
             return Camera.panorama(width, height)
-        found = {one.tag: float(one.text or "") for one in numbers}
+        found = _calibration(sensor)
         focal = found["f"]
     except (KeyError, ValueError) as error:
-        raise InvalidCamera(f"The sensor {str(sensor.get('label'))[:60]} has no valid calibration.", _ADVICE) from error
+        raise _no_calibration(sensor) from error
     cx, cy = width / 2 + found.get("cx", 0.0), height / 2 + found.get("cy", 0.0)
     centre = cx - CENTRE_SHIFT, cy - CENTRE_SHIFT
+    camera = Camera(width, height, focal + found.get("b1", 0.0), focal, *centre, lens=lens)
     radial = [found.get(f"k{n}", 0.0) for n in (1, 2, 3, 4)]
     if lens is Lens.FISHEYE:
-        return Camera(width, height, focal + found.get("b1", 0.0), focal, *centre, tuple(radial), lens)
-    k1, k2, k3 = _three_coefficients(radial, float(np.hypot(width, height)) / 2 / focal)
+        return replace(camera, distortion=tuple(radial))
+    k1, k2, k3 = three_coefficients(radial, camera)
     distortion = (k1, k2, found.get("p2", 0.0), found.get("p1", 0.0), k3)  # OpenCV has p1 and p2 the other way round
-    return Camera(width, height, focal + found.get("b1", 0.0), focal, *centre, distortion if any(distortion) else ())
-
-
-def _three_coefficients(radial: Sequence[float], radius: float) -> tuple[float, float, float]:
-    """k1, k2, k3 that approximate the distortion by ``radial``, k1 … k4: least squares over radii up to ``radius`` on
-    the plane z = 1. If k4 is 0, the first three unchanged.
-    """
-    if not radial[3]:
-        return radial[0], radial[1], radial[2]
-    squares = np.linspace(0.05, 1, 40) ** 2 * radius**2
-    powers = squares[:, None] ** np.arange(1, 5)
-    found = np.linalg.lstsq(powers[:, :3], powers @ np.array(radial), rcond=None)[0]
-    return float(found[0]), float(found[1]), float(found[2])
+    return replace(camera, distortion=distortion if any(distortion) else ())

@@ -3,14 +3,18 @@
 ::
 
     transforms.json   camera_model, fl_x, fl_y, cx, cy, w, h, k1, k2, p1, p2, k3, of OPENCV_FISHEYE k1, k2, k3, k4
+                      FULL_OPENCV k1, k2, p1, p2, k3, …, k6; camera_angle_x [rad] or x_fov [°] instead of fl_x
                       frames: [{"file_path": "images/frame_00001.png", "transform_matrix": 4×4}]
 
 ``transform_matrix`` is T_world_camera of a camera that looks along −z with y up; pixel (0.5, 0.5) is the centre of the
-top-left one. Each frame may have its own intrinsics instead. ``applied_transform`` (3×4), which turned the original
-world into this one, is undone. The unit of length is not stated.
+top-left one. Each frame may have its own intrinsics instead. ``applied_transform`` (3×4) and then ``applied_scale``,
+which turned the original world into this one, are undone. The unit of length is not stated. A pinhole's k4 is
+that of a polynomial. A file_path may lack its suffix. Without the file ``transforms_train.json``, ``…_val.json`` and
+``…_test.json`` are read together.
 """
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,26 +22,34 @@ import numpy as np
 
 from rholoc.errors import InvalidCamera, InvalidImage, InvalidRecording, InvalidTrajectory
 from rholoc.geometry import Camera, FloatArray, Lens, is_rotation
-from rholoc.recordings.frames.image_decoding import image_size
 from rholoc.recordings.readers._apple import opencv_camera
-from rholoc.recordings.readers._camera_models import lens_of_model, unsupported
+from rholoc.recordings.readers._camera_models import lens_of_model, three_coefficients, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
+from rholoc.recordings.readers._orientation import as_shown, stored_size
 from rholoc.recordings.readers.models.colmap import SCALE_WARNING
 from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_json
 from rholoc.reports import RecordingWarning
 
-TABLES = ("transforms.json",)
 _FILE = "transforms.json"
+_PARTS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
+TABLES = (_FILE, *_PARTS, "colmap/*", "colmap_*/*", "colmap.db", "sparse_pc.ply")
 _LENSES = {"PERSPECTIVE": Lens.PINHOLE}  # names that only nerfstudio has
-_COEFFICIENTS = {Lens.PINHOLE: ("k1", "k2", "p1", "p2", "k3"), Lens.FISHEYE: ("k1", "k2", "k3", "k4")}
+_FLAGS = {  # Instant NGP's members that name a lens
+    "ftheta_p0": "f-theta",
+    "latlong": "latlong",
+    "equirectangular": "Instant NGP's equirectangular",
+    "is_fisheye": "OPENCV_FISHEYE",
+}
+_COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG")
 _ROTATION_TOLERANCE = 1e-2
 _LARGEST = 1e9
 
 
 def recognises(folder: Path) -> bool:
-    """Whether there is a ``transforms.json``."""
-    return (folder / _FILE).is_file()
+    """Whether there is a ``transforms.json``, or one of its parts."""
+    return bool(_files(folder))
 
 
 def read(folder: Path) -> Recording:
@@ -50,27 +62,33 @@ def read(folder: Path) -> Recording:
         InvalidCamera: the intrinsics are broken.
         InvalidTrajectory: a pose is not a 4×4 matrix with a rotation in it.
     """
-    values = _read_json(folder / _FILE)
-    listed = values["frames"]
-    paths = [_image(folder, frame) for frame in listed]
-    cameras, warnings = _cameras(values, listed, paths)
+    frames = [frame for path in _files(folder) for frame in _frames(path)]
+    paths = [_image(folder, frame) for frame in frames]
+    cameras, warnings = _cameras(frames, paths)
+    cameras, T_stored_shown = as_shown(paths, cameras)
     timed = untimed_images(paths, cameras)
-    T_world_camera = opencv_camera(np.array([_pose(listed[row]) for row in timed.rows]))
-    T_map_camera = np.linalg.inv(_applied_transform(values)) @ T_world_camera
+    T_map_camera = opencv_camera(np.array([_pose(frame) for frame in frames])) @ T_stored_shown
     return Recording(
         timed.frames,
         camera=timed.camera,
-        poses=GivenPoses(np.ones(len(paths), dtype=np.bool_), T_map_camera, metric=False),
+        poses=GivenPoses(np.ones(len(paths), dtype=np.bool_), T_map_camera[timed.rows], metric=False),
         warnings=(*timed.warnings, SCALE_WARNING, *warnings),
     )
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def _files(folder: Path) -> list[Path]:
+    """The files of a set: ``transforms.json``, else its parts; empty if there are none."""
+    parts = [folder / name for name in _PARTS]
+    return [path for path in ([folder / _FILE] if (folder / _FILE).is_file() else parts) if path.is_file()]
+
+
+def _frames(path: Path) -> list[dict[str, Any]]:
+    """The frames of a file, each with the members that the file states for all. Raises InvalidRecording."""
     values = read_json(path)
     frames = values.get("frames") if isinstance(values, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
         raise InvalidRecording(f"{path.name} lists no frames.", "It needs 'frames', each with its transform_matrix.")
-    return dict(values)
+    return [{**values, **frame} for frame in frames]
 
 
 def _image(folder: Path, frame: dict[str, Any]) -> Path:
@@ -78,19 +96,28 @@ def _image(folder: Path, frame: dict[str, Any]) -> Path:
     if not isinstance(name, str):
         raise InvalidRecording(f"{_FILE}: a frame has no file_path.")
     path = listed_file(folder, name)
-    endings = (path.with_name(path.name + ending) for ending in (".png", ".jpg"))
-    return path if path.suffix else next((ended for ended in endings if ended.is_file()), path)
+    named = (path, *(path.with_name(path.name + suffix) for suffix in _SUFFIXES))
+    return next((one for one in named if one.is_file()), path)
 
 
 def _pose(frame: dict[str, Any]) -> FloatArray:
-    """The frame's transform (4, 4), in Nerfstudio's axes. Raises InvalidTrajectory."""
+    """The frame's pose (4, 4) in the original world, in nerfstudio's camera axes. Raises InvalidTrajectory."""
     try:
         T = np.array(frame.get("transform_matrix"), dtype=np.float64)
     except (TypeError, ValueError):
         T = np.zeros(0)
     if T.shape != (4, 4) or not np.isfinite(T).all() or not is_rotation(T[:3, :3], _ROTATION_TOLERANCE):
         raise InvalidTrajectory(f"{_FILE}: the transform_matrix of {frame['file_path']} is not a pose.")
-    return T
+    T[:3, 3] /= _applied_scale(frame)
+    return np.asarray(np.linalg.inv(_applied_transform(frame)) @ T)
+
+
+def _applied_scale(values: dict[str, Any]) -> float:
+    """Factor applied to the original positions after the transform; 1 if none is stated. Raises InvalidTrajectory."""
+    scale = values.get("applied_scale", 1.0)
+    if not isinstance(scale, int | float) or not 0 < scale < _LARGEST:
+        raise InvalidTrajectory(f"{_FILE}: applied_scale is not a scale.", "Leave it out, or give a positive number.")
+    return float(scale)
 
 
 def _applied_transform(values: dict[str, Any]) -> FloatArray:
@@ -106,12 +133,12 @@ def _applied_transform(values: dict[str, Any]) -> FloatArray:
 
 
 def _cameras(
-    values: dict[str, Any], frames: list[dict[str, Any]], paths: list[Path]
+    frames: list[dict[str, Any]], paths: list[Path]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
     """Camera of each frame; None, with warnings, if one is unknown or of an unsupported model. Raises InvalidCamera."""
     cameras = []
     for frame, path in zip(frames, paths, strict=True):
-        camera, warnings = _camera({**values, **frame}, _size(path))
+        camera, warnings = _camera(frame, _size(path))
         if camera is None:
             return None, warnings
         cameras.append(camera)
@@ -120,7 +147,7 @@ def _cameras(
 
 def _size(path: Path) -> tuple[int, int]:
     try:
-        return image_size(path)
+        return stored_size(path)
     except (InvalidImage, OSError) as error:
         raise InvalidRecording(f"The image {path.name} is missing or broken.", "Leave it out of the list.") from error
 
@@ -138,7 +165,8 @@ def _number(values: dict[str, Any], name: str) -> float:
 
 
 def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    model = str(values.get("camera_model", "OPENCV_FISHEYE" if values.get("is_fisheye") else "OPENCV")).upper()
+    flagged = next((model for name, model in _FLAGS.items() if values.get(name, False) is not False), None)
+    model = flagged or str(values.get("camera_model") or "OPENCV").upper()
     lens = _LENSES.get(model) or lens_of_model(model)
     if lens is None:
         return None, (unsupported(model),)
@@ -146,27 +174,41 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
         return Camera.panorama(*size), ()
     width, height = (_number(values, name) for name in ("w", "h"))
     width, height = (width, height) if width > 0 and height > 0 else size
-    fx, angle = _number(values, "fl_x"), _number(values, "camera_angle_x")
-    if not math.isfinite(fx) and 0 < angle < math.pi:
-        fx = width / (2 * math.tan(angle / 2))
-    if not math.isfinite(fx):
+    fx, fy = _focal(values, "x", width), _focal(values, "y", height)
+    if not (math.isfinite(fx) or math.isfinite(fy)):
         return None, ()
-    fy, cx, cy = (_number(values, name) for name in ("fl_y", "cx", "cy"))
+    fx, fy = fx if math.isfinite(fx) else fy, fy if math.isfinite(fy) else fx
+    cx, cy = _number(values, "cx"), _number(values, "cy")
     camera = Camera(
         int(width),
         int(height),
         fx,
-        fy if math.isfinite(fy) else fx,
+        fy,
         (cx if math.isfinite(cx) else width / 2) - 0.5,
         (cy if math.isfinite(cy) else height / 2) - 0.5,
-        _distortion(values, lens),
-        lens,
+        lens=lens,
     )
-    return camera.fitted(*size), ()
+    return replace(camera, distortion=_distortion(values, model, camera)), ()
 
 
-def _distortion(values: dict[str, Any], lens: Lens) -> tuple[float, ...]:
-    found = tuple(_number({name: 0.0} | values, name) for name in _COEFFICIENTS[lens])
-    if lens is Lens.PINHOLE and not found[4]:
-        found = found[:4]
+def _focal(values: dict[str, Any], axis: str, size_px: float) -> float:
+    """Focal length [px] along an axis, ``x`` or ``y``, as stated or by the field of view; NaN if missing."""
+    focal_px, angle_rad = _number(values, f"fl_{axis}"), _number(values, f"camera_angle_{axis}")
+    if math.isnan(angle_rad):
+        angle_rad = math.radians(_number(values, f"{axis}_fov"))
+    if math.isnan(focal_px) and 0 < angle_rad < math.pi:
+        return size_px / (2 * math.tan(angle_rad / 2))
+    return focal_px
+
+
+def _distortion(values: dict[str, Any], model: str, camera: Camera) -> tuple[float, ...]:
+    """Distortion coefficients in the order of the camera's lens; empty if all are 0."""
+    k1, k2, k3, k4, k5, k6, p1, p2 = (_number({name: 0.0} | values, name) for name in _COEFFICIENTS)
+    if camera.lens is Lens.FISHEYE:
+        found: tuple[float, ...] = k1, k2, k3, k4
+    elif model == "FULL_OPENCV":
+        found = k1, k2, p1, p2, k3, k4, k5, k6
+    else:
+        k1, k2, k3 = three_coefficients((k1, k2, k3, k4), camera)
+        found = (k1, k2, p1, p2, k3) if k3 else (k1, k2, p1, p2)
     return found if any(found) else ()
