@@ -33,6 +33,7 @@ from rholoc.trajectory.reconstruction.part import (
     comparison_with,
     extended,
 )
+from rholoc.trajectory.reconstruction.reversal import unreversed
 from rholoc.trajectory.reconstruction.sights import ADVICE, DENSER, MANY_FEATURES
 from rholoc.trajectory.reconstruction.waypoints import in_map_frame
 from rholoc.trajectory.visual.focal_guess import focal_by_matches
@@ -97,10 +98,13 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
 
 
 def _parts(walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> list[Part]:
-    """The parts that the mappers place, until two agree on nearly all pictures."""
+    """The parts that the mappers place, until two agree on nearly all pictures. Where none agree, each is tried with
+    its depths reversed.
+    """
     sights, count = walk.sights, len(walk.sights.rows)
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
     parts: list[Part] = []
+    tried = 0
     with PycolmapStarts(walk.camera, sights.camera is not None, pixels, walk.evidence.sequential) as starts:
         for number, mapper in enumerate(Mapper):
             if mapper is Mapper.OWN and not parts:  # which another one has to confirm
@@ -110,7 +114,10 @@ def _parts(walk: Pictured, whole: Observations, progress: AdjustmentProgress) ->
             if part is None:
                 continue
             parts.append(part)
-            if _confirmed(_agreements(part, parts)) >= _ALL * count:
+            if len(parts) > 1 and _confirmed(_agreements(part, parts)) == 0:
+                parts[tried:] = [unreversed(one, walk, whole, progress, span) for one in parts[tried:]]
+                tried = len(parts)
+            if _confirmed(_agreements(parts[-1], parts)) >= _ALL * count:
                 break
     return parts
 
