@@ -95,10 +95,11 @@ def taken(
     off_m: FloatArray | None = None,
     final: Agreement = NOT_COMPARED,
     cores: Sequence[Part] = (),
+    turned: Callable[[Part], Part] = lambda part: part,
 ) -> Result:
     """The result of a set whose mappers place so many pictures each, which sightings hold or do not. The second
     reconstruction has the pictures ``off_m`` (20,) beside where the first has them at last, and agrees with it so.
-    Where there would be no map, ``cores`` are what all of them agree on.
+    Where there would be no map, ``cores`` are what all of them agree on. Depths that seem reversed are ``turned``.
     """
     aside = np.outer(np.zeros(COUNT) if off_m is None else off_m, [0.0, 1.0, 0.0])
     placed = np.zeros(COUNT, np.bool_) | held
@@ -118,6 +119,7 @@ def taken(
     monkeypatch.setattr(from_pictures, "_placed_by", lambda mapper, *_: parts.get(mapper))
     monkeypatch.setattr(from_pictures, "agreement_of", compared)
     monkeypatch.setattr(from_pictures, "agreeing_cores", lambda *_: cores)
+    monkeypatch.setattr(from_pictures, "unreversed", lambda part, *_: turned(part))
     monkeypatch.setattr(
         from_pictures, "comparison_with", lambda T, *_: replace(final, second_positions=T[:, :3, 3] + aside)
     )
@@ -188,6 +190,25 @@ def test_reconstructions_that_share_few_pictures_do_not_contradict_each_other(mo
     found = taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 8}, lambda one, other: apart, monkeypatch)
     assert len(found.part.members) == 12
     assert not found.agreement.same
+
+
+def test_each_of_those_that_disagree_is_tried_once_with_its_depths_reversed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both of pycolmap's mappers turned a flight's scene inside out, and confirmed each other."""
+    tried = []
+
+    def turned(part: Part) -> Part:
+        tried.append(len(part.members))
+        return Part(np.arange(20)) if len(part.members) == 16 else part
+
+    def compared(one: Part, other: Part) -> Agreement:
+        alike = len(one.members) == len(other.members)
+        return agreeing(one, other) if alike else Agreement(0.1, 0.3, 9.0, 15, 15)
+
+    sizes = {Mapper.DEPTH: 17, Mapper.OWN: 20, Mapper.INCREMENTAL: 16}
+    found = taken(sizes, compared, monkeypatch, turned=turned)
+    assert len(found.part.members) == 20
+    assert found.agreement.same
+    assert tried == [17, 20, 16]
 
 
 def test_reconstructions_that_contradict_each_other_make_no_map(monkeypatch: pytest.MonkeyPatch) -> None:
