@@ -403,8 +403,9 @@ def test_masks_beside_the_pictures_are_no_pictures(make_images, mask: str, tmp_p
     assert mask.format(0) in warning.text
 
 
-def test_pictures_that_are_only_called_masks_are_pictures(make_images, tmp_path: Path) -> None:
-    make_images(tmp_path / "walk", name="{:03d}_mask.png")
+@pytest.mark.parametrize("name", ["{:03d}_mask.png", "{:03d}.mask.png", "{:03d}.jpg.png"])
+def test_pictures_that_are_only_called_masks_are_pictures(make_images, name: str, tmp_path: Path) -> None:
+    make_images(tmp_path / "walk", name=name)
     assert len(read_recording(tmp_path / "walk").frames.times) == 6
 
 

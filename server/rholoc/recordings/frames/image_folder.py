@@ -160,18 +160,17 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
         for path in sorted(folder.iterdir())
         if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
     ]
-    names = {name for path in paths for name in (path.stem, path.name)}
-    return tuple(path for path in paths if not _is_mask(path, names))
+    files = {path.name for path in paths}
+    names = files | {path.stem for path in paths}
+    return tuple(path for path in paths if not _is_mask(path, names, files))
 
 
-def _is_mask(path: Path, names: Container[str]) -> bool:
+def _is_mask(path: Path, names: Container[str], files: Container[str]) -> bool:
     """Whether a file is named after another picture: ``a_mask.png`` or ``a.mask.png`` after a, ``a.jpg.png`` after
-    a.jpg. ``names`` are those of the pictures, with and without suffix.
+    a.jpg. ``files`` are the pictures' names with suffix, ``names`` those with and without.
     """
     pictures = {path.stem[: -len(ending)] for ending in _MASKS if path.stem.lower().endswith(ending)}
-    if Path(path.stem).suffix.lower() in IMAGE_SUFFIXES:
-        pictures.add(path.stem)
-    return any(name in names for name in pictures)
+    return path.stem in files or any(name in names for name in pictures)
 
 
 def number_in_name(path: Path) -> int | None:
