@@ -385,6 +385,11 @@ def test_a_recording_is_found_in_the_only_folder_however_deep(own: Path, beside:
         assert len(recording.waypoints) == 3
 
 
+def test_a_folder_called_like_a_note_holds_a_recording(own: Path, tmp_path: Path) -> None:
+    shutil.copytree(own, tmp_path / "sent" / "license-plates")
+    assert read_recording(tmp_path / "sent").camera == CAMERA
+
+
 def test_a_table_beside_the_only_folder_is_not_lost(own: Path, tmp_path: Path) -> None:
     shutil.copytree(own, tmp_path / "sent" / "walk")
     shutil.move(own / "waypoints.csv", tmp_path / "sent" / "waypoints.csv")
@@ -410,7 +415,7 @@ def test_pictures_that_are_only_called_masks_are_pictures(make_images, name: str
 
 
 def test_folders_with_pictures_are_named_where_there_are_several(make_images, tmp_path: Path) -> None:
-    for name in ("cam0", "cam1", "cam2", "cam3", "cam4"):
+    for name in (".thumbnails", "cam0", "cam1", "cam2", "cam3", "cam4"):
         make_images(tmp_path / "walk" / name)
     with pytest.raises(InvalidRecording) as caught:
         read_recording(tmp_path / "walk")

@@ -113,7 +113,9 @@ def _innermost(folder: Path) -> Path:
 
 
 def _is_aside(path: Path) -> bool:
-    return path.name.startswith(".") or is_system_file(PurePath(path.name)) or path.name.lower().startswith(_NOTES)
+    """Whether a path is hidden, of an operating system, or a file of notes."""
+    is_note = path.name.lower().startswith(_NOTES) and path.is_file()
+    return path.name.startswith(".") or is_system_file(PurePath(path.name)) or is_note
 
 
 def _with_additions(recording: Recording, folder: Path) -> Recording:

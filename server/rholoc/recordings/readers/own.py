@@ -105,7 +105,8 @@ def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tu
 
 def _without_frames(folder: Path) -> InvalidRecording:
     """The error for a folder without readable frames, which says where else pictures are."""
-    below = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if not path.name.startswith(".")]
+    found = [path.relative_to(folder) for path in sorted(folder.rglob("*"))]
+    below = [path for path in found if not any(part.startswith(".") for part in path.parts)]
     places = [*dict.fromkeys(path.parts[0] for path in below if path.suffix.lower() in IMAGE_SUFFIXES)]
     other = next((path for path in below if path.suffix.lower() in UNREADABLE_SUFFIXES), None)
     hint = "It needs video.mp4, or images (JPEG, PNG, WebP), here or in frames/."
