@@ -10,6 +10,7 @@ import phone_recordings as phone
 import pytest
 
 from rholoc.errors import InvalidCamera, InvalidRecording, InvalidTrajectory
+from rholoc.geometry import Lens
 from rholoc.recordings import Recording, RecordingFormat, read_recording
 from rholoc.reports import WarningKind
 
@@ -146,6 +147,13 @@ def test_a_lens_that_only_instant_ngp_has_is_named(name: str, tmp_path: Path) ->
     recording = read_recording(tmp_path / "walk")
     assert recording.camera is None
     assert WarningKind.CAMERA_UNSUPPORTED in [warning.kind for warning in recording.warnings]
+
+
+@pytest.mark.parametrize("value", [False, 0])
+@pytest.mark.parametrize("name", ["is_fisheye", "latlong", "equirectangular"])
+def test_a_lens_of_instant_ngp_that_is_denied_is_none(name: str, value: Any, tmp_path: Path) -> None:
+    write_transforms(tmp_path / "walk", **{name: value})
+    assert read_recording(tmp_path / "walk").camera.lens is Lens.PINHOLE
 
 
 def test_all_coefficients_of_full_opencv_are_read(tmp_path: Path) -> None:

@@ -35,8 +35,7 @@ _FILE = "transforms.json"
 _PARTS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
 TABLES = (_FILE, *_PARTS, "colmap/*", "colmap_*/*", "colmap.db", "sparse_pc.ply")
 _LENSES = {"PERSPECTIVE": Lens.PINHOLE}  # names that only nerfstudio has
-_FLAGS = {  # Instant NGP's members that name a lens
-    "ftheta_p0": "f-theta",
+_FLAGS = {  # Instant NGP's members that are true of a lens
     "latlong": "latlong",
     "equirectangular": "Instant NGP's equirectangular",
     "is_fisheye": "OPENCV_FISHEYE",
@@ -165,7 +164,8 @@ def _number(values: dict[str, Any], name: str) -> float:
 
 
 def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
-    flagged = next((model for name, model in _FLAGS.items() if values.get(name, False) is not False), None)
+    flagged = next((model for name, model in _FLAGS.items() if values.get(name)), None)
+    flagged = "f-theta" if "ftheta_p0" in values else flagged
     model = flagged or str(values.get("camera_model") or "OPENCV").upper()
     lens = _LENSES.get(model) or lens_of_model(model)
     if lens is None:
