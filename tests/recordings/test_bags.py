@@ -410,6 +410,15 @@ def test_intrinsics_beside_the_bag_that_cannot_be_used_are_named(sensors: str, n
     assert any(named in warning.text for warning in recording.warnings)
 
 
+def test_a_camera_beside_the_bag_without_intrinsics_is_no_cause_for_a_warning(tmp_path: Path) -> None:
+    with bag(tmp_path) as (_, writing):
+        pictures(writing, count=3)
+    (tmp_path / "sensors.txt").write_text("cam, c, camera, UNKNOWN_CAMERA, 64, 48\n")
+    recording = read_recording(tmp_path)
+    assert recording.camera is None
+    assert WarningKind.CAMERA_UNSUPPORTED not in [warning.kind for warning in recording.warnings]
+
+
 def test_a_file_of_a_bag_reads_without_its_folder(tmp_path: Path) -> None:
     for kind in ("db3", "mcap"):
         with bag(tmp_path / kind, kind) as (path, writing):

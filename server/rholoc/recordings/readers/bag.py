@@ -29,7 +29,7 @@ from rholoc.recordings.frames.bag import BAG_SUFFIXES, COMPRESSED_IMAGE, IMAGE, 
 from rholoc.recordings.imu_normalisation import ImuConvention, Samples, advancing_rows, normalise_imu
 from rholoc.recordings.readers._camera_models import unsupported
 from rholoc.recordings.readers._ros import Mounting, camera_of_info, pose_of, stamp_ns, vector
-from rholoc.recordings.readers.models.kapture import read_cameras
+from rholoc.recordings.readers.models.kapture import UNKNOWN_MODEL, read_cameras
 from rholoc.recordings.recording import GivenPoses, Imu, PoseKind, Recording, RecordingFormat
 from rholoc.recordings.tables.pose_table import PoseTable, match_poses
 from rholoc.reports import RecordingWarning, WarningKind
@@ -222,10 +222,13 @@ def _camera(
     cameras = list(read_cameras(sensors).values())
     pictures = sorted({one.topic for one in found.of_types(IMAGE, COMPRESSED_IMAGE)})
     if len(cameras) not in (1, len(pictures)):
-        text = f"sensors.txt is not used: it has {len(cameras)} cameras, the bag {len(pictures)} topics of pictures."
+        topics = f"{len(pictures)} topic{'s' if len(pictures) > 1 else ''} of pictures"
+        text = f"sensors.txt is not used: it has {len(cameras)} cameras, the bag {topics}."
         return None, (RecordingWarning(WarningKind.NOT_USED, text),)
     camera = cameras[pictures.index(found.picture.topic) if len(cameras) > 1 else 0]
-    return (None, (unsupported(camera[:40]),)) if isinstance(camera, str) else (camera.fitted(*size), ())
+    if isinstance(camera, Camera):
+        return camera.fitted(*size), ()
+    return None, () if camera == UNKNOWN_MODEL else (unsupported(camera[:40]),)
 
 
 def _namespace(connection: Connection) -> str:

@@ -15,7 +15,7 @@ unless they are mounted on a rig and there is no IMU; without times, all picture
 rigs are in metres. Partial poses, of a rotation or a translation alone, count as unknown.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -35,7 +35,7 @@ from rholoc.reports import RecordingWarning
 
 TABLES = ("sensors/*.txt", "reconstruction/*")
 _ADVICE = "Leave it as kapture wrote it."
-_UNKNOWN = "UNKNOWN_CAMERA"  # the model of a camera without intrinsics
+UNKNOWN_MODEL = "UNKNOWN_CAMERA"  # of a camera without intrinsics
 _Pose = dict[tuple[str, str], FloatArray]
 
 
@@ -139,10 +139,10 @@ def _cameras(
     known: Mapping[str, Camera | str], used: Sequence[str]
 ) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
     """The camera of each picture, by the sensors ``used``; None if one is unknown, with a warning for its model."""
-    cameras = [known.get(sensor, _UNKNOWN) for sensor in used]
+    cameras = [known.get(sensor, UNKNOWN_MODEL) for sensor in used]
     models = sorted({camera for camera in cameras if isinstance(camera, str)})
     if models:
-        return None, tuple(unsupported(model[:40]) for model in models if model != _UNKNOWN)
+        return None, tuple(unsupported(model[:40]) for model in models if model != UNKNOWN_MODEL)
     return [camera for camera in cameras if isinstance(camera, Camera)], ()
 
 
@@ -174,13 +174,16 @@ def _imu(tables: Path) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
 
 def _flattened(rigs: _Pose) -> _Pose:
     """T_sensor_rig (4, 4) of each sensor in a rig, also by the rigs in it, the outermost rig of a sensor last."""
+    inside: dict[str, list[tuple[str, FloatArray]]] = defaultdict(list)
+    for (rig, sensor), T_sensor_rig in rigs.items():
+        inside[rig].append((sensor, T_sensor_rig))
     flat, added = dict(rigs), rigs
     while added:
         added = {
             (rig, sensor): T_sensor_inner @ T_inner_rig
             for (rig, inner), T_inner_rig in added.items()
-            for (name, sensor), T_sensor_inner in rigs.items()
-            if name == inner and (rig, sensor) not in flat
+            for sensor, T_sensor_inner in inside.get(inner, ())
+            if (rig, sensor) not in flat
         }
         flat |= added
     return flat
@@ -202,12 +205,15 @@ def _poses(
     InvalidTrajectory.
     """
     placed = _pose_table(tables / "trajectories.txt")
+    mounted: dict[str, list[tuple[str, FloatArray]]] = defaultdict(list)
+    for (rig, sensor), T_sensor_rig in rigs.items():
+        mounted[sensor].append((rig, T_sensor_rig))
     T = np.full((len(records), 4, 4), np.nan)
     for row, (stamp, sensor) in enumerate(records):
         found = placed.get((stamp, sensor))
         if found is None:
-            mounted = ((rig, T_sensor_rig) for (rig, other), T_sensor_rig in rigs.items() if other == sensor)
-            by_rig = (T_sensor_rig @ placed[stamp, rig] for rig, T_sensor_rig in mounted if (stamp, rig) in placed)
+            rigs_of = mounted.get(sensor, ())
+            by_rig = (T_sensor_rig @ placed[stamp, rig] for rig, T_sensor_rig in rigs_of if (stamp, rig) in placed)
             found = next(by_rig, None)
         if found is not None:
             T[row] = np.linalg.inv(found) @ T_stored_shown[row]
