@@ -454,6 +454,17 @@ def test_a_broken_picture_of_a_scan_is_named(tmp_path: Path) -> None:
         read_recording(folder)
 
 
+def test_a_second_picture_of_arkit_scenes_at_the_same_time_is_left_out(tmp_path: Path) -> None:
+    folder = phone.write_recording("arkit-scenes", tmp_path / "walk")
+    (picture,) = folder.rglob("lowres_wide/*_1000.150.png")
+    (intrinsics,) = folder.rglob("*_1000.150.pincam")
+    for path in (picture, intrinsics):
+        shutil.copy(path, path.with_stem(f"{path.stem}0"))
+    recording = read_recording(folder)
+    assert len(recording.frames.times) == phone.FRAMES
+    assert recording.poses.known.all()
+
+
 @pytest.mark.parametrize("shift_s", [-0.001, 0.001])
 def test_intrinsics_of_arkit_scenes_may_be_a_millisecond_off(tmp_path: Path, shift_s: float) -> None:
     folder = phone.write_recording("arkit-scenes", tmp_path / "walk")

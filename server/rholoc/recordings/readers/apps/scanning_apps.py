@@ -209,10 +209,12 @@ def _arkit_scenes(folder: Path) -> list[_Shot]:
     rows = read_logged_table(root / "lowres_wide.traj").numbered(*range(7))
     T_camera_map = pose_matrix(Rotation.from_rotvec(rows[:, 1:4]).as_matrix(), rows[:, 4:7])
     pictures = sorted(_pictures(root / "lowres_wide"), key=_time_of)
-    frames = timed_images(pictures, np.array([_time_of(picture) for picture in pictures])).frames
-    T = match_poses(PoseTable(rows[:, 0], np.linalg.inv(T_camera_map)), frames).T_map_camera
+    times = [_time_of(picture) for picture in pictures]
+    timed = timed_images(pictures, np.array(times))
+    T = np.full((len(pictures), 4, 4), np.nan)  # also of pictures that are left out, because their time is another's
+    T[timed.rows] = match_poses(PoseTable(rows[:, 0], np.linalg.inv(T_camera_map)), timed.frames).T_map_camera
     shots = []
-    for picture, time, pose in zip(pictures, frames.times.tolist(), T, strict=True):
+    for picture, time, pose in zip(pictures, times, T, strict=True):
         pincam = _pincam(root / "lowres_wide_intrinsics", picture.stem)
         camera = _camera(read_logged_table(pincam).numbered(*range(6))[0])
         shots.append(_Shot(picture, camera, pose, time, root / "lowres_depth" / picture.name))
