@@ -191,6 +191,21 @@ def test_pictures_are_found_by_paths_as_windows_has_them_and_without_suffix(
     assert read_recording(tmp_path / "walk").frames.paths == (tmp_path / "walk" / file,)
 
 
+@pytest.mark.parametrize("listed", ["\ud800.png", "a/" * 2500 + "b.png", "a\\" * 2500 + "b", "a" * 300])
+def test_a_path_that_no_file_can_have_is_refused(listed: str, tmp_path: Path) -> None:
+    values = write_transforms(tmp_path / "walk")
+    values["frames"][0]["file_path"] = listed
+    (tmp_path / "walk" / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(InvalidRecording, match=r"The list of images names .* which is (too long|not valid text)"):
+        read_recording(tmp_path / "walk")
+
+
+def test_a_position_beyond_reason_is_refused(tmp_path: Path) -> None:
+    write_transforms(tmp_path / "walk", applied_scale=1e-300)
+    with pytest.raises(InvalidTrajectory, match="implausibly far away"):
+        read_recording(tmp_path / "walk")
+
+
 def edit_metashape(folder: Path, *edits: tuple[str, str]) -> None:
     """The walk as Metashape's cameras.xml with texts replaced."""
     path = phone.write_recording("metashape", folder) / "cameras.xml"

@@ -1,5 +1,6 @@
 """Frames for the readers: videos with tables of times, images in lists, files by name, pictures of a rig."""
 
+import os
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ UNREADABLE_SUFFIXES = (".heic", ".heif", ".avif", ".tif", ".tiff", ".dng")  # of
 MAX_FRAME_COUNT_DIFFERENCE = 2  # frames lost at the end of the video or of its table
 
 _LONGEST_NAME_BYTES = 240  # of a listed file's or folder's name, without suffix
+_LONGEST_PATH_BYTES = 2000  # of a listed file's path in the recording's folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,11 +165,16 @@ def listed_file(folder: Path, name: str) -> Path:
     """The file that a list in the folder refers to, by a path relative to it; also with Windows' separators.
 
     Raises:
-        InvalidRecording: the name leads out of the folder, or is too long for a file.
+        InvalidRecording: the name leads out of the folder, is too long for a file, or has half of a surrogate pair.
     """
-    if max(len(part.encode("utf-8", "surrogatepass")) for part in name.split("/")) > _LONGEST_NAME_BYTES:
+    local = name.replace("\\", "/")
+    try:
+        encoded = os.fsencode(local)
+    except UnicodeEncodeError as error:
+        raise InvalidRecording(f"The list of images names '{name[:80]}', which is not valid text.") from error
+    if len(encoded) > _LONGEST_PATH_BYTES or max(map(len, encoded.split(b"/"))) > _LONGEST_NAME_BYTES:
         raise InvalidRecording(f"The list of images names '{name[:80]}…', which is too long for a file.")
-    path = folder / name.replace("\\", "/")
+    path = folder / local
     if "\0" in name or not path.resolve().is_relative_to(folder.resolve()):
         raise InvalidRecording(
             f"The list of images names '{name[:80]}', outside the recording's folder.",

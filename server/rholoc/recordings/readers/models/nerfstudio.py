@@ -107,7 +107,10 @@ def _pose(frame: dict[str, Any]) -> FloatArray:
         T = np.zeros(0)
     if T.shape != (4, 4) or not np.isfinite(T).all() or not is_rotation(T[:3, :3], _ROTATION_TOLERANCE):
         raise InvalidTrajectory(f"{_FILE}: the transform_matrix of {frame['file_path']} is not a pose.")
-    T[:3, 3] /= _applied_scale(frame)
+    scale = _applied_scale(frame)
+    if np.abs(T[:3, 3]).max() > _LARGEST * scale:
+        raise InvalidTrajectory(f"{_FILE}: the pose of {frame['file_path']} is implausibly far away.")
+    T[:3, 3] /= scale
     return np.asarray(np.linalg.inv(_applied_transform(frame)) @ T)
 
 
