@@ -55,10 +55,11 @@ def test_models_that_nerfstudio_and_instant_ngp_had_colmap_write_are_read(place:
     (folder / place).parent.mkdir(exist_ok=True, parents=True)
     (folder / "sparse" / "0").rename(folder / place)
     (folder / "sparse").rmdir()
+    (folder / "transforms_backup.json").write_text("{")
     recording = read_recording(folder)
     assert recording.format is RecordingFormat.COLMAP
     assert recording.poses.known.all()
-    assert not not_used(recording)
+    assert not [text for text in not_used(recording) if "colmap" in text]
 
 
 @pytest.mark.parametrize("place", ["colmap/sparse/0", "colmap_text"])
@@ -203,6 +204,13 @@ def test_a_path_that_no_file_can_have_is_refused(listed: str, tmp_path: Path) ->
 def test_a_position_beyond_reason_is_refused(tmp_path: Path) -> None:
     write_transforms(tmp_path / "walk", applied_scale=1e-300)
     with pytest.raises(InvalidTrajectory, match="implausibly far away"):
+        read_recording(tmp_path / "walk")
+
+
+def test_an_error_names_no_transforms_json_where_there_is_none(tmp_path: Path) -> None:
+    write_transforms(tmp_path / "walk", fl_x="wide")
+    (tmp_path / "walk" / "transforms.json").rename(tmp_path / "walk" / "transforms_train.json")
+    with pytest.raises(InvalidCamera, match=r"^The transforms' fl_x is not a number"):
         read_recording(tmp_path / "walk")
 
 

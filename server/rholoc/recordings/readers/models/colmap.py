@@ -52,8 +52,9 @@ TABLES = (
     "colmap.db",
 )
 
+TRANSFORMS = ("transforms.json", "transforms_train.json", "transforms_val.json", "transforms_test.json")  # nerfstudio's
 _PLACES = (("sparse/[0-9]*",), ("sparse",), ("",), ("sfm*", "outputs/sfm*"))
-_BEFORE_TRANSFORMS = (("colmap/sparse/[0-9]*",), ("colmap_sparse/[0-9]*",), ("colmap_text",))  # before transforms.json
+_SOURCES_OF_TRANSFORMS = (("colmap/sparse/[0-9]*",), ("colmap_sparse/[0-9]*",), ("colmap_text",))
 
 # COLMAP's numbers of the models in binary files, and how many parameters each has.
 _BINARY_MODELS = {
@@ -132,7 +133,8 @@ def _pictures_folder(folder: Path, name: str) -> Path:
 
 def _models(folder: Path) -> list[Path]:
     """The folders of the models in the first place that has any; empty if there are none."""
-    sought = _PLACES if any(folder.glob("transforms*.json")) else (*_PLACES, *_BEFORE_TRANSFORMS)
+    has_transforms = any((folder / name).is_file() for name in TRANSFORMS)
+    sought = _PLACES if has_transforms else (*_PLACES, *_SOURCES_OF_TRANSFORMS)
     for patterns in sought:
         places = sorted(path for pattern in patterns for path in (folder.glob(pattern) if pattern else [folder]))
         found = [place for place in places if _is_complete(place, "bin") or _is_complete(place, "txt")]

@@ -26,14 +26,13 @@ from rholoc.recordings.readers._apple import opencv_camera
 from rholoc.recordings.readers._camera_models import lens_of_model, three_coefficients, unsupported
 from rholoc.recordings.readers._frames import listed_file, untimed_images
 from rholoc.recordings.readers._orientation import as_shown, stored_size
-from rholoc.recordings.readers.models.colmap import SCALE_WARNING
+from rholoc.recordings.readers.models.colmap import SCALE_WARNING, TRANSFORMS
 from rholoc.recordings.recording import GivenPoses, Recording
 from rholoc.recordings.tables.csv_table import read_json
 from rholoc.reports import RecordingWarning
 
-_FILE = "transforms.json"
-_PARTS = ("transforms_train.json", "transforms_val.json", "transforms_test.json")
-TABLES = (_FILE, *_PARTS, "colmap/*", "colmap_*/*", "colmap.db", "sparse_pc.ply")
+_FILE, *_PARTS = TRANSFORMS
+TABLES = (*TRANSFORMS, "colmap/*", "colmap_*/*", "colmap.db", "sparse_pc.ply")
 _LENSES = {"PERSPECTIVE": Lens.PINHOLE}  # names that only nerfstudio has
 _FLAGS = {  # Instant NGP's members that are true of a lens
     "latlong": "latlong",
@@ -57,9 +56,10 @@ def read(folder: Path) -> Recording:
     The camera is None, with a warning, if its model is not supported.
 
     Raises:
-        InvalidRecording: ``transforms.json`` is broken, or an image is broken or missing.
+        InvalidRecording: ``transforms.json`` or one of its parts is broken, or an image is broken or missing.
         InvalidCamera: the intrinsics are broken.
-        InvalidTrajectory: a pose is not a 4×4 matrix with a rotation in it.
+        InvalidTrajectory: a pose is not a 4×4 matrix with a rotation in it, or implausibly far away; the applied
+            transform or scale is none.
     """
     frames = [frame for path in _files(folder) for frame in _frames(path)]
     paths = [_image(folder, frame) for frame in frames]
@@ -93,7 +93,7 @@ def _frames(path: Path) -> list[dict[str, Any]]:
 def _image(folder: Path, frame: dict[str, Any]) -> Path:
     name = frame.get("file_path")
     if not isinstance(name, str):
-        raise InvalidRecording(f"{_FILE}: a frame has no file_path.")
+        raise InvalidRecording("A frame of the transforms has no file_path.")
     path = listed_file(folder, name)
     named = (path, *(path.with_name(path.name + suffix) for suffix in _SUFFIXES))
     return next((one for one in named if one.is_file()), path)
@@ -106,10 +106,10 @@ def _pose(frame: dict[str, Any]) -> FloatArray:
     except (TypeError, ValueError):
         T = np.zeros(0)
     if T.shape != (4, 4) or not np.isfinite(T).all() or not is_rotation(T[:3, :3], _ROTATION_TOLERANCE):
-        raise InvalidTrajectory(f"{_FILE}: the transform_matrix of {frame['file_path']} is not a pose.")
+        raise InvalidTrajectory(f"The transform_matrix of {frame['file_path']} is not a pose.")
     scale = _applied_scale(frame)
     if np.abs(T[:3, 3]).max() > _LARGEST * scale:
-        raise InvalidTrajectory(f"{_FILE}: the pose of {frame['file_path']} is implausibly far away.")
+        raise InvalidTrajectory(f"The pose of {frame['file_path']} is implausibly far away.")
     T[:3, 3] /= scale
     return np.asarray(np.linalg.inv(_applied_transform(frame)) @ T)
 
@@ -118,7 +118,9 @@ def _applied_scale(values: dict[str, Any]) -> float:
     """Factor applied to the original positions after the transform; 1 if none is stated. Raises InvalidTrajectory."""
     scale = values.get("applied_scale", 1.0)
     if not isinstance(scale, int | float) or not 0 < scale < _LARGEST:
-        raise InvalidTrajectory(f"{_FILE}: applied_scale is not a scale.", "Leave it out, or give a positive number.")
+        raise InvalidTrajectory(
+            "The transforms' applied_scale is not a scale.", "Leave it out, or give a positive number."
+        )
     return float(scale)
 
 
@@ -130,7 +132,9 @@ def _applied_transform(values: dict[str, Any]) -> FloatArray:
         given = np.zeros(0)
     is_transform = given.shape in ((3, 4), (4, 4)) and np.isfinite(given).all()
     if not is_transform or not is_rotation(given[:3, :3], _ROTATION_TOLERANCE):
-        raise InvalidTrajectory(f"{_FILE}: applied_transform is not a pose.", "Leave it out, or give 3×4 numbers.")
+        raise InvalidTrajectory(
+            "The transforms' applied_transform is not a pose.", "Leave it out, or give 3×4 numbers."
+        )
     return np.vstack([given[:3], [0, 0, 0, 1]])
 
 
@@ -162,7 +166,7 @@ def _number(values: dict[str, Any], name: str) -> float:
         return math.nan
     value = values[name]
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
-        raise InvalidCamera(f"{_FILE}: {name} is not a number that a camera can have.")
+        raise InvalidCamera(f"The transforms' {name} is not a number that a camera can have.")
     return float(value)
 
 
