@@ -43,7 +43,9 @@ def one_line(text: str) -> str:
 
 
 class RholocError(Exception):
-    """The base of all errors that a user can meet. ``code``: the class's name in snake case, unless it sets another."""
+    """The base of all errors that a user can meet. ``code`` is the class's name in snake case, unless the class states
+    another; a subclass does not inherit it.
+    """
 
     code = "error"
 

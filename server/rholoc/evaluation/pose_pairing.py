@@ -65,9 +65,9 @@ class PosePairs:
 def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = None) -> PosePairs:
     """Pair poses by frame number if both tables have numbers, else by time.
 
-    By number, every true frame with a pose (in ``frames``, if given) is paired; one missing in ``estimated`` has no
-    pose. By time,
-    only estimated poses within ``MATCH_TOLERANCE_S`` of a true one are paired, so failures do not show.
+    By number, every frame with a true pose (in ``frames``, if given) is paired; where ``estimated`` lacks it, its
+    estimated pose is NaN. By time, only estimated poses within ``MATCH_TOLERANCE_S`` of a true one are paired, so
+    failures do not show.
 
     Raises:
         InvalidTrajectory: the tables share neither frame numbers nor times, ``frames`` is given without numbers, or

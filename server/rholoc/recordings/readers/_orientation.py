@@ -48,7 +48,7 @@ def stored_size(path: Path) -> tuple[int, int]:
 
 
 def _quarter_turns(path: Path, camera: Camera | None) -> int:
-    """Clockwise quarter turns from the picture that the camera is of to the shown one."""
+    """Clockwise quarter turns from the picture as ``camera`` knows it to the picture as it is shown."""
     orientation = 1
     with suppress(InvalidImage, OSError):  # reported where the picture is read
         orientation = exif_orientation(path)

@@ -79,9 +79,10 @@ def poses_from_rows(rows: FloatArray, source: str, hint: str = "") -> FloatArray
 
 
 def match_poses(table: PoseTable, frames: FrameSource) -> GivenPoses:
-    """Give each frame the pose with its number, or that at its time: interpolated between two poses that are at most
-    two frame intervals apart, else the nearest one. NaN without a pose within half a frame interval.
+    """Give each frame the pose with its number, or the pose at its time; NaN for frames without one.
 
+    By time, a frame has a pose if the table has one within half a frame interval: interpolated between the poses before
+    and after the frame if these are at most two frame intervals apart, else the nearest one.
     By number if the keys are frame numbers or the frames have no times.
 
     Raises:

@@ -173,7 +173,7 @@ def _imu(tables: Path) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
 
 
 def _flattened(rigs: _Pose) -> _Pose:
-    """T_sensor_rig (4, 4) of each sensor in a rig, also by the rigs in it, the outermost rig of a sensor last."""
+    """T_sensor_rig (4, 4) by rig and sensor, also of sensors in the rigs of a rig; a sensor's outermost rig last."""
     inside: dict[str, list[tuple[str, FloatArray]]] = defaultdict(list)
     for (rig, sensor), T_sensor_rig in rigs.items():
         inside[rig].append((sensor, T_sensor_rig))

@@ -148,8 +148,8 @@ def _no_photo(label: str, folder: Path) -> InvalidRecording:
 def _with_own_photos(
     placed: Sequence[Element], cameras: Sequence[Element], photos: Mapping[str, Sequence[Path]]
 ) -> tuple[list[Element], tuple[RecordingWarning, ...]]:
-    """The ``placed`` cameras whose label is the name of one photo that no other of the ``cameras`` has, and a warning
-    about the rest.
+    """The ``placed`` cameras whose label names one photo only, and a photo that none of the other ``cameras`` names;
+    and a warning about the rest.
 
     Raises InvalidRecording if none is left.
     """
@@ -170,8 +170,9 @@ def _with_own_photos(
 def _in_one_frame(
     placed: Sequence[Element], unplaced: Collection[str | None]
 ) -> tuple[list[Element], tuple[RecordingWarning, ...]]:
-    """The largest set of cameras in one frame, and a warning about the rest: those of one of the ``unplaced``
-    components, or those of all others.
+    """The largest set of cameras in one frame, and a warning about the rest.
+
+    The cameras of each of the ``unplaced`` components have a frame of their own, all others share one.
     """
     of_camera = [component if (component := one.get("component_id")) in unplaced else None for one in placed]
     largest = Counter(of_camera).most_common(1)[0][0]
@@ -217,8 +218,8 @@ def _numbers(element: Element | None, count: int) -> FloatArray:
 
 
 def _cameras(sensors: Sequence[Element | None]) -> tuple[list[Camera] | None, tuple[RecordingWarning, ...]]:
-    """Camera of each sensor, with a warning about coefficients that it has no place for; None, with a warning, if one
-    is missing or of unknown type. Raises InvalidCamera.
+    """Camera of each sensor, and a warning that names coefficients which cameras cannot have; None, with a warning, if
+    a sensor is missing or of unknown type. Raises InvalidCamera.
     """
     known: dict[Element | None, Camera] = {}
     ignored: set[str] = set()
