@@ -172,8 +172,8 @@ def feature_set(given: FeaturesIn, extractor: Extractor, max_features: int) -> F
     """A descriptor set as the localizer takes it.
 
     Raises:
-        InvalidDescriptors: it has over ``max_features``, its lists differ in length, a value is not finite, negative or
-            beyond 1e6 px, or it is not of the extractor's kind.
+        InvalidDescriptors: it has over ``max_features``, its lists differ in length, a value is not finite, a size is
+            negative, a pixel or size is beyond ±1e6 px, or it is not of the extractor's kind.
     """
     n = len(given.pixels)
     if n > max_features:

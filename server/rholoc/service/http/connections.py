@@ -72,7 +72,9 @@ class PatientProtocol(H11Protocol):
         self._waiting_since_s = self.loop.time()
 
     def _make_room(self) -> None:
-        """Close the connection that has been idle longest; if none is idle, mark this one as beyond the limit."""
+        """Close the connection that has been idle longest; if none is idle, mark this one as beyond the limit. Of
+        ``_FOR_PROBES`` others beyond it, the one that has waited longest is then closed.
+        """
         others = [one for one in self.connections if isinstance(one, PatientProtocol) and one is not self]
         now_s = self.loop.time()
         idle = [one for one in others if one._is_idle and now_s - one._waiting_since_s > _YOUNG_S]

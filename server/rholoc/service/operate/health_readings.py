@@ -53,7 +53,10 @@ class LastKnown(Generic[T]):
         return None if self._known_s is None else time.monotonic() - self._known_s
 
     async def refresh(self) -> None:
-        """Call the function again, once for concurrent callers; wait at most 0.25 s for its value, then kept."""
+        """Call the function again, once for concurrent callers, and wait at most 0.25 s for it.
+
+        Its value replaces the last one, also if it comes later.
+        """
         if self._under_way is None:
             self._begun_s = time.monotonic()
             self._under_way = asyncio.wrap_future(self._executor.submit(self._read))
