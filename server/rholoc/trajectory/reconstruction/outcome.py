@@ -93,7 +93,7 @@ class Reconstruction:
         agreement: with a second reconstruction, if there is no IMU to check the pictures.
         zooms: (K,) of each picture relative to the camera, where autofocus or another lens changed it; or None.
         note: one line on a fallback that was used, or empty.
-        disputed: (K,) bool, keyframes left out because two reconstructions place them differently; None if not checked.
+        disputed: (K,) bool, keyframes left out because no second reconstruction confirms them; None if not checked.
     """
 
     placed: BoolArray
