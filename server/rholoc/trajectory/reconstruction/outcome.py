@@ -165,8 +165,8 @@ def finished(
 
 
 def fewest_placed(count: int, is_film: bool) -> float:
-    """Minimum number of ``count`` keyframes that a map must have: half of a film's; of a set of pictures a quarter, or
-    eight.
+    """Minimum number of ``count`` keyframes that a map must have: of a film half; of a set of pictures a quarter, at
+    most eight.
     """
     return _MIN_PLACED * count if is_film else min(_MIN_OF_SET * count, _ENOUGH_OF_SET)
 
