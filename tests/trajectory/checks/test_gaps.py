@@ -104,7 +104,7 @@ def test_a_picture_that_two_reconstructions_dispute_is_not_said_to_show_nothing(
     disputed[missing[:2]] = True
     spans = missing_spans(replace(_flow(_GAP, brightness=5.0), timed=False), _ROWS, placed, disputed)
     assert [(span.first_number, span.last_number, span.why) for span in spans] == [
-        (119, 123, "is placed differently by two reconstructions"),
+        (119, 123, "is not confirmed by a second reconstruction"),
         (124, 149, "is too dark"),
     ]
 

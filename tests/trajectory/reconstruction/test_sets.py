@@ -96,6 +96,7 @@ def taken(
     final: Agreement = NOT_COMPARED,
     cores: Sequence[Part] = (),
     turned: Callable[[Part], Part] = lambda part: part,
+    pairs: Sequence[VerifiedPair] = (),
 ) -> Result:
     """The result of a set whose mappers place so many pictures each, which sightings hold or do not. The second
     reconstruction has the pictures ``off_m`` (20,) beside where the first has them at last, and agrees with it so.
@@ -105,7 +106,7 @@ def taken(
     placed = np.zeros(COUNT, np.bool_) | held
     covariances = np.tile(sigma_m**2 * np.eye(6), (COUNT, 1, 1))
     parts = {mapper: Part(np.arange(size)) for mapper, size in sizes.items()}
-    evidence: Any = type("Evidence", (), {"observations": lambda *_: None, "sequential": []})()
+    evidence: Any = type("Evidence", (), {"observations": lambda *_: None, "sequential": pairs})()
     seen = {
         "depth": None,
         "rows": np.arange(COUNT),
@@ -211,6 +212,26 @@ def test_each_of_those_that_disagree_is_tried_once_with_its_depths_reversed(monk
     assert tried == [17, 20, 16]
 
 
+def test_pycolmaps_two_are_tried_too_though_they_agree_if_there_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where our own start failed, a scene turned inside out by both of them was trusted."""
+    tried = []
+
+    def turned(part: Part) -> Part:
+        tried.append(len(part.members))
+        return Part(np.arange(20))
+
+    found = taken({Mapper.INCREMENTAL: 19, Mapper.GLOBAL: 18}, agreeing, monkeypatch, turned=turned)
+    assert tried == [19, 18]
+    assert len(found.part.members) == 20
+
+
+def test_two_that_agree_are_not_tried_if_one_is_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    def turned(part: Part) -> Part:
+        pytest.fail("tried with its depths reversed")
+
+    taken({Mapper.OWN: 12, Mapper.INCREMENTAL: 12, Mapper.GLOBAL: 12}, agreeing, monkeypatch, turned=turned)
+
+
 def test_reconstructions_that_contradict_each_other_make_no_map(monkeypatch: pytest.MonkeyPatch) -> None:
     apart = Agreement(0.3, 0.5, 9.0, 12, 12)
     with pytest.raises(MappingFailed, match="contradict each other"):
@@ -234,6 +255,35 @@ def test_reconstructions_that_do_not_agree_make_an_untrusted_map_of_the_pictures
     assert found.frame.doubts == ("Reconstructions agree on 8 of 20 pictures only.",)
     assert found.disputed is not None
     assert np.flatnonzero(found.disputed).tolist() == list(range(8, 18))
+
+
+def test_where_what_all_agree_on_hardly_overlaps_the_whole_is_taken_unless_it_is_contradicted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sizes, cores = {Mapper.OWN: 18, Mapper.GLOBAL: 18}, [Part(np.arange(8)), Part(np.arange(8))]
+    monkeypatch.setattr(from_pictures, "_is_loose", lambda found: found.part is cores[0])
+
+    def compared(apart: Agreement) -> Compared:
+        return lambda one, other: agreeing(one, other) if len(one.members) == 8 else apart
+
+    found = taken(sizes, compared(NOT_COMPARED), monkeypatch, cores=cores)
+    assert len(found.part.members) == 18
+    with pytest.raises(MappingFailed, match="contradict each other"):
+        taken(sizes, compared(Agreement(0.3, 0.5, 9.0, 18, 18)), monkeypatch, cores=cores)
+
+
+def test_a_map_of_what_all_agree_on_says_too_that_others_may_be_of_another_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cores, placed = [Part(np.arange(8)), Part(np.arange(8))], np.arange(COUNT) < 8
+    pairs = [VerifiedPair(k, k + 1, np.zeros((40, 2), np.int64), np.eye(3)) for k in range(COUNT - 1)]
+    sizes = {Mapper.OWN: 16, Mapper.GLOBAL: 16}
+
+    def compared(one: Part, other: Part) -> Agreement:
+        return agreeing(one, other) if len(one.members) == 8 else NOT_COMPARED
+
+    found = taken(sizes, compared, monkeypatch, held=placed, cores=cores, pairs=pairs)
+    assert found.note.startswith("4 further pictures fit each other, but not these")
 
 
 @pytest.mark.parametrize(("sigma_m", "held"), [(3.0, True), (np.nan, True), (0.01, False)])

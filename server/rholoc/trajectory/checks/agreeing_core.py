@@ -9,7 +9,7 @@ from rholoc.geometry.graphs import components
 from rholoc.trajectory.checks.agreement import MAX_ANGLE_DEG, MAX_DISTANCE_OF_MOST, aligning
 
 _ROUNDS = 20  # in which a core grows from a pair of keyframes
-_MIN_INWARD = 0.75  # share of a keyframe's matches that lead to others of the core
+_MIN_INWARD = 0.75  # share of a keyframe's matches that are with others of the core
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +38,12 @@ class Links:
 def agreeing_core(T: FloatArray, other: FloatArray, placed: BoolArray, links: Links, depths: FloatArray) -> BoolArray:
     """Mask (K,) of the largest connected set of keyframes that two reconstructions place alike.
 
-    One similarity aligns all of them: each keyframe to 4 % of its depth and 2°. At least three quarters of each one's
-    matches lead to others of the set. So it ends at weak links, as right ones do: places that look alike, which make
-    wrong ones agree, have strong links to where they really are. Hypotheses: the similarity of two linked keyframes,
-    estimated again with its inliers until these stay the same.
+    One similarity aligns all of them: each keyframe to 4 % of its depth and 2°. At least three quarters of each
+    keyframe's matches are with others of the set. This excludes places that look alike, which both reconstructions may
+    confuse: their keyframes have as many matches with the keyframes around their true place.
+
+    The search starts from the similarity of each linked pair, estimated again from its inliers until these stay the
+    same.
 
     Args:
         T: (K, 4, 4) poses of the first reconstruction.
@@ -76,9 +78,7 @@ def _fitting(
 
 
 def _without_outward(core: BoolArray, links: Links) -> BoolArray:
-    """Mask (K,) of a connected part of the ``core`` (K,): of each keyframe's matches at least three quarters are with
-    others of that part.
-    """
+    """Mask (K,) of a connected part of the ``core`` (K,), in which each keyframe has three quarters of its matches."""
     total = links.count(np.ones_like(core))
     while True:
         kept = links.connected(core & (links.count(core) >= _MIN_INWARD * total))

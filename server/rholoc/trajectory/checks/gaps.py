@@ -14,7 +14,7 @@ _BLURRED = 0.25  # of the walk's median sharpness
 _PLAIN = 10.0  # contrast in grey values, of a wall lit from one side
 _FEW_CORNERS = 60
 _MAX_NAMED = 4  # spans in a message
-_DISPUTED = "is placed differently by two reconstructions"
+_DISPUTED = "is not confirmed by a second reconstruction"
 
 
 def missing_spans(
@@ -23,7 +23,7 @@ def missing_spans(
     """Spans of frames without poses: before, between and after the keyframes ``rows`` (K,) that are ``placed`` (K,).
 
     A span has at least one keyframe, and comes with its probable cause. ``disputed`` (K,) keyframes, left out because
-    two reconstructions place them differently, have spans of their own. Empty if no keyframe is placed. With measured
+    no second reconstruction confirms them, have spans of their own. Empty if no keyframe is placed. With measured
     times, spans shorter than 0.4 s are omitted.
     """
     if not placed.any():

@@ -18,7 +18,9 @@ _MAD_TO_SIGMA = 1.4826
 
 
 def zoomed(observations: Observations, zooms: FloatArray, camera: Camera) -> Observations:
-    """Observations by the unzoomed ``camera``: offsets from its centre over their keyframe's zoom, ``zooms`` (K,)."""
+    """The observations as if no picture were zoomed: each pixel's offset from the principal point of ``camera`` is
+    divided by its keyframe's zoom, ``zooms`` (K,).
+    """
     factor = 1 / zooms[observations.keyframes]
     return replace(observations, pixels=unzoomed(observations.pixels, factor[:, None], camera))
 

@@ -87,24 +87,26 @@ def solve_from_set(walk: Pictured, progress: AdjustmentProgress) -> Reconstructi
     if not parts:
         raise MappingFailed("No two pictures overlap enough.", DENSER)
     agreement, _ = _best_agreement(_most_confirmed(parts, len(walk.sights.rows)), parts)
+    found = None
     if agreement is not None and not agreement.same:
-        cores = agreeing_cores(parts, walk, whole, progress)
-        if cores:
-            return _only_agreed(_best_of(cores, walk, whole, progress, grow=False), parts)
-        if agreement.contradicts:
+        found = _of_core(parts, walk, whole, progress)
+        if found is None and agreement.contradicts:
             raise MappingFailed(f"Reconstructions of these pictures contradict each other: {agreement.why}", DENSER)
-    found = _best_of(parts, walk, whole, progress)
+    if found is None:
+        found = _best_of(parts, walk, whole, progress)
     return replace(found, note=f"{found.note} {_elsewhere(found, walk.evidence.sequential)}".strip())
 
 
 def _parts(walk: Pictured, whole: Observations, progress: AdjustmentProgress) -> list[Part]:
-    """The parts that the mappers place, until two agree on nearly all pictures. Where none agree, each is tried with
-    its depths reversed.
+    """The parts that the mappers place, until two agree on nearly all pictures.
+
+    If no other part confirms a new one, all parts are tried with their depths reversed, each once. So are pycolmap's
+    two if there is no other part: they have agreed on reversed depths.
     """
     sights, count = walk.sights, len(walk.sights.rows)
     pixels = [features.pixels.astype(np.float64) for features in sights.features]
     parts: list[Part] = []
-    tried = 0
+    tried, has_ours = 0, False
     with PycolmapStarts(walk.camera, sights.camera is not None, pixels, walk.evidence.sequential) as starts:
         for number, mapper in enumerate(Mapper):
             if mapper is Mapper.OWN and not parts:  # which another one has to confirm
@@ -114,7 +116,8 @@ def _parts(walk: Pictured, whole: Observations, progress: AdjustmentProgress) ->
             if part is None:
                 continue
             parts.append(part)
-            if len(parts) > 1 and _confirmed(_agreements(part, parts)) == 0:
+            has_ours |= mapper in (Mapper.DEPTH, Mapper.OWN)
+            if len(parts) > 1 and (not has_ours or _confirmed(_agreements(part, parts)) == 0):
                 parts[tried:] = [unreversed(one, walk, whole, progress, span) for one in parts[tried:]]
                 tried = len(parts)
             if _confirmed(_agreements(parts[-1], parts)) >= _ALL * count:
@@ -159,10 +162,19 @@ def _best_of(
     return _without_disputed(found) if agreement.same and in_map_frame.same else found
 
 
-def _only_agreed(found: Reconstruction, parts: Sequence[Part]) -> Reconstruction:
-    """The reconstruction of the pictures over which the ``parts`` agree, not trusted; others that these place are
-    disputed.
+def _of_core(
+    parts: Sequence[Part], walk: Pictured, whole: Observations, progress: AdjustmentProgress
+) -> Reconstruction | None:
+    """The reconstruction of the pictures over which all ``parts`` agree, untrusted; None if they are too few or hardly
+    overlap, or miss the waypoints. Other pictures that at least one part places are disputed.
     """
+    cores = agreeing_cores(parts, walk, whole, progress)
+    try:
+        found = _best_of(cores, walk, whole, progress, grow=False) if cores else None
+    except MappingFailed:
+        found = None
+    if found is None:
+        return None
     count = len(found.placed)
     disputed = np.isin(np.arange(count), np.concatenate([part.members for part in parts])) & ~found.placed
     why = f"Reconstructions agree on {int(found.placed.sum())} of {count} pictures only."

@@ -93,7 +93,7 @@ class Reconstruction:
         agreement: with a second reconstruction, if there is no IMU to check the pictures.
         zooms: (K,) of each picture relative to the camera, where autofocus or another lens changed it; or None.
         note: one line on a fallback that was used, or empty.
-        disputed: (K,) bool, keyframes left out because two reconstructions place them differently; None if not checked.
+        disputed: (K,) bool, keyframes left out because no second reconstruction confirms them; None if not checked.
     """
 
     placed: BoolArray
@@ -165,8 +165,8 @@ def finished(
 
 
 def fewest_placed(count: int, is_film: bool) -> float:
-    """Minimum number of ``count`` keyframes that a map must have: half of a film's; of a set of pictures a quarter, or
-    eight.
+    """Minimum number of ``count`` keyframes that a map must have: of a film half; of a set of pictures a quarter, at
+    most eight.
     """
     return _MIN_PLACED * count if is_film else min(_MIN_OF_SET * count, _ENOUGH_OF_SET)
 

@@ -14,15 +14,16 @@ from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.part import Part, Pictured, Start, adjusted_part
 from rholoc.trajectory.visual.tracks import Observations
 
-_BETTER = 1.01  # times as many sightings as the reversed part explains: a wrong one explained 2 to 15 % fewer
+_BETTER = 1.01  # minimum ratio of explained sightings, reversed to not: a wrong part explained 2 to 15 % fewer
 
 
 def unreversed(
     part: Part, walk: Pictured, whole: Observations, progress: AdjustmentProgress, span: tuple[float, float]
 ) -> Part:
-    """The part, or the one adjusted from its reversed depths if this explains at least 1 % more sightings.
+    """The part, or the one adjusted from its reversed depths if this explains over 1 % more sightings.
 
-    ``whole`` are the sightings of all pictures. A part with pictures that look back is not tried.
+    A part with a picture that looks 90° or more away from the mean direction is not tried. ``whole`` are the sightings
+    of all pictures, ``span`` the fractions of progress.
     """
     axes = part.adjusted.state.R_map_camera[:, :, 2]
     if (axes @ axes.mean(axis=0)).min() <= 0:

@@ -157,7 +157,8 @@ def gather_evidence(
         )
     else:
         sequential, weak = match_pictures(sights.features, rays, camera.focal, progress)
-    if only_turned(sequential, [features.pixels for features in sights.features], camera):
+    pixels = [features.pixels for features in sights.features]
+    if only_turned(sequential, pixels, camera, is_given=sights.camera is not None):
         raise MappingFailed(
             "The pictures were taken from one place; turning alone does not show how far away things are.",
             "Walk through the room, sideways where you can: half a step between pictures.",

@@ -14,22 +14,24 @@ _MIN_SHIFT_RAD = 0.0025  # of a walk; twice the detector's noise
 _MIN_SHARE = 0.95  # of the pairs
 _FITS = 3  # of the rotation, each to the best half of the matches
 _SAMPLE = 12  # pairs that a camera is fitted to
-_MAX_FACTOR = 1.6  # of its focal length to the assumed one
+_MAX_FACTOR, _MAX_FACTOR_OF_GIVEN = 1.6, 1.1  # of its focal length to a guessed one, and to a given one
 _RADIAL = -0.4, 0.1  # range of its first distortion coefficient
-_FIRST_STEPS = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, -0.1]])  # of the focal length's logarithm and the coefficient
+_FIRST_STEPS = 0.2, 0.1  # of the fit: share of the focal length's range, change of the coefficient
 _PRECISION, _EVALUATIONS = 2e-3, 60  # of the fit
 
 
-def only_turned(pairs: Sequence[VerifiedPair], pixels: Sequence[FloatArray], camera: Camera) -> bool:
+def only_turned(pairs: Sequence[VerifiedPair], pixels: Sequence[FloatArray], camera: Camera, is_given: bool) -> bool:
     """Whether the camera only rotated, so that depths are unobservable: 95 % of the pairs shift by less than 2.5 mrad.
 
-    By a wrong focal length or distortion, a rotation looks like a motion. Of a pinhole camera, those that explain the
-    pairs best by rotations count too.
+    By a wrong focal length or distortion, a rotation looks like a motion, so those that explain the pairs of a pinhole
+    camera best by rotations are tried too. They also explain a motion along a flat wall. Hence the focal length of a
+    given camera is varied by up to 10 % only, and one that is given with distortion is not varied.
 
     Args:
         pairs: of keyframes close in time; without any the answer is False.
         pixels: for each keyframe the places (N, 2) of its features.
         camera: assumed intrinsics.
+        is_given: whether these are the recording's, not a guess.
     """
     if not pairs:
         return False
@@ -40,10 +42,11 @@ def only_turned(pairs: Sequence[VerifiedPair], pixels: Sequence[FloatArray], cam
     allowed_px = camera.focal * _MIN_SHIFT_RAD
     if most_px(camera) < allowed_px:
         return True
-    if camera.lens is not Lens.PINHOLE:
+    if camera.lens is not Lens.PINHOLE or (is_given and any(camera.distortion)):
         return False
     sample = [pairs[k] for k in evenly(len(pairs), _SAMPLE).tolist()]
-    return most_px(_turning_camera(sample, pixels, camera)) < allowed_px
+    max_factor = _MAX_FACTOR_OF_GIVEN if is_given else _MAX_FACTOR
+    return most_px(_turning_camera(sample, pixels, camera, max_factor)) < allowed_px
 
 
 def shifts(pairs: Sequence[VerifiedPair], pixels: Sequence[FloatArray], camera: Camera) -> FloatArray:
@@ -71,9 +74,11 @@ def _shift(first: FloatArray, second: FloatArray) -> float:
     return float(np.median(off))
 
 
-def _turning_camera(pairs: Sequence[VerifiedPair], pixels: Sequence[FloatArray], camera: Camera) -> Camera:
-    """Camera of another focal length and first distortion coefficient, by which the mean shift [px] of the pairs is
-    smallest.
+def _turning_camera(
+    pairs: Sequence[VerifiedPair], pixels: Sequence[FloatArray], camera: Camera, max_factor: float
+) -> Camera:
+    """Camera of another focal length, up to ``max_factor`` times as long or short, and another first distortion
+    coefficient, by which the mean shift [px] of the pairs is smallest.
     """
     radial, *others = camera.distortion or (0.0, 0.0, 0.0, 0.0)
 
@@ -88,13 +93,15 @@ def _turning_camera(pairs: Sequence[VerifiedPair], pixels: Sequence[FloatArray],
             return np.inf
         return other.focal * float(np.mean(shifts(pairs, pixels, other)))
 
-    start = np.array([0.0, np.clip(radial, *_RADIAL)])
-    widest = float(np.log(_MAX_FACTOR))
+    widest, (least, most) = float(np.log(max_factor)), _RADIAL
+    longer, rounder = _FIRST_STEPS[0] * widest, -_FIRST_STEPS[1]
+    start = np.array([0.0, np.clip(radial, least - rounder, most)])  # from where a step is within the range
+    simplex = start + np.array([[0.0, 0.0], [longer, 0.0], [0.0, rounder]])
     found = minimize(
         shift_px,
         start,
         method="Nelder-Mead",
         bounds=((-widest, widest), _RADIAL),
-        options={"initial_simplex": start + _FIRST_STEPS, "xatol": _PRECISION, "maxfev": _EVALUATIONS},
+        options={"initial_simplex": simplex, "xatol": _PRECISION, "maxfev": _EVALUATIONS},
     )
     return changed(found.x)
