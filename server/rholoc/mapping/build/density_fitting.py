@@ -36,6 +36,7 @@ def sightings_of(map_: Map) -> Sightings:
 
 
 def _without_bearings(map_: Map) -> Sightings:
+    """All observations of a map as features and camera positions, in the map's order; bearings are None."""
     return Sightings(
         map_.landmarks.positions.astype(np.float64),
         map_.observations.features,

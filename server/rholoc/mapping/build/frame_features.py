@@ -63,6 +63,7 @@ class FrameFeatures:
             yield one._replace(features=trajectory.at_once(k, one.features))
 
     def _extracted(self, image: ByteArray) -> Shown:
+        """Features with colours, appearance and, if pictures are kept, JPEG of an image (H, W, 3) BGR."""
         picture = small_picture(image) if self._pictures else b""
         return Shown(self._extractor.extract(image).coloured(image), look_at(image), picture)
 

@@ -239,6 +239,7 @@ def _assemble(
     extractor: Extractor,
     options: BuildOptions,
 ) -> Map:
+    """Map of version 1 with ``ray`` densities and a new id; the walks are its sources. Triangulates the landmarks again."""
     info = MapInfo(
         id=uuid.uuid4().hex,
         version=1,
@@ -311,6 +312,7 @@ def _of_views(
 
 
 def _source(walk: _Walk, options: BuildOptions) -> Source:
+    """Description of a walk's recording, with its numbers of frames, poses, views and held-out frames."""
     return Source(
         id=recording_id(walk.recording),
         name=walk.recording.name,
@@ -324,5 +326,6 @@ def _source(walk: _Walk, options: BuildOptions) -> Source:
 
 
 def _waypoint(waypoint: Waypoint, walk: _Walk) -> MapWaypoint:
+    """A walk's waypoint with its residual against the trajectory [m]; None if the trajectory reports none."""
     residuals = walk.trajectory.report.waypoint_residuals_m or {}
     return MapWaypoint(waypoint.name, waypoint.position, residuals.get(waypoint.name))

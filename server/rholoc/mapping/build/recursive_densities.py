@@ -81,6 +81,7 @@ def _learned(
 
 
 def _some(sightings: Sightings, rows: IntArray) -> Sightings:
+    """The sightings in ``rows``, of the same landmarks."""
     assert sightings.bearings is not None
     return Sightings(sightings.landmarks, sightings.features[rows], sightings.positions[rows], sightings.bearings[rows])
 

@@ -94,7 +94,7 @@ def lay_over_plan(map_: Map, points: FloatArray, plan: FloatArray, scaled: bool)
         scaled: whether the map takes the plan's scale and becomes metric; heights are scaled, but not shifted.
 
     Raises:
-        InvalidInput: fewer than 2 or more than 100 points, points above each other, or a scale outside 1e-4 to 1e4.
+        InvalidInput: other than 2 to 100 pairs, points above each other, or a scale outside 1e-4 to 1e4.
         Conflict: the map is not upright.
     """
     if len(points) != len(plan) or not _MIN_PLAN_POINTS <= len(points) <= _MAX_PLAN_POINTS:
@@ -226,6 +226,7 @@ def _cut(before: Map, after: Map, kind: CorrectionKind) -> Map:
 
 
 def _correction(info: MapInfo, kind: CorrectionKind) -> Correction:
+    """Correction of this kind, made now, that leads to the version after that of ``info``; it has no figures yet."""
     return Correction(info.version + 1, kind, datetime.now(UTC).isoformat(timespec="seconds"))
 
 

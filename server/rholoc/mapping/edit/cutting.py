@@ -92,5 +92,6 @@ def _recounted(info: MapInfo, view_sources: IntArray) -> tuple[Source, ...]:
 
 
 def _check_left(count: int) -> None:
+    """Raise Conflict if fewer than 12 landmarks, ``count``, would be left."""
     if count < _MIN_LEFT:
         raise Conflict(f"Only {count} landmarks would be left.", "Remove less, or delete the map instead.")

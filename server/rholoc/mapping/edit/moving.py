@@ -64,7 +64,7 @@ def move_map(map_: Map, similarity: Similarity) -> Map:
 
 
 def moved_names(names: MapNames, similarity: Similarity) -> MapNames:
-    """Names of points and areas (corners taken at z = 0) in the frame after a similarity."""
+    """Points and areas in the frame after a similarity, their names unchanged; corners of areas are taken at z = 0."""
     return MapNames(
         tuple(replace(point, position=_moved(point.position, similarity)) for point in names.points),
         tuple(
@@ -75,6 +75,7 @@ def moved_names(names: MapNames, similarity: Similarity) -> MapNames:
 
 
 def _check_near(*positions: FloatArray) -> None:
+    """Raise InvalidInput if a coordinate of any of the positions (N, 3) is beyond ±10 km."""
     if any(len(one) and np.abs(one).max() > _FARTHEST_M for one in positions):
         raise InvalidInput(
             f"Some of the map would lie more than {_FARTHEST_M / 1000:g} km from the origin.",
@@ -83,11 +84,13 @@ def _check_near(*positions: FloatArray) -> None:
 
 
 def _moved(position: tuple[float, float, float], similarity: Similarity) -> tuple[float, float, float]:
+    """A position in the frame after a similarity."""
     x, y, z = similarity.points(np.array([position], dtype=np.float64))[0].tolist()
     return x, y, z
 
 
 def _moved_info(info: MapInfo, similarity: Similarity) -> MapInfo:
+    """Waypoints, names, floor plan, pose on Earth and reported lengths in the frame after a similarity; the rest stays."""
     scale = similarity.scale
     waypoints = tuple(
         replace(waypoint, position=_moved(waypoint.position, similarity), residual_m=_times(waypoint.residual_m, scale))
@@ -126,6 +129,7 @@ def _scaled_lesson(report: LearningReport, scale: float) -> LearningReport:
 
 
 def _scaled_held_out(report: HeldOutReport, scale: float) -> HeldOutReport:
+    """The report with its distances multiplied by ``scale``, and the recalls counted anew."""
     errors_m = None if report.errors_m is None else tuple(_times(error, scale) for error in report.errors_m)
     return replace(
         report,
@@ -146,6 +150,7 @@ def _recall(report: HeldOutReport, errors_m: tuple[float | None, ...] | None, wi
 
 
 def _scaled_trajectory(report: TrajectoryReport, scale: float) -> TrajectoryReport:
+    """The report with its lengths multiplied by ``scale``."""
     residuals, inertial = report.waypoint_residuals_m, report.inertial
     if inertial is not None:
         inertial = replace(inertial, rms_m=_times(inertial.rms_m, scale), worst_m=_times(inertial.worst_m, scale))

@@ -409,6 +409,7 @@ class _Answers:
 
     @property
     def recall(self) -> float:
+        """Share of the queries with a right answer; 0 without queries."""
         return self.right / max(self.asked, 1)
 
 

@@ -180,7 +180,7 @@ def _localized_walk(localizer: Localizer, recording: Recording, pictures: bool, 
 def _aligned_walk(
     localizer: Localizer, recording: Recording, method: PoseMethod, pictures: bool, progress: ProgressListener
 ) -> _Walk:
-    """The recording's own trajectory, aligned with those of at most 24 of its frames that can be localized. Raises
+    """Views of the recording's own trajectory, aligned with the map by localizing at most 24 of them. Raises
     MappingFailed for fewer than five views or frames found, or if the two disagree; InvalidRecording.
     """
     frame_features = _frame_features(localizer, recording, recording.camera, pictures)
@@ -211,11 +211,13 @@ def _aligned_walk(
 
 
 def _frame_features(localizer: Localizer, recording: Recording, camera: Camera | None, pictures: bool) -> FrameFeatures:
+    """Features of a recording's frames by the map's extractor, adapted to the camera's breadth; small ``pictures`` too if asked."""
     extractor = widened(get_extractor(localizer.map.info.features), camera)
     return FrameFeatures(recording.frames, extractor, pictures)
 
 
 def _collected(frames: Iterable[Shown], count: int, progress: ProgressListener) -> list[Shown]:
+    """The ``count`` frames as a list, with progress."""
     shown: list[Shown] = []
     for one in frames:
         shown.append(one)

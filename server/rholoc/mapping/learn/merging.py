@@ -96,6 +96,7 @@ def check_alike(a: Map, b: Map) -> None:
 
 
 def _without_shared(map_: Map, shared: set[str | None]) -> Map:
+    """The map without the recordings whose ids are in ``shared``."""
     rows = [row for row, source in enumerate(map_.info.sources) if source.id in shared]
     for row in reversed(rows):
         map_ = without_source(map_, row)

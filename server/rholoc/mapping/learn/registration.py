@@ -197,6 +197,7 @@ def _enough(found: Found, what: str) -> Found:
 
 
 def _elsewhere(found: int, tried: int, what: str) -> MappingFailed:
+    """Error for a recording or map, ``what``, of which only ``found`` of ``tried`` frames were localized."""
     return MappingFailed(
         f"{what} does not show the place of the map: {found} of {tried} frames were found in it.",
         "Give one of the same place that overlaps with it; the map is unchanged.",

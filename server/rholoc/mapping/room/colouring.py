@@ -20,7 +20,7 @@ _UNSEEN = 170  # grey of vertices that they do not reach
 def vertex_colours(views: Sequence[DepthView], vertices: FloatArray, normals: FloatArray, faces: IntArray) -> ByteArray:
     """Red, green and blue (V, 3) uint8 of a mesh's vertices (V, 3) with unit normals (V, 3), in the map frame.
 
-    Vertices that no view sees take their neighbours' colours along ``faces`` (T, 3), or grey if they have none.
+    Vertices that no view sees take their neighbours' colours along ``faces`` (Q, 4), or grey if they have none.
     """
     sums, weights = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
     for view in views:

@@ -87,7 +87,7 @@ class _Pair(NamedTuple):
 
 
 def depth_views(map_: Map, recording: Recording, source: int, most: int) -> list[DepthView]:
-    """Depth views of a recording: recorded depths if there are any, otherwise those that two pairs of frames agree on.
+    """Depth views of a recording: recorded depths if enough fit the map, else those that two pairs of frames agree on.
 
     Args:
         map_: a map.
@@ -221,7 +221,7 @@ def _rectified(
 
 
 def _smoothed(image: ByteArray, scale: float) -> ByteArray:
-    """An image blurred to what ``scale`` times as many pixels can show; unchanged for a scale above 0.8."""
+    """An image blurred to the detail that it has at ``scale`` × its width; unchanged for a scale above 0.8."""
     return image if scale > _SHARP else np.asarray(cv2.GaussianBlur(image, (0, 0), 0.4 / scale))
 
 

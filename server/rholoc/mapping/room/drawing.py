@@ -85,6 +85,9 @@ def _pairs_of(recording: Recording) -> int:
 
 
 def _closed_mesh(views: Sequence[DepthView], points: FloatArray, size: float, R_grid_map: FloatArray) -> Quads:
+    """Mesh of the views' surfaces, gaps in floor and walls closed, in the grid's axes; ``points`` and ``size`` as for
+    :func:`fused`. Without faces if the views show no surface.
+    """
     grid = fused(views, points, size, R_grid_map)
     mesh = surface_of(grid, _SMALLEST_FITTED)
     if not len(mesh.faces):

@@ -77,7 +77,7 @@ def _points(map_: Map) -> dict[str, tuple[float, float, float]]:
 
 
 def _link_by_overlap(first: str, a: Map, second: str, b: Map, progress: ProgressListener) -> SiteLink:
-    """Link by localizing views of ``b`` in ``a``. Raises MappingFailed, InvalidInput."""
+    """Link by localizing views of ``b`` in ``a``. Raises MappingFailed and InvalidInput as :func:`find_link`."""
     check_alike(a, b)
     localizer = Localizer(ray_form(a), min_recognized=LEARNING_RECOGNIZED)
     frames = remembered_frames(b)

@@ -55,6 +55,7 @@ def _with_pose(one: SiteMap, poses: Mapping[str, FloatArray], covariances: Mappi
 
 
 def _as_rows(covariance: FloatArray) -> tuple[tuple[float, ...], ...]:
+    """Covariance (6, 6), made symmetric, as six rows."""
     symmetric = (covariance + covariance.T) / 2
     return tuple(tuple(row) for row in symmetric.tolist())
 
