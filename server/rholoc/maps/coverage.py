@@ -108,6 +108,7 @@ def coverage_of(map_: Map) -> Coverage:
 
 
 def _rows(array: FloatArray | IntArray) -> tuple[tuple[Any, ...], ...]:
+    """A two-dimensional array as tuples of numbers, one for each row."""
     return tuple(map(tuple, array.tolist()))
 
 

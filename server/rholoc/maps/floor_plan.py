@@ -126,6 +126,7 @@ def _compressed(kind: bytes, data: bytes) -> bytes:
 
 
 def _is_geojson(content: bytes) -> bool:
+    """Whether a file is a JSON object; its members are not checked."""
     try:
         return isinstance(json.loads(content), dict)
     except (ValueError, RecursionError):

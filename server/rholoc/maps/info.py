@@ -49,7 +49,7 @@ class Correction:
         scale: of lengths.
         rotation: (3, 3), rows.
         translation: (3,) metres.
-        residual_m: RMS distance between the map's and the floor plan's points.
+        residual_m: RMS distance of the map's points from those of the floor plan or on Earth that were given for it.
         landmarks_removed, views_removed: their numbers.
     """
 
@@ -173,6 +173,7 @@ def info_from_json(text: str) -> MapInfo:
 
 
 def _finite(text: str) -> float:
+    """The number that a text of JSON says. Raises ValueError if it is not finite."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError("it has a number that is not finite")

@@ -47,7 +47,7 @@ def packed_pixels(pixels: FloatArray, camera: Camera) -> IntArray:
 
 
 def unpacked_pixels(packed: IntArray, camera: Camera) -> FloatArray:
-    """The pixels that :func:`packed_pixels` packed, to 1/131072 of the image's size."""
+    """Pixels (N, 2) that :func:`packed_pixels` packed: exact to 1/131072 of the image's size, clipped to the image."""
     return np.asarray(packed / _STEPS * np.array([camera.width, camera.height]) - 0.5)
 
 

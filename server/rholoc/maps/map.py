@@ -61,7 +61,7 @@ class MapPart:
 
 
 def part_of(map_: Map, views: IntArray) -> MapPart:
-    """The part of a map of ``ray`` form with the views in rows ``views`` (N,), ascending; in time by its size."""
+    """The part of a map of ``ray`` form with the views in rows ``views`` (N,), ascending."""
     assert map_.info.density is DensityKind.RAY
     first, last = map_.view_offsets[views], map_.view_offsets[views + 1]
     rows = ranges(first, last)

@@ -30,10 +30,12 @@ class Column:
 
 
 def _column(dtype: type[Any], *shape: int | None) -> dict[str, Column]:
+    """Metadata of a field for a required column."""
     return {"column": Column(dtype, shape)}
 
 
 def _optional(dtype: type[Any], *shape: int | None, unknown: Any = None) -> dict[str, Column]:
+    """Metadata of a field for a column that may be None; ``unknown`` as in :class:`Column`."""
     return {"column": Column(dtype, shape, True, unknown)}
 
 
@@ -79,16 +81,19 @@ class MapTable:
 
 
 def _fields(table: type[MapTable]) -> tuple[Field[Any], ...]:
+    """The columns of a table as dataclass fields, in order."""
     return fields(table)
 
 
 def _taken(values: Any, rows: IntArray | BoolArray) -> Any:
+    """The rows of a column, by numbers or a mask; None for None."""
     if isinstance(values, tuple):
         return tuple(values[row] for row in np.arange(len(values))[rows].tolist())
     return None if values is None else values[rows]
 
 
 def _joined(parts: Sequence[Any]) -> Any:
+    """One column of the rows of several, all tuples or all arrays."""
     return sum(parts, start=()) if isinstance(parts[0], tuple) else np.concatenate(parts)
 
 

@@ -123,7 +123,7 @@ class SiteOnEarth:
         """Least-squares pose on Earth of a frame with z up, from points with known places on Earth.
 
         Args:
-            points: (N, 3) of the frame [m]; one with a heading, else two or more that are not above each other.
+            points: (N, 3) of the frame [m], N ≥ 1 with a heading, else N ≥ 2.
             places: the same points on Earth.
             heading_deg: direction of the y axis, clockwise from true north; None to estimate it from the points.
 
@@ -132,8 +132,8 @@ class SiteOnEarth:
                 [m].
 
         Raises:
-            InvalidInput: there are too few points, they are within 0.5 m, or their distances differ by over 5 % from
-                those on Earth.
+            InvalidInput: there are too few points; or, without a heading, they are within 0.5 m seen from above, or
+                their distances differ by over 5 % from those on Earth.
         """
         if len(points) != len(places) or len(points) < (2 if heading_deg is None else 1):
             raise InvalidInput("A place on Earth needs two points, or one and a heading.", "Give another point.")
@@ -288,6 +288,7 @@ def _check_pose(pose: FramePose, what: str) -> None:
 
 
 def _check_covariance(rows: tuple[tuple[float, ...], ...], name: str) -> None:
+    """Raise InvalidInput, naming the map, unless the rows are 6×6 finite numbers, symmetric and positive semidefinite."""
     square = np.array(rows, dtype=np.float64) if [len(row) for row in rows] == [6] * 6 else None
     if square is not None and np.isfinite(square).all() and np.allclose(square, square.T):
         values = np.linalg.eigvalsh(square)

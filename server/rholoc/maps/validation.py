@@ -58,6 +58,7 @@ def validate_map(map_: Map) -> None:
 
 
 def _is_plan(content: bytes, plan: FloorPlan) -> bool:
+    """Whether a file may be kept as this floor plan (:func:`check_plan`)."""
     try:
         check_plan(content, plan)
     except RholocError:
@@ -66,6 +67,7 @@ def _is_plan(content: bytes, plan: FloorPlan) -> bool:
 
 
 def _check_cloud(name: str, cloud: Cloud, sources: int) -> None:
+    """Raise InvalidMap unless a cloud's arrays fit together and its source numbers are below ``sources``."""
     if not len(cloud):
         return
     _check_array(f"{name}_positions", cloud.positions, np.float32, (None, 3))
@@ -85,6 +87,7 @@ def check_usable(map_: Map) -> None:
 
 
 def _check(condition: bool, complaint: str) -> None:
+    """Raise InvalidMap with ``complaint`` unless the condition holds."""
     if not condition:
         raise InvalidMap(f"The map contradicts itself: {complaint}.", _HINT)
 
@@ -135,9 +138,11 @@ def _all_covariances(covariances: FloatArray) -> bool:
 
 
 def _all_in_range(index: IntArray, length: int) -> bool:
+    """Whether all indices are from 0 to ``length`` - 1."""
     return bool(np.all((index >= 0) & (index < length)))
 
 
 def _all_rotations(R: FloatArray) -> bool:
+    """Whether all matrices (N, 3, 3) are rotations, to 1e-3."""
     products = R @ np.swapaxes(R, 1, 2)
     return bool(np.all(np.abs(products - np.eye(3)) <= _ROTATION_TOLERANCE) and np.all(np.linalg.det(R) > 0))

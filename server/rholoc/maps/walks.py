@@ -10,10 +10,10 @@ _COMPARED = 300  # places, about
 
 
 def walk_numbers(positions: FloatArray, sources: IntArray) -> IntArray:
-    """Number (K,) of the walk that each view belongs to.
+    """Number (K,) of the walk that each view belongs to: the row of the walk's first view.
 
     The views of a recording are one walk if consecutive ones are close: their median distance is at most 0.7 × the
-    median distance of any two. Otherwise (a set of pictures in no order) each view has a number of its own.
+    median distance of any two. Otherwise (a set of pictures in no order) each view is a walk of its own.
 
     Args:
         positions: (K, 3) of the views.
@@ -34,8 +34,8 @@ def consecutive(walks: IntArray) -> IntArray:
 
 
 def _in_order(places: FloatArray) -> bool:
-    """Whether the median step is at most 0.7 of the median distance between any two places. Pictures in no order are as
-    far from the next as from any other.
+    """Whether the median step is at most 0.7 of the median distance between any two places. True for fewer
+    than three places (N, 3). Pictures in no order are as far from the next as from any other.
     """
     some = places[:: max(1, len(places) // _COMPARED)]
     if len(some) < 3:

@@ -239,7 +239,7 @@ def _assemble(
     extractor: Extractor,
     options: BuildOptions,
 ) -> Map:
-    """Map of version 1 with ``ray`` densities and a new id; the walks are its sources. Triangulates the landmarks again."""
+    """Map of version 1 with ``ray`` densities, whose sources are the walks. Triangulates the landmarks again."""
     info = MapInfo(
         id=uuid.uuid4().hex,
         version=1,

@@ -90,7 +90,7 @@ def _moved(position: tuple[float, float, float], similarity: Similarity) -> tupl
 
 
 def _moved_info(info: MapInfo, similarity: Similarity) -> MapInfo:
-    """Waypoints, names, floor plan, pose on Earth and reported lengths in the frame after a similarity; the rest stays."""
+    """The description with waypoints, names, floor plan, pose on Earth and reported lengths after a similarity."""
     scale = similarity.scale
     waypoints = tuple(
         replace(waypoint, position=_moved(waypoint.position, similarity), residual_m=_times(waypoint.residual_m, scale))

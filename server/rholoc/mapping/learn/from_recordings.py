@@ -211,7 +211,7 @@ def _aligned_walk(
 
 
 def _frame_features(localizer: Localizer, recording: Recording, camera: Camera | None, pictures: bool) -> FrameFeatures:
-    """Features of a recording's frames by the map's extractor, adapted to the camera's breadth; small ``pictures`` too if asked."""
+    """Features of a recording's frames, by the map's extractor; with small JPEGs if ``pictures``."""
     extractor = widened(get_extractor(localizer.map.info.features), camera)
     return FrameFeatures(recording.frames, extractor, pictures)
 

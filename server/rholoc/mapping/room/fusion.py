@@ -47,7 +47,7 @@ def sampled_points(views: Sequence[DepthView]) -> FloatArray:
 def voxel_size(points: FloatArray, finest: float, surface_voxels: int) -> float:
     """Smallest of the sizes ``finest`` × 1.15ⁿ of a voxel that is large enough for points (P, 3).
 
-    The points then occupy at most ``surface_voxels`` voxels, and the box of their 1 % to 99 % quantiles in x, y, z (with margin)
+    The points then occupy at most ``surface_voxels`` voxels, and the box of their 1 % to 99 % quantiles (with margin)
     has at most ``MAX_VOXELS``.
     """
     size = finest

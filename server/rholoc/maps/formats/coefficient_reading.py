@@ -208,6 +208,7 @@ def _descriptor(name: str, row: int, text: str) -> tuple[int, bytes]:
 
 
 def _floats(name: str, row: int, columns: list[str], texts: list[str] | tuple[str, ...]) -> FloatArray:
+    """Finite numbers (N,) from the texts of a row; ``columns`` are their names. Raises InvalidMap if one is not."""
     try:
         values = np.array(texts, dtype=np.float64)
     except ValueError:
@@ -219,6 +220,7 @@ def _floats(name: str, row: int, columns: list[str], texts: list[str] | tuple[st
 
 
 def _float_or_nan(text: str) -> float:
+    """The number that a text says; NaN for any other text."""
     try:
         return float(text)
     except ValueError:
@@ -226,6 +228,7 @@ def _float_or_nan(text: str) -> float:
 
 
 def _assemble(name: str, header: _Header, shared: list[str], features: dict[int, _Feature]) -> Map:
+    """The validated map of all features, in order of their numbers. ``shared``: texts of the columns ``MAP_COLUMNS``."""
     ordered = [features[number] for number in sorted(features)]
     info = _info(name, header.form.kind, shared)
     length = get_extractor(info.features).descriptor_bytes
@@ -252,6 +255,7 @@ def _assemble(name: str, header: _Header, shared: list[str], features: dict[int,
 
 
 def _densities(name: str, header: _Header, landmarks: FloatArray, ordered: list[_Feature]) -> Densities:
+    """Densities of the features ``ordered``, at ``landmarks`` (F, 3). Raises InvalidMap if the form refuses them."""
     owners = np.repeat(np.arange(len(ordered)), [len(feature.densities) for feature in ordered])
     densities = [density for feature in ordered for density in feature.densities.values()]
     rows = DensityRows(owners, np.array([domain for domain, _ in densities], dtype=np.float32))
@@ -262,6 +266,7 @@ def _densities(name: str, header: _Header, landmarks: FloatArray, ordered: list[
 
 
 def _info(name: str, kind: DensityKind, shared: list[str]) -> MapInfo:
+    """Description of a new map from the texts of the columns ``MAP_COLUMNS``. Raises InvalidMap if one is not valid."""
     extractor, metric, upright, camera = shared
     try:
         get_extractor(extractor)
@@ -314,19 +319,23 @@ def _views(name: str, seen_from: list[str]) -> tuple[FloatArray, FloatArray, Int
 
 
 def _without(names: list[str], others: list[str]) -> list[str]:
+    """The ``names`` that are not among ``others``."""
     there = set(others)
     return [name for name in names if name not in there]
 
 
 def _some(names: list[str]) -> str:
+    """The first three names, separated by commas, and how many more there are."""
     return ", ".join(name[:_MAX_SHOWN] for name in names[:3]) + (
         f" and {len(names) - 3} more" if len(names) > 3 else ""
     )
 
 
 def _either(values: Sequence[int]) -> str:
+    """Numbers as "1 or 2 or 3"."""
     return " or ".join(map(str, values))
 
 
 def _invalid(name: str, row: int, complaint: str) -> InvalidMap:
+    """Error for a row of the table ``name``; ``complaint`` follows "row 5" in its message."""
     return InvalidMap(f"{name}, row {row} {complaint}.", _HINT)

@@ -89,6 +89,7 @@ def coefficient_table(map_: Map) -> Iterator[str]:
 
 
 def _sightings(map_: Map) -> Sightings:
+    """All observations of the map as features and camera positions, without bearings."""
     seen_from = map_.views.positions[map_.observations.views]
     return Sightings(map_.landmarks.positions, map_.observations.features, seen_from)
 
@@ -127,9 +128,11 @@ def _seen_from(map_: Map) -> list[str]:
 
 
 def _numbers(values: FloatArray) -> str:
+    """Numbers (N,) as one text, separated by commas, as :func:`_each` writes them."""
     return ",".join(_each(values))
 
 
 def _each(values: Any) -> list[str]:
+    """Text of each number (N,), with 9 digits if float32, else 17: exact when read back."""
     digits = ".9g" if values.dtype == np.float32 else ".17g"
     return [format(value, digits) for value in values.tolist()]

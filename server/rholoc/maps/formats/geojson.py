@@ -124,6 +124,7 @@ def positions_of(node: Any) -> Iterator[tuple[float, float]]:
 
 
 def _feature(one: NamedPoint | NamedArea, geometry: dict[str, Any]) -> dict[str, Any]:
+    """GeoJSON feature with the name, kind and fields of a point or area as properties."""
     return {
         "type": "Feature",
         "geometry": geometry,
@@ -201,6 +202,7 @@ def plain_label(label: object) -> str:
 
 
 def _is_position(value: object) -> TypeGuard[list[float]]:
+    """Whether a value of JSON is a list of two or more numbers, each below 1e9 in magnitude."""
     return (
         isinstance(value, list)
         and len(value) >= 2

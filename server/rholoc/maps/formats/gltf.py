@@ -78,7 +78,7 @@ class _File:
 
     def mesh(self, name: str, attributes: dict[str, int], mode: int) -> int:
         """Add a mesh and a node that shows it; return the node's number. ``attributes`` name accessors; ``mode`` is
-        points or lines.
+        glTF's code of points or of a line strip.
         """
         mesh = self._add("meshes", {"name": name, "primitives": [{"attributes": attributes, "mode": mode}]})
         return self.node({"name": name, "mesh": mesh})
@@ -103,6 +103,9 @@ class _File:
         return struct.pack("<3I", _MAGIC, _VERSION, 12 + len(chunks)) + chunks
 
     def _accessor(self, data: bytes, count: int, component: int, kind: str, more: dict[str, Any]) -> int:
+        """Append ``data``, ``count`` items, and return the number of their accessor. ``component`` and ``kind`` are glTF's
+        componentType and type; ``more`` has further members of the accessor.
+        """
         view = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data), "target": _ARRAY_BUFFER}
         self._binary += data
         number = self._add("bufferViews", view)
@@ -111,10 +114,12 @@ class _File:
         )
 
     def _add(self, name: str, members: dict[str, Any]) -> int:
+        """Append an object to the glTF list ``name`` and return its number there."""
         self._lists[name].append(members)
         return len(self._lists[name]) - 1
 
 
 def _chunk(kind: int, data: bytes, padding: bytes) -> bytes:
+    """Chunk of a GLB file: length, type and data, padded to a multiple of four bytes."""
     data += padding * (-len(data) % 4)
     return struct.pack("<2I", len(data), kind) + data

@@ -250,7 +250,7 @@ def header_bytes(start: bytes, called: str) -> int:
     """Length in bytes of the header that follows the first :data:`LENGTH_BYTES` of a map's file.
 
     Raises:
-        InvalidMap: it is longer than any map's.
+        InvalidMap: it is longer than any map's, or ``start`` is shorter than its length.
     """
     length = int.from_bytes(start[:LENGTH_BYTES], "little")
     if len(start) < LENGTH_BYTES or length > _MAX_HEADER_BYTES:
@@ -297,6 +297,7 @@ def _reason(error: Exception) -> str:
 
 
 def _check_format(called: str, metadata: Mapping[str, str]) -> None:
+    """Raise InvalidMap unless a file's metadata name this format and this version of it; ``called`` names the file."""
     if metadata.get("format") != FORMAT:
         raise InvalidMap(f"{called} is not a rholoc map.", "Give a .rho file.")
     version = metadata.get("format_version", "")
@@ -404,6 +405,7 @@ def _unpacked_table(table: type[Table], arrays: Arrays, columns: Mapping[str, _S
 
 
 def _unpacked_cloud(arrays: Arrays) -> Cloud:
+    """The cloud of a file's arrays, empty if it has none. Raises InvalidMap if one is missing or of another type."""
     if _CLOUD.keys().isdisjoint(arrays):
         return Cloud()
     _check_arrays(arrays, _CLOUD)
@@ -411,6 +413,7 @@ def _unpacked_cloud(arrays: Arrays) -> Cloud:
 
 
 def _unpacked_room(arrays: Arrays) -> Room:
+    """The room of a file's arrays, empty if it has none. Raises InvalidMap if one is missing or of another type."""
     if _ROOM.keys().isdisjoint(arrays):
         return Room()
     _check_arrays(arrays, _ROOM)
@@ -433,6 +436,7 @@ def _unpacked_pictures(arrays: Arrays, views: int) -> tuple[bytes, ...] | None:
 
 
 def _unpacked_plan(arrays: Arrays) -> bytes:
+    """Content of the floor plan's file; empty if the map has none."""
     if "plan_bytes" not in arrays:
         return b""
     _check_arrays(arrays, _PLAN)
@@ -489,6 +493,7 @@ def _unpacked_pixels(info: MapInfo, views: MapViews, seen_from: IntArray, arrays
 
 
 def _unpacked_densities(kind: DensityKind, arrays: Arrays) -> Densities:
+    """Densities of the form ``kind`` from a file's arrays. Raises InvalidMap if these do not fit the form."""
     prefix = _prefix(kind)
     own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
     try:
@@ -498,6 +503,7 @@ def _unpacked_densities(kind: DensityKind, arrays: Arrays) -> Densities:
 
 
 def _check_arrays(arrays: Arrays, kinds: Mapping[str, Kind]) -> None:
+    """Raise InvalidMap unless a file has all arrays named in ``kinds``, each of its dtype and shape."""
     missing = [name.removeprefix("extras/") for name in kinds if name not in arrays]
     if missing:
         raise InvalidMap(f"The map has no {', '.join(missing)}.", _HINT)
@@ -513,6 +519,7 @@ def _check_arrays(arrays: Arrays, kinds: Mapping[str, Kind]) -> None:
 
 
 def _checksum(info: str, arrays: Arrays) -> str:
+    """32 hex digits of a hash of the description and of all arrays: names, types, shapes and content."""
     digest = hashlib.blake2b(info.encode(), digest_size=_CHECKSUM_BYTES)
     for name in sorted(arrays):
         array = arrays[name]

@@ -84,6 +84,7 @@ def _roots(map_: Map, features: IntArray) -> FloatArray:
 def _piece(
     points: FloatArray, cells: IntArray, kind: Cells, features: IntArray, channels: IntArray, sigmas: FloatArray
 ) -> str:
+    """A piece of PolyData of points (N, 3), with the feature, channel and sigma [m] of each cell (C, L)."""
     data = [
         data_array("feature", "Int32", features, "%d"),
         data_array("channel", "UInt8", channels, "%d"),

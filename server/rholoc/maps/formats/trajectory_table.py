@@ -117,6 +117,7 @@ def trajectory_csv(table: TrajectoryTable) -> str:
 
 
 def _or_unknown(values: FloatArray | None, count: int) -> FloatArray:
+    """The values (N,) themselves; all NaN, ``count`` of them, if None."""
     return np.full(count, np.nan) if values is None else values
 
 
@@ -179,6 +180,7 @@ def _parse(row: Sequence[str], line: int, header: Sequence[str], path: Path) -> 
 
 
 def _is_number(text: str) -> bool:
+    """Whether a text is a number, NaN and infinity included."""
     try:
         float(text)
     except ValueError:
@@ -187,6 +189,7 @@ def _is_number(text: str) -> bool:
 
 
 def _whole(values: FloatArray, name: str, path: Path) -> IntArray:
+    """The values (N,) of the column ``name`` as integers. Raises InvalidTrajectory if one is not whole or too large."""
     if not (np.abs(values) < _MAX_WHOLE).all() or np.any(values != np.floor(values)):
         raise InvalidTrajectory(f"{path.name}: a value under {name} is not a whole number, or too large.")
     return values.astype(np.int64)
@@ -210,6 +213,7 @@ def _rotations(columns: dict[str, FloatArray], path: Path) -> FloatArray:
 
 
 def _require_unit(vectors: FloatArray, name: str, path: Path) -> None:
+    """Raise InvalidTrajectory unless all vectors (N, C) are of unit length within 1 %."""
     norms = np.linalg.norm(vectors.clip(-2, 2), axis=1)  # squares of more may overflow, and are not of unit length
     if not np.all(np.abs(norms - 1) <= _NORM_TOLERANCE):
         raise InvalidTrajectory(f"{path.name}: a {name} is not of unit length.")
