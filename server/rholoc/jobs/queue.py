@@ -47,7 +47,7 @@ class JobQueue:
         self._trouble: str | None = None
 
     def check(self) -> None:
-        """Connect to the database once. Raises StorageUnavailable, StorageFull, InvalidInput or Conflict."""
+        """Connect to the database once. Raises as :func:`rholoc.storage.database.check_database`."""
         check_database(self._engine)
 
     def submit(

@@ -95,6 +95,7 @@ class JobTable:
         return [row["recording"] for row in read_rows(self._engine, wanted)]
 
     def _first(self, wanted: sa.Select[Any]) -> Job | None:
+        """The first job that a query finds; None if it finds none."""
         rows = read_rows(self._engine, wanted.limit(1))
         return _job(rows[0]) if rows else None
 
@@ -194,9 +195,11 @@ def _new_run(job_id: str) -> str:
 
 
 def _unknown(job_id: str) -> UnknownJob:
+    """Error for an id that no job has."""
     return UnknownJob(f"There is no job {job_id[:_ID_LENGTH]!r}.", "List the jobs to see their ids.")
 
 
 def _job(row: sa.RowMapping) -> Job:
+    """The job in a row of the table."""
     options = row["options"]
     return report_from_json(Job, {**row, **{name: options[name] for name in ("kind", "priority", "site")}})

@@ -214,7 +214,7 @@ class UploadStore:
             raise Busy(f"There are {self._max_unfinished} unfinished uploads already.", hint, _RETRY_AFTER_S)
 
     def _plan(self, upload_id: str) -> _Plan | None:
-        """None if the upload is not known. Raises UnknownRecording if the id cannot be one."""
+        """Row of an unfinished upload; None if there is none. Raises UnknownRecording if the id cannot be one."""
         if not is_recording_id(upload_id):
             raise unknown_recording(upload_id)
         rows = read_rows(self._engine, sa.select(uploads_table).where(uploads_table.c.id == upload_id))
@@ -240,6 +240,7 @@ class UploadStore:
         return True
 
     def _pieces(self, upload_id: str) -> Sequence[_Piece]:
+        """The pieces of an upload, by their starts."""
         table = upload_pieces_table
         wanted = sa.select(table.c.start, table.c.size_bytes, table.c.blob).where(table.c.upload == upload_id)
         return [_Piece(**row) for row in read_rows(self._engine, wanted.order_by(table.c.start))]
@@ -322,4 +323,5 @@ def _check_offset(stands_at: int, offset: int) -> None:
 
 
 def _key(upload_id: str, blob: str) -> str:
+    """Key of the object with a piece of an upload."""
     return f"{_PREFIX}/{upload_id}/{blob}"

@@ -83,6 +83,7 @@ class WorkerTable:
             change_rows(self._engine, workers_table.delete().where(old))
 
     def _put(self, row_id: str, memory_bytes: int | None, error: str | None) -> None:
+        """Insert or update a row with the present time: a worker's memory [bytes], or a starter's error."""
         values = {"heartbeat": time.time(), "memory_bytes": memory_bytes, "error": error}
         with self._engine.begin() as connection:
             changed = connection.execute(workers_table.update().where(workers_table.c.id == row_id).values(**values))

@@ -56,6 +56,7 @@ class CameraLibrary(NamedDocuments[CameraProfile]):
         return text if text is None or not names_a_camera(text) else self.get(text).camera
 
     def _parsed(self, name: str, content: bytes) -> CameraProfile:
+        """The profile in a camera's file. Raises InvalidCamera if the file holds none."""
         try:
             values = json.loads(content.decode())
             calibration = dict(values.pop("calibration", {}))
@@ -65,6 +66,7 @@ class CameraLibrary(NamedDocuments[CameraProfile]):
             raise InvalidCamera(f"The file of the camera {name} is broken.", "Calibrate or add it again.") from error
 
     def _unreadable(self, name: str) -> InvalidInput:
+        """Error for a camera's file that cannot be read."""
         return InvalidCamera(f"The camera {name} cannot be read.", "Calibrate or add it again.")
 
 

@@ -88,6 +88,7 @@ def import_data(
 
 
 def _maps(source: MapLibrary, target: MapLibrary) -> Sequence[_Thing]:
+    """All maps of ``source``, each to copy to ``target`` with its readable previous versions."""
     present = set(target.names())
 
     def bring(name: str) -> None:
@@ -100,6 +101,7 @@ def _maps(source: MapLibrary, target: MapLibrary) -> Sequence[_Thing]:
 
 
 def _documents(kind: str, source: FolderDocuments, target: Documents) -> Sequence[_Thing]:
+    """All files of ``source``, each to copy to ``target``; ``kind`` is their kind in the plural."""
     present = set(target.names())
 
     def bring(name: str) -> None:
@@ -109,6 +111,7 @@ def _documents(kind: str, source: FolderDocuments, target: Documents) -> Sequenc
 
 
 def _recordings(data_dir: Path, stores: Stores) -> Sequence[_Thing]:
+    """All recordings below ``data_dir``, each to copy to ``stores`` with its notes."""
     if not (data_dir / "recordings").is_dir():
         return []
     source, store = RecordingStore(data_dir), stores.recordings

@@ -67,15 +67,17 @@ class FolderDocuments(Documents):
         self._mode = mode
 
     def names(self) -> list[str]:
+        """Names of the regular files in the folder, hidden ones left out, in no order; empty without the folder."""
         if not self._folder.is_dir():
             return []
         return [path.name for path in self._folder.iterdir() if path.is_file() and not path.name.startswith(".")]
 
     def read(self, name: str) -> bytes:
+        """Content of a file. Raises FileNotFoundError, and OSError where it cannot be read."""
         return (self._folder / name).read_bytes()
 
     def stamp(self) -> object:
-        """The folder's time of change, which does not show writes into a file in place."""
+        """Time of the folder's change [ns], blind to writes into a file; None within 2 s of it, or without the folder."""
         try:
             changed_ns = self._folder.stat().st_mtime_ns
         except OSError:
@@ -83,6 +85,7 @@ class FolderDocuments(Documents):
         return changed_ns if time.time_ns() - changed_ns > _TICK_NS else None
 
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
+        """As :meth:`Documents._set`, with the folder locked against other processes."""
         path = self._folder / name
         if content is None and not path.exists():
             return False
@@ -151,9 +154,11 @@ class NamedDocuments(ABC, Generic[Document]):
         """The error for a file that cannot be read."""
 
     def _file_name(self, name: str) -> str:
+        """Name of a document's file. Raises InvalidName."""
         return check_name(name, self._kind) + _SUFFIX
 
     def _missing(self, name: str) -> NotFound:
+        """Error for a document that is not there; its hint lists some that are."""
         names = self.names()
         return self._unknown(
             f"There is no {self._kind} {name}.", f"There are: {some_of(names)}." if names else self._none_yet

@@ -41,13 +41,16 @@ class MapFolder(MapCatalogue):
         return self._folder
 
     def names(self) -> list[str]:
+        """Sorted names of the ``NAME.rho`` files in the folder whose names a map may have."""
         files = (file for file in self.folder.glob(f"*{SUFFIX}") if file.is_file())
         return sorted(file.stem for file in files if is_map_name(file.stem))
 
     def find(self, name: str) -> MapFile | None:
+        """The present file of a name; None if there is none."""
         return self.at(place_of(name))
 
     def versions(self, name: str) -> list[MapFile]:
+        """The files that were replaced under a name, the last replaced first; at most :data:`KEPT_VERSIONS`."""
         found = (self.at(place_of(name, number)) for number in range(1, KEPT_VERSIONS + 1))
         return [file for file in found if file is not None]
 
@@ -72,16 +75,19 @@ class MapFolder(MapCatalogue):
         return self.folder / file.key
 
     def outline(self, file: MapFile, name: str) -> MapOutline:
+        """Description and size from a file's header. Raises InvalidMap if it is not a map."""
         return load_outline(self.local(file))
 
     def make_room(self) -> None:
         make_folder(self.folder)
 
     def store(self, arrived: Path, map_: Map) -> MapFile:
+        """The file ``arrived`` as it is in the folder, still hidden; nothing is moved. ``map_`` is not used."""
         return _file(arrived.name, arrived.stat())
 
     @contextmanager
     def changing(self, published: Map | None = None) -> Iterator[MapChange]:
+        """Yield a change, applied at the end of the block unless it raises; the folder is locked meanwhile."""
         with self._changing, locked_folder(self.folder):
             self._complete()
             change = _Change(self)
@@ -91,6 +97,7 @@ class MapFolder(MapCatalogue):
                 self._complete(is_new=True)
 
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
+        """Name, number (0: present, 1: the last replaced, …) and a link of each file; the links vanish at the end."""
         if not self.folder.is_dir():
             return
         with temporary_folder(self.folder) as links:
@@ -108,6 +115,7 @@ class MapFolder(MapCatalogue):
                 yield name, number, links / str(row)
 
     def sweep(self) -> None:
+        """Complete a change that a crash interrupted; there are no files without a name."""
         if (self.folder / _DECIDED).exists():
             with locked_folder(self.folder):
                 self._complete()
@@ -172,6 +180,7 @@ class _Change:
         self.wanted: dict[str, str | None] = {}
 
     def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
+        """As :meth:`MapChange.arrange`, at the end of the change."""
         files = [present, *versions[:KEPT_VERSIONS]]
         for number in range(KEPT_VERSIONS + 1):
             file = files[number] if number < len(files) else None
@@ -180,6 +189,7 @@ class _Change:
 
 
 def _file(place: str, status: os.stat_result) -> MapFile:
+    """File at ``place`` below the folder, of this status; map id and version are not known."""
     return MapFile(
         place, status.st_size, status.st_mtime, signature=(status.st_ino, status.st_mtime_ns, status.st_size)
     )

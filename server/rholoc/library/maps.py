@@ -54,6 +54,7 @@ class MapLibrary:
         return names if self._catalogue.holds_only_maps else [name for name in names if self._is_readable(name)]
 
     def _is_readable(self, name: str) -> bool:
+        """Whether a map of the name exists and can be read; remembered until its file is replaced."""
         try:
             signature = self.stat(name).signature
             if self._known_readable.get(name) != signature:
@@ -106,6 +107,7 @@ class MapLibrary:
             return self._outline(name, self.stat(name))
 
     def _outline(self, name: str, file: MapFile) -> MapOutline:
+        """Outline of the map in ``file``, cached by name until the file is replaced."""
         known = self._outlines.get(name)
         if known is None or known[0] != file.signature:
             known = self._outlines[name] = (file.signature, self._catalogue.outline(file, name))
@@ -140,6 +142,7 @@ class MapLibrary:
             raise
 
     def _load(self, name: str) -> Map:
+        """The map in the file of that name. Raises as :meth:`get`."""
         path = self.path(name)
         try:
             return load_map(path, f"{name}{SUFFIX}")
@@ -363,6 +366,7 @@ class MapLibrary:
         self._catalogue.sweep()
 
     def _version(self, name: str, number: int, versions: Sequence[MapFile]) -> MapFile:
+        """The file with ``number``, from 1, of ``versions``, those of ``name``. Raises Conflict if there is none."""
         if 1 <= number <= len(versions):
             return versions[number - 1]
         if number == 1:
@@ -370,6 +374,7 @@ class MapLibrary:
         raise Conflict(f"The map {name} keeps no version {number}.", "Its versions are listed by number.")
 
     def _unknown(self, name: str) -> UnknownMap:
+        """Error for a name that no map has; its hint lists some that maps have."""
         names = self.names()
         return UnknownMap(
             f"There is no map {name}.", f"There are: {some_of(names)}." if names else "There are none yet."
@@ -377,6 +382,7 @@ class MapLibrary:
 
 
 def _changed(name: str) -> Conflict:
+    """Error for a map that another process has changed."""
     return Conflict(
         f"The map {name} was changed in the meantime.", "Try again: the change will start from the new one."
     )

@@ -218,6 +218,7 @@ class QueryStore:
         return abs(time_s - self._last_s.get(origin, float("-inf"))) < self._limits.apart_s
 
     def _note(self, origin: _Origin, time_s: float) -> None:
+        """Remember the time [s since the epoch] of the last query of this origin."""
         if len(self._last_s) >= _MAX_KNOWN:
             self._last_s.clear()
         self._last_s[origin] = time_s
@@ -238,6 +239,7 @@ class QueryStore:
             self._drop(_gives_way(left), left)
 
     def _drop(self, entry: _Entry, entries: list[_Entry]) -> None:
+        """Delete a query's object, and remove it from ``entries`` in place."""
         entries.remove(entry)
         self._objects.delete(entry.key)
 
@@ -275,6 +277,7 @@ def place_of(T_map_camera: FloatArray) -> str:
 
 
 def _to_bytes(query: AnsweredQuery) -> bytes:
+    """Content of a query's file (safetensors); its time and asker are in the file's name."""
     features = query.features
     arrays = {
         "pixels": features.pixels.astype(np.float32),
@@ -292,6 +295,7 @@ def _to_bytes(query: AnsweredQuery) -> bytes:
 
 
 def _from_file(path: Path, entry: _Entry) -> AnsweredQuery:
+    """The query in a file, with the time and asker of ``entry``. Raises ValueError and others if it is broken."""
     with safe_open(path, framework="numpy") as file:
         metadata = file.metadata() or {}
         arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

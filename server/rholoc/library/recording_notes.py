@@ -162,10 +162,12 @@ def _span(notes: RecordingNotes | None) -> MissingImages:
 
 
 def _recorded(waypoint: Waypoint) -> RecordedWaypoint:
+    """The waypoint as users see it, with None in place of a time that is NaN."""
     time_s = None if np.isnan(waypoint.time) else waypoint.time
     return RecordedWaypoint(waypoint.name, waypoint.position, time_s, waypoint.sigma_m)
 
 
 def _waypoint(recorded: RecordedWaypoint) -> Waypoint:
+    """The waypoint as mapping uses it, with NaN in place of a time that is None."""
     time = float("nan") if recorded.time_s is None else recorded.time_s
     return Waypoint(recorded.name, time, recorded.position, recorded.sigma_m)

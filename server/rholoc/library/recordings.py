@@ -166,6 +166,7 @@ class PendingRecording:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _file(self, safe: str) -> BinaryIO:
+        """The file of a sanitized name, open for appending; the one open before is synced and closed."""
         if self._open is None or self._open[0] != safe:
             self._close_file()
             path = self._folder / safe
@@ -179,6 +180,7 @@ class PendingRecording:
         return self._open[1]
 
     def _close_file(self) -> None:
+        """Sync the open file to disk and close it, if there is one."""
         if self._open is not None:
             file = self._open[1]
             file.flush()
@@ -379,6 +381,7 @@ class RecordingStore:
         return left
 
     def _recover(self, objects: Sequence[StoredObject]) -> None:
+        """Register a recording, with its notes, from those of its stored objects that hold entry and notes."""
         with self.new_folder() as folder, suppress(MissingObject):  # it was deleted meanwhile
             for one in objects:
                 name = one.key.rpartition("/")[2]
@@ -408,6 +411,7 @@ class RecordingStore:
             self._write_entry(entry)
 
     def _write_entry(self, entry: RecordingEntry) -> None:
+        """Store the hidden file with a recording's entry beside its files."""
         self.objects.put(_key(entry.id, ENTRY_FILE), json.dumps(asdict(entry)).encode())
 
     def _drop_abandoned(self) -> None:
@@ -438,10 +442,12 @@ def _by_recording(objects: Iterable[StoredObject]) -> dict[str, list[StoredObjec
 
 
 def _entry(row: sa.RowMapping) -> RecordingEntry:
+    """The entry in a row of the database."""
     return RecordingEntry(row["id"], tuple(row["files"]), row["size_bytes"], row["created"])
 
 
 def _key(recording_id: str, name: str) -> str:
+    """Key of the object with a recording's file ``name``."""
     return f"{_PREFIX}/{recording_id}/{name}"
 
 
@@ -468,12 +474,14 @@ def sanitized(name: str) -> str:
 
 
 def unknown_recording(recording_id: str) -> UnknownRecording:
+    """Error for an id that no recording has."""
     return UnknownRecording(
         f"There is no recording {recording_id[:_MAX_NAME_LENGTH]!r}.", "Upload it, or list the recordings."
     )
 
 
 def _close_quietly(file: BinaryIO) -> None:
+    """Close a file, ignoring errors of the operating system."""
     try:
         file.close()
     except OSError:

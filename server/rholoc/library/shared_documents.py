@@ -20,9 +20,11 @@ class StoredDocuments(Documents):
         self._prefix = f"{kind}/"
 
     def names(self) -> list[str]:
+        """Names of all files of this kind as of the last refresh, in no order."""
         return [path.removeprefix(self._prefix) for path in self._replica.documents if path.startswith(self._prefix)]
 
     def read(self, name: str) -> bytes:
+        """Content of a file as of the last refresh. Raises FileNotFoundError."""
         try:
             return self._replica.documents[self._prefix + name]
         except KeyError as error:
@@ -33,6 +35,7 @@ class StoredDocuments(Documents):
         return self._replica.revision
 
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
+        """As :meth:`Documents._set`, in one transaction of the catalogue."""
         table, path = documents_table, self._prefix + name
         with self._replica.changing() as (connection, revision):
             present = connection.execute(sa.select(table.c.content).where(table.c.path == path)).scalar()

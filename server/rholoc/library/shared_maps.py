@@ -43,19 +43,23 @@ class StoredMaps(MapCatalogue):
         return self._copies.folder
 
     def names(self) -> list[str]:
+        """Sorted names of all maps as of the last refresh."""
         return sorted(self._replica.maps)
 
     def find(self, name: str) -> MapFile | None:
+        """The present file of a name as of the last refresh; None if no map has it."""
         row = self._replica.maps.get(name)
         if row is None:
             return None
         return _present(row.blob, row.size_bytes, row.modified, row.revision, row.map_id, row.version)
 
     def versions(self, name: str) -> list[MapFile]:
+        """The files that were replaced under a name, the last replaced first, from the database."""
         with self._replica.engine.connect() as connection:
             return _Change(connection, 0).versions(name)
 
     def stamp(self) -> int:
+        """The catalogue's revision at the last refresh; -1 before the first."""
         return self._replica.revision
 
     def refresh(self) -> None:
@@ -69,9 +73,11 @@ class StoredMaps(MapCatalogue):
         return self._copies.has(file.key)
 
     def local(self, file: MapFile) -> Path:
+        """Path of the file's copy in the cache, fetched if it is missing."""
         return self._copies.path(file.key, file.size_bytes)
 
     def outline(self, file: MapFile, name: str) -> MapOutline:
+        """Description and size from the header of a file, its copy's or the stored object's."""
         length = header_bytes(self._copies.read(file.key, 0, LENGTH_BYTES), name)
         return outline_of(self._copies.read(file.key, LENGTH_BYTES, length), name)
 
@@ -80,18 +86,21 @@ class StoredMaps(MapCatalogue):
         self._copies.make_room()  # other files may have filled the disk
 
     def store(self, arrived: Path, map_: Map) -> MapFile:
+        """Store the file as a new object without a name in the catalogue; ``arrived`` becomes its cached copy."""
         size_bytes = arrived.stat().st_size
         blob = self._copies.store(arrived)
         return _replaced(blob, size_bytes, map_.info.id, map_.info.version)
 
     @contextmanager
     def changing(self, published: Map | None = None) -> Iterator[MapChange]:
+        """Yield a change in a transaction, committed at the end; ``act`` is called first if a map is published."""
         with self._replica.changing() as (connection, revision):
             if published is not None and self._act is not None:
                 self._act(connection, published)
             yield _Change(connection, revision)
 
     def snapshot(self) -> Iterator[tuple[str, int, Path]]:
+        """Name, number (0: present, 1: the last replaced, …) and a copy of each file; the next replaces the copy."""
         now, before = maps_table.c, map_versions_table.c
         present = sa.select(now.name, sa.literal(0), now.blob, now.size_bytes).where(now.blob.is_not(None))
         replaced = sa.select(before.name, before.number, before.blob, before.size_bytes)
@@ -103,6 +112,7 @@ class StoredMaps(MapCatalogue):
                 yield name, number, folder / "file"
 
     def sweep(self) -> None:
+        """Remove objects that have had no name for 6 h, and partial files of the cache."""
         self._copies.sweep()
         old = time.time() - _ORPHANED_AFTER_S
         stored = [blob for blob, modified in self._copies.stored() if modified < old]
@@ -121,17 +131,20 @@ class _Change:
         self._connection, self._revision = connection, revision
 
     def present(self, name: str) -> MapFile | None:
+        """The present file of a name; None if no map has it."""
         c = maps_table.c
         wanted = sa.select(c.blob, c.size_bytes, c.modified, c.revision, c.map_id, c.version).where(c.name == name)
         row = self._connection.execute(wanted.where(c.blob.is_not(None))).first()
         return None if row is None else _present(*row)
 
     def versions(self, name: str) -> list[MapFile]:
+        """The files that were replaced under a name, the last replaced first."""
         c = map_versions_table.c
         wanted = sa.select(c.blob, c.size_bytes, c.map_id, c.version).where(c.name == name).order_by(c.number)
         return [_replaced(*row) for row in self._connection.execute(wanted)]
 
     def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
+        """As :meth:`MapChange.arrange`, in this transaction."""
         self._connection.execute(map_versions_table.delete().where(map_versions_table.c.name == name))
         for number, file in enumerate(versions[:KEPT_VERSIONS], start=1):
             self._connection.execute(map_versions_table.insert().values(name=name, number=number, **_columns(file)))
@@ -143,12 +156,15 @@ class _Change:
 
 
 def _present(blob: str, size_bytes: int, modified: float, revision: int, map_id: str, version: int) -> MapFile:
+    """Present file of a map, from its row; its signature changes with the revision."""
     return MapFile(blob, size_bytes, modified, (revision, int(modified * 1e9), size_bytes), map_id, version)
 
 
 def _replaced(blob: str, size_bytes: int, map_id: str, version: int) -> MapFile:
+    """File of a replaced map, or of one without a name, from its row; the time is unknown."""
     return MapFile(blob, size_bytes, 0.0, (0, 0, size_bytes), map_id, version)
 
 
 def _columns(file: MapFile) -> dict[str, object]:
+    """The columns of a file in the tables of maps and versions, by name."""
     return {"blob": file.key, "size_bytes": file.size_bytes, "map_id": file.map_id, "version": file.version}

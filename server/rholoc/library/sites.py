@@ -116,6 +116,7 @@ class SiteLibrary(NamedDocuments[Site]):
                 self.put(site_name, _with_renamed(site, name, new_name))
 
     def _present(self) -> _AllSites:
+        """All readable sites; read again if a file has changed, or may have."""
         stamp = self._files.stamp()  # before the files are read
         if stamp is None or stamp != self._all.stamp:
             sites = {}
@@ -126,16 +127,19 @@ class SiteLibrary(NamedDocuments[Site]):
         return self._all
 
     def _parsed(self, name: str, content: bytes) -> Site:
+        """The site in a file's content, cached while the content stays. Raises InvalidInput if it holds none."""
         known = self._read.get(name)
         if known is None or known[0] != content:
             known = self._read[name] = (content, _from_json(name, content))
         return known[1]
 
     def _unreadable(self, name: str) -> InvalidInput:
+        """Error for a site's file that cannot be read."""
         return InvalidInput(f"The site {name} cannot be read.", "Put it again.")
 
 
 def _from_json(name: str, content: bytes) -> Site:
+    """The checked site in a file's content. Raises InvalidInput if it is not one, or of a later version."""
     try:
         document = json.loads(content)
         if document.pop("format") != _FORMAT or document.pop("format_version") > _FORMAT_VERSION:

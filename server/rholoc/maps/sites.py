@@ -288,7 +288,7 @@ def _check_pose(pose: FramePose, what: str) -> None:
 
 
 def _check_covariance(rows: tuple[tuple[float, ...], ...], name: str) -> None:
-    """Raise InvalidInput, naming the map, unless the rows are 6×6 finite numbers, symmetric and positive semidefinite."""
+    """Raise InvalidInput, naming the map, unless the rows are finite, 6×6, symmetric and positive semidefinite."""
     square = np.array(rows, dtype=np.float64) if [len(row) for row in rows] == [6] * 6 else None
     if square is not None and np.isfinite(square).all() and np.allclose(square, square.T):
         values = np.linalg.eigvalsh(square)

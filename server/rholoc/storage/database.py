@@ -115,6 +115,7 @@ def reporting_full_database() -> Iterator[None]:
 
 
 def _engine(url: sa.URL, before_connecting: Callable[[], None]) -> sa.Engine:
+    """Engine that calls ``before_connecting`` before each connection. Raises InvalidInput if SQLite is too old."""
     is_sqlite = url.get_backend_name() == "sqlite"
     if is_sqlite:
         _check_sqlite()
@@ -132,6 +133,7 @@ def _engine(url: sa.URL, before_connecting: Callable[[], None]) -> sa.Engine:
 
 
 def _check_sqlite() -> None:
+    """Raise InvalidInput if Python's SQLite is older than :data:`MIN_SQLITE`."""
     if sqlite3.sqlite_version_info < MIN_SQLITE:
         wanted = ".".join(map(str, MIN_SQLITE))
         raise InvalidInput(
@@ -141,6 +143,7 @@ def _check_sqlite() -> None:
 
 
 def _connect_to_postgres(arguments: list[Any], options: dict[str, Any]) -> Any:
+    """New connection, from arguments as psycopg takes them, whose server cancels statements after 4 s."""
     from rholoc.storage.bounded_connection import STATEMENT_TIMEOUT_S, BoundedConnection  # not loaded for SQLite
 
     connection = BoundedConnection.connect(*arguments, **options)
@@ -237,6 +240,7 @@ def is_silence(error: DatabaseError) -> bool:
 
 
 def _postgres_url(text: str) -> sa.URL:
+    """The URL of a PostgreSQL database, for the driver psycopg. Raises InvalidInput for any other text."""
     try:
         url = sa.make_url(text)
     except sa.exc.ArgumentError:

@@ -59,7 +59,7 @@ class Holdings:
             connection.execute(table.update().where(*_is(kind, name)).values(name=new_name))
 
     def of(self, keys: Sequence[str]) -> Sequence[Holding]:
-        """Holdings of the named keys and of revoked keys that they had handed on. Raises SQLAlchemyError."""
+        """Holdings of the named keys and of keys with such a ``holder``, revoked or not. Raises SQLAlchemyError."""
         return self._found(sa.or_(table.c.key.in_(keys), table.c.holder.in_(keys)))
 
     def all(self) -> Sequence[Holding]:
@@ -73,9 +73,11 @@ class Holdings:
                 connection.execute(table.delete().where(*_is(one.kind, one.name), table.c.key == one.key))
 
     def _found(self, where: sa.ColumnElement[bool]) -> Sequence[Holding]:
+        """The holdings whose rows fulfil a condition."""
         rows = read_rows(self._engine, sa.select(table).where(where))
         return [Holding(**{**row, "kind": Kind(row["kind"])}) for row in rows]
 
 
 def _is(kind: Kind, name: str) -> tuple[sa.ColumnElement[bool], sa.ColumnElement[bool]]:
+    """Conditions on a row: the holding of this thing."""
     return table.c.kind == kind, table.c.name == name

@@ -183,7 +183,9 @@ class ObjectCache:
         return found
 
     def _key(self, blob: str) -> str:
+        """Key in the storage of the object of that name."""
         return f"{self._prefix}/{blob}{_SUFFIX}"
 
     def _path(self, blob: str) -> Path:
+        """Path of the object's copy, whether there is one or not."""
         return self.folder / f"{blob}{_SUFFIX}"

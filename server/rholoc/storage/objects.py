@@ -197,6 +197,7 @@ class ObjectStorage:
 
 
 def _put_file(path: Path, content: bytes | Path, mode: int) -> None:
+    """Write a file durably, in folders made with ``mode``. ``content``: bytes, or a file to copy."""
     for attempt in range(_ATTEMPTS):
         try:
             path.parent.mkdir(mode, parents=True, exist_ok=True)
@@ -208,12 +209,14 @@ def _put_file(path: Path, content: bytes | Path, mode: int) -> None:
 
 
 def _pieces(path: Path) -> Iterator[bytes]:
+    """Iterate over a file's content in pieces of 8 MiB."""
     with path.open("rb") as file:
         while piece := file.read(_PIECE_BYTES):
             yield piece
 
 
 def _traced(operation: str, key: str) -> AbstractContextManager[telemetry.Marks]:
+    """Span of an operation on an object, if the present operation is traced."""
     return telemetry.span(f"storage {operation}", {"rholoc.storage.key": key}, of_others=True)
 
 
@@ -246,4 +249,5 @@ def _allows_http() -> bool:
 
 
 def _first_line(error: Exception) -> str:
+    """First line of an error's text without its full stop; the error's class if it has no text."""
     return str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__

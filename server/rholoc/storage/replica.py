@@ -292,6 +292,7 @@ class Replica:
                     self._maps = _merged(self._maps, {name: row})
 
     def _follow(self) -> None:
+        """Refresh until :meth:`close`, prepare queued maps, and save the state; errors are logged once."""
         failing = False
         listener = ChangeListener(self._engine)
         while not self._stopping.is_set():

@@ -228,7 +228,7 @@ def _float_or_nan(text: str) -> float:
 
 
 def _assemble(name: str, header: _Header, shared: list[str], features: dict[int, _Feature]) -> Map:
-    """The validated map of all features, in order of their numbers. ``shared``: texts of the columns ``MAP_COLUMNS``."""
+    """The validated map of all features, by ascending number. ``shared``: texts of the columns ``MAP_COLUMNS``."""
     ordered = [features[number] for number in sorted(features)]
     info = _info(name, header.form.kind, shared)
     length = get_extractor(info.features).descriptor_bytes

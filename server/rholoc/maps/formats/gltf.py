@@ -103,7 +103,7 @@ class _File:
         return struct.pack("<3I", _MAGIC, _VERSION, 12 + len(chunks)) + chunks
 
     def _accessor(self, data: bytes, count: int, component: int, kind: str, more: dict[str, Any]) -> int:
-        """Append ``data``, ``count`` items, and return the number of their accessor. ``component`` and ``kind`` are glTF's
+        """Append ``data``, ``count`` items, and return their accessor's number. ``component`` and ``kind`` are glTF's
         componentType and type; ``more`` has further members of the accessor.
         """
         view = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data), "target": _ARRAY_BUFFER}
