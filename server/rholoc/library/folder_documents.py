@@ -77,7 +77,7 @@ class FolderDocuments(Documents):
         return (self._folder / name).read_bytes()
 
     def stamp(self) -> object:
-        """Time of the folder's change [ns], blind to writes into a file; None within 2 s of it, or without the folder."""
+        """Time of the folder's change [ns], blind to writes into files; None within 2 s of it or without the folder."""
         try:
             changed_ns = self._folder.stat().st_mtime_ns
         except OSError:

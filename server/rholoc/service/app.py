@@ -206,6 +206,7 @@ async def _end(state: State) -> None:
 def _start(
     settings: Settings, metrics: Metrics, keys: KeyStore, audit: AuditLog, stores: Stores, lanes: StorageLanes
 ) -> State:
+    """Open the stores and make the parts of the service. Blocks; starts only the catalogue's thread."""
     _open(settings, stores)
     keys.refresh()
     library, recordings = stores.library, stores.recordings
@@ -285,6 +286,7 @@ def _measure(metrics: Metrics, known: Readings, frames: Answerer, streams: OpenS
 
 
 async def _answer_error(request: Request, error: Exception) -> JSONResponse:
+    """The answer to an error that a route raised. Raises an unexpected one again."""
     known = _known(error)
     if known is None:
         raise error

@@ -50,6 +50,7 @@ def _map_ids(state: State) -> set[str] | None:
 
 
 def _learn(state: State) -> None:
+    """Queue the night's learning jobs in the hour that the settings name, UTC, if they enable learning."""
     now = datetime.now(UTC)
     if state.settings.learn and now.hour == state.settings.learn_hour:
         learn_tonight(state, now)

@@ -113,6 +113,7 @@ class AsyncMaps:
             raise Conflict(f"The map {name} was replaced in the meantime.", "Try again.") from None
 
     def _publish(self, name: str, arrived: Path) -> None:
+        """Publish an uploaded file. Raises as :func:`publish_file`."""
         publish_file(self.sync, name, arrived, self._settings)
 
     def _keep_plan(self, name: str, content: bytes, plan: FloorPlan | None) -> Map:
@@ -213,6 +214,7 @@ class AsyncRecordings:
         return found
 
     def _get(self, recording: str) -> NotedRecording:
+        """A recording with its notes. Raises UnknownRecording."""
         return self.sync.get(recording), self.sync.notes(recording)
 
     def _correct(self, recording: str, waypoints: tuple[RecordedWaypoint, ...] | None) -> NotedRecording:
@@ -273,6 +275,7 @@ class AsyncLearning:
         return self._learner.listens
 
     def _get(self, name: str) -> Learning:
+        """A map's kept queries and learning jobs. Raises InvalidName, UnknownMap, InvalidMap, StorageUnavailable."""
         info = self._library.get(name).info
         jobs = self._jobs
         return Learning(info, self.store.kept(info.id), jobs.learning(name), jobs.last_learning(name))
@@ -286,8 +289,8 @@ class AsyncLearning:
         """Queue a job by which a map learns. Blocks: call it in a thread.
 
         Raises:
-            InvalidInput: the map has no memory, or fewer than ``MIN_QUERIES`` queries are kept.
-            Conflict: it is learning already.
+            InvalidInput: the map has no memory.
+            Conflict: fewer than ``MIN_QUERIES`` queries are kept, or it is learning already.
         """
         map_ = self._library.get(name)
         check_memory(map_, f"The map {name}")
@@ -327,6 +330,7 @@ class AsyncKeys:
         self.abandon_uploads = lanes.database.offload(quotas.abandon_uploads)
 
     def _get(self, name: str) -> tuple[ApiKey, Usage]:
+        """The key called ``name`` and its usage with all keys below it. Raises NotFound."""
         return self.sync.named(name), self._quotas.usage(name)
 
 

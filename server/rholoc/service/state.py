@@ -65,6 +65,7 @@ class State:
 
 
 def _state(request: Request) -> State:
+    """The service that answers the request."""
     state: State = request.app.state.rholoc
     return state
 

@@ -281,6 +281,7 @@ class KeyStore:
         return self._reload() if self._known is None else self._known
 
     def _hashes(self) -> list[str]:
+        """Names of the keys' files: the hashes of their secrets."""
         return [name for name in self._files.names() if _HASH.fullmatch(name)]
 
     def _hash_of(self, name: str) -> str:
@@ -292,6 +293,7 @@ class KeyStore:
         raise _unknown(name)
 
     def _write(self, hashed: str, key: ApiKey) -> None:
+        """Store a key under the hash of its secret, and read all keys again."""
         stored = {name: value for name, value in asdict(key).items() if name != "id"}
         self._files.write(hashed, json.dumps(stored).encode(), called="the key")
         self._reload()
@@ -310,8 +312,10 @@ class KeyStore:
 
 
 def _unknown(name: str) -> NotFound:
+    """Error for a name that no key has."""
     return NotFound(f"There is no key called {name[:_MAX_NAME_LENGTH]}.", "rholoc key list shows the keys.")
 
 
 def _hash(secret: str) -> str:
+    """SHA-256 of a secret, 64 hex digits."""
     return hashlib.sha256(secret.encode()).hexdigest()

@@ -91,4 +91,5 @@ def _rate(key: ApiKey) -> float:
 
 
 def _burst(key: ApiKey) -> int:
+    """Maximum number of tokens of a key with a rate: its burst, by default one second's worth, at least 1."""
     return key.limits.burst or max(1, round(_rate(key)))

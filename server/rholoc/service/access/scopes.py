@@ -189,6 +189,7 @@ def find_route(routes: Sequence[RouteAccess], request_scope: RequestScope) -> Fo
 
 
 def _route_access(context: RouteContext) -> RouteAccess:
+    """A route with the access that it declares."""
     dependant = getattr(context, "dependant", None)
     return RouteAccess(
         path=context.path or "",
@@ -201,11 +202,13 @@ def _route_access(context: RouteContext) -> RouteAccess:
 
 
 def _query(dependant: Dependant) -> frozenset[str]:
+    """Names of the query parameters of a route's function and of its dependencies."""
     own = frozenset(parameter.alias for parameter in dependant.query_params)
     return own.union(*map(_query, dependant.dependencies))
 
 
 def _declared(context: RouteContext) -> Access | None:
+    """The access that a route declares, the greatest of several scopes; None without a declaration."""
     declared = [one for one in getattr(context, "dependencies", ()) if isinstance(one, SecurityParameter)]
     scopes = [Scope(scope) for one in declared if one.dependency in _CHECKS for scope in one.scopes or ()]
     if scopes:

@@ -220,6 +220,7 @@ def answer_of(
 
 
 def _estimated_camera(found: Localization) -> EstimatedCameraOut | None:
+    """The camera that the localizer estimated; None if the intrinsics were given."""
     camera = found.camera
     if camera is None or found.focal_sigma_px is None:
         return None
@@ -227,6 +228,7 @@ def _estimated_camera(found: Localization) -> EstimatedCameraOut | None:
 
 
 def _agreeing(localizer: AnyLocalizer, found: Localization) -> MatchesOut:
+    """Pixels and landmarks of the inliers; both empty without a pose."""
     landmarks = localizer.map.landmarks.positions[found.inlier_features]
     return MatchesOut(pixels=found.inlier_pixels.round(1).tolist(), landmarks=landmarks.round(4).tolist())
 

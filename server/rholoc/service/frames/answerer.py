@@ -227,6 +227,7 @@ class _RequestLocalizers:
         self.refused: dict[str, RholocError] = {}
 
     def get(self, name: str) -> AnyLocalizer:
+        """The localizer of a map. Raises the error noted for it, else as :meth:`Localizers.get`."""
         if name in self.refused:
             raise self.refused[name]
         return self._localizers.get(name)

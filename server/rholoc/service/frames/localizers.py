@@ -68,5 +68,6 @@ class Localizers:
                 self._ready.pop(name, None)
 
     def _build(self, map_: Map) -> AnyLocalizer:
+        """New localizer of a map. Raises InvalidMap if nothing can be localized in it."""
         check_usable(map_)
         return localizer_of(map_, self._min_recognized)

@@ -99,6 +99,7 @@ class Candidates:
         return self._take(new[: MAX_ASKED - len(asked.names)])
 
     def _take(self, rows: Sequence[int]) -> Candidates:
+        """The candidates in ``rows``, in their order."""
         scores = tuple(self.scores[row] for row in rows) if self.scores else ()
         return replace(self, names=tuple(self.names[row] for row in rows), scores=scores)
 

@@ -105,6 +105,7 @@ def camera_for(frame: Frame, size: tuple[int, int], map_camera: Camera) -> Camer
 
 
 def _has_intrinsics(given: CameraIn) -> bool:
+    """Whether any of the intrinsics is given, distortion and a lens other than the pinhole included."""
     figures = given.fx, given.fy, given.cx, given.cy
     return any(value is not None for value in figures) or bool(given.distortion) or given.lens is not Lens.PINHOLE
 
@@ -192,6 +193,7 @@ def feature_set(given: FeaturesIn, extractor: Extractor, max_features: int) -> F
 
 
 def _check_one_each(given: Sized, n: int, named: str, hint: str) -> None:
+    """Raise InvalidDescriptors with ``hint`` unless ``given``, called ``named``, has ``n`` entries."""
     if len(given) != n:
         raise InvalidDescriptors(f"{len(given)} {named} for {n} pixels.", hint)
 
@@ -225,7 +227,7 @@ def _angles(given: list[float | None] | None, n: int) -> FloatArray:
 
 
 def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteArray:
-    """Descriptors (N, D) of hexadecimal strings, or one base64 string. Raises InvalidDescriptors."""
+    """Descriptors (N, D) from N hexadecimal strings or one base64 string. Raises InvalidDescriptors for other lengths."""
     length = extractor.descriptor_bytes
     hint = f"This map takes '{extractor.name}' features: {length} bytes each, as hex strings or one base64 string."
     if isinstance(given, str):
@@ -250,7 +252,9 @@ def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteAr
 
 
 def _channels(given: list[int | str] | None, n: int, extractor: Extractor) -> ByteArray:
-    """Channels (N,) of numbers or names; None if there is only one. Raises InvalidDescriptors."""
+    """Channels (N,) by number or name; ``given`` may be None if the extractor has only one. Raises
+    InvalidDescriptors: there are not ``n``, or the extractor lacks one.
+    """
     names = ", ".join(f"{channel.value} {channel.name}" for channel in extractor.channels)
     hint = f"This map's '{extractor.name}' features come from the channels {names}."
     if given is None:

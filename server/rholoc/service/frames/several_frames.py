@@ -58,6 +58,7 @@ class Frames:
 
 
 def _frame(query: FramesQuery, number: int, one: FrameIn, images: dict[int, bytes], stored: dict[str, Camera]) -> Frame:
+    """Frame ``number`` of the request, with the picture and camera that were sent beside it. Raises as :meth:`Frames.of`."""
     image = images.get(number)
     if (image is not None) + (one.image is not None) + (one.features is not None) != 1:
         raise InvalidInput(
@@ -130,6 +131,7 @@ def _naming(number: int) -> Iterator[None]:
 def _localize(
     frames: Frames, localizer: AnyLocalizer, features: list[FrameFeatures], deadline_s: float, clock: Stopwatch
 ) -> JointLocalization:
+    """Joint answer of one map; without a pose at the deadline [s of the clock]. Raises InvalidInput, naming the frame."""
     queries = []
     for number, (frame, own) in enumerate(zip(frames.frames, features, strict=True)):
         if clock.elapsed_s >= deadline_s:

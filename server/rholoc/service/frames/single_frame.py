@@ -137,6 +137,7 @@ def _rank(found: Localization) -> tuple[bool, float]:
 def _localize(
     frame: Frame, localizer: AnyLocalizer, features: FrameFeatures, deadline_s: float, clock: Stopwatch
 ) -> Localization:
+    """Answer of one map; without a pose at the deadline [s of the clock]. Adds its timings to the clock's stages."""
     camera = camera_for(frame, features.size, localizer.map.info.camera)
     prior, gravity = prior_of(frame.options.prior), gravity_of(frame.options.gravity)
     if clock.elapsed_s >= deadline_s:

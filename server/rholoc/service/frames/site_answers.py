@@ -71,6 +71,7 @@ def _in_site(answer: LocalizationOut, sites: SiteLibrary, asked: str | None) -> 
 
 
 def _pose_out(found: _InSite) -> SitePoseOut:
+    """The pose as it is sent, with the covariance in m and degrees, and on Earth if the site is."""
     site, covariance = found.site, found.covariance
     pose, earth = Pose(found.T_site_camera), None
     if site.earth is not None:

@@ -179,6 +179,7 @@ class _Parts:
         )
 
     def feed(self, chunk: bytes) -> list[_Event]:
+        """Events in the next piece of the body. Raises InvalidRequest, TooLarge."""
         self.events = []
         try:
             self._parser.write(chunk)
@@ -187,6 +188,7 @@ class _Parts:
         return self.events
 
     def _begin(self) -> None:
+        """Begin a part. Raises TooLarge if there are too many."""
         self._part = _Part()
         self._header_bytes = 0
         self._parts_left -= 1
@@ -194,9 +196,11 @@ class _Parts:
             raise TooLarge("The multipart body has too many parts.", "Send fewer, or pack the files into one ZIP file.")
 
     def _header_field(self, data: bytes, start: int, end: int) -> None:
+        """Add to the name of the present header."""
         self._header += self._of_header(data[start:end])
 
     def _header_value(self, data: bytes, start: int, end: int) -> None:
+        """Add to the value of the present header."""
         self._value += self._of_header(data[start:end])
 
     def _of_header(self, data: bytes) -> bytes:
@@ -207,10 +211,12 @@ class _Parts:
         return data
 
     def _header_end(self) -> None:
+        """Store the present header by its name in lower case."""
         self._part.headers[self._header.lower()] = self._value
         self._header = self._value = b""
 
     def _headers_finished(self) -> None:
+        """Take the part's name and filename, and add its first event. Raises InvalidRequest: no name, too many fields."""
         _, options = parse_options_header(self._part.headers.get(b"content-disposition", b""))
         if b"name" not in options:
             raise InvalidRequest("A part of the multipart body has no name.", "Let an HTTP library write it.")
@@ -224,10 +230,12 @@ class _Parts:
         self.events.append(_Event(self._part, b""))
 
     def _data(self, data: bytes, start: int, end: int) -> None:
+        """Add an event with some of the part's data."""
         if end > start:
             self.events.append(_Event(self._part, data[start:end]))
 
     def _end(self) -> None:
+        """Note that the body is complete."""
         self.ended = True
 
 
@@ -269,6 +277,7 @@ async def read_multipart(
 
 
 def _write_all(write: FileSink, events: list[_Event]) -> None:
+    """Pass the files' pieces to ``write``, in order."""
     for event in events:
         write(event.part.name, event.part.filename or "", event.data)
 

@@ -79,4 +79,5 @@ class RequestBoundary:
 
 
 def _request_id(offered: str | None) -> str:
+    """The offered id if it is well-formed, else a new one of 32 hex digits."""
     return offered if offered and _REQUEST_ID.fullmatch(offered) else uuid.uuid4().hex

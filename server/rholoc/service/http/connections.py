@@ -44,6 +44,7 @@ class PatientProtocol(H11Protocol):
     _beyond_limit = False
 
     def connection_made(self, transport: Any) -> None:
+        """Also watch the head's timeout, and make room at the limit of connections."""
         super().connection_made(transport)
         self._watch_head()
         self._waiting_since_s = self.loop.time()
@@ -68,6 +69,7 @@ class PatientProtocol(H11Protocol):
             self._breaking_off = None
 
     def on_response_complete(self) -> None:
+        """Also note since when the connection is idle."""
         super().on_response_complete()
         self._waiting_since_s = self.loop.time()
 
@@ -89,6 +91,7 @@ class PatientProtocol(H11Protocol):
 
     @property
     def _is_idle(self) -> bool:
+        """Whether no request is under way."""
         return self.cycle is None or self.cycle.response_complete
 
     def _replace(self, other: PatientProtocol) -> None:
@@ -106,6 +109,7 @@ class PatientProtocol(H11Protocol):
             self.loop.call_later(len(data) / _LEFTOVER_BYTES_PER_S, self.transport.resume_reading)
 
     def connection_lost(self, exc: Exception | None) -> None:
+        """Also cancel the timeouts."""
         super().connection_lost(exc)
         self._stop_watching()
         self._stop_breaking_off()
@@ -124,6 +128,7 @@ class PatientProtocol(H11Protocol):
             self.transport.close()
 
     def _stop_watching(self) -> None:
+        """Cancel the head's timeout."""
         if self._giving_up is not None:
             self._giving_up.cancel()
             self._giving_up = None

@@ -87,9 +87,11 @@ class _Gauge(Collector):
         self._name, self._text, self._label, self._read = name, text, label, read
 
     def describe(self) -> Iterator[GaugeMetricFamily]:
+        """Yield the gauge without values."""
         yield GaugeMetricFamily(self._name, self._text, labels=[self._label])
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
+        """Yield the gauge with its present values; with none, and a warning in the log, if they cannot be read."""
         family = GaugeMetricFamily(self._name, self._text, labels=[self._label])
         try:
             values = self._read()

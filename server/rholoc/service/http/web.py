@@ -28,6 +28,7 @@ class _PageFiles(StaticFiles):
     """Files that a browser caches and revalidates before each use: a new version is seen at once, at a 304's cost."""
 
     def file_response(self, full_path: str | os.PathLike[str], *args: object, **options: object) -> Response:
+        """The file as a response that browsers cache and revalidate."""
         response = super().file_response(full_path, *args, **options)  # type: ignore[arg-type]
         response.headers["Cache-Control"] = "no-cache"
         if Path(full_path).name == _SERVICE_WORKER:
@@ -50,6 +51,8 @@ def install(app: FastAPI) -> None:
 
 
 def _file(files: StaticFiles) -> Callable[[Request], Awaitable[Response]]:
+    """Handler that answers with the file named in the request's path."""
+
     async def file(request: Request) -> Response:
         return await files.get_response(os.path.normpath(request.path_params["file"]), request.scope)
 
@@ -57,6 +60,8 @@ def _file(files: StaticFiles) -> Callable[[Request], Awaitable[Response]]:
 
 
 def _page(files: StaticFiles, name: str) -> Callable[[Request], Awaitable[Response]]:
+    """Handler that answers with the file ``name``, whatever the request's path."""
+
     async def page(request: Request) -> Response:
         return await files.get_response(name, request.scope)
 

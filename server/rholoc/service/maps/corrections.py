@@ -206,6 +206,7 @@ def corrected_map(map_: Map, wanted: CorrectionIn) -> Map:
 
 
 def _places(wanted: EarthIn) -> list[EarthPlace]:
+    """The points' places on Earth, converted from ``crs`` if given. Raises InvalidInput if one is incomplete."""
     first, second = ("latitude_deg", "longitude_deg") if wanted.crs is None else ("easting", "northing")
     given = [(getattr(one, first), getattr(one, second), one.height_m) for one in wanted.points]
     if any(None in one for one in given):
@@ -215,6 +216,7 @@ def _places(wanted: EarthIn) -> list[EarthPlace]:
 
 
 def _names(wanted: NamesIn) -> MapNames:
+    """The names as the map keeps them, not checked but for their coordinates."""
     points, areas = [], []
     for point in wanted.points:
         x, y, z = _vector(point.position).tolist()

@@ -172,4 +172,5 @@ def detail_of(name: str, map_: Map, size_bytes: int, before: MapInfo | None) -> 
 
 
 def _previous(number: int, info: MapInfo) -> PreviousMap:
+    """A replaced map as it is sent; ``number`` restores it."""
     return PreviousMap(number=number, id=info.id, version=info.version, created=info.created)

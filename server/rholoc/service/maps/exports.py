@@ -107,6 +107,7 @@ class Exports:
         return _ExportAnswer(export, self._ended, headers, wanted.format.media_type)
 
     def _ended(self) -> None:
+        """Let the next export begin."""
         self._open -= 1
         self._turn.release()
 
@@ -165,6 +166,7 @@ class _Export:
             raise ConnectionError("the process that exports was killed")  # breaks the response off, which clients see
 
     async def _read(self, program: AsyncProgram) -> bytes:
+        """The next piece of the output, empty at its end. Raises DeadlineExceeded at the time limit."""
         try:
             return await program.read(_PIECE_BYTES, self._last_s - asyncio.get_running_loop().time())
         except TimeoutError:

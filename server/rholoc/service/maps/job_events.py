@@ -103,10 +103,12 @@ class JobEvents:
         return await asyncio.shield(look[1])
 
     async def _look(self, job_id: str) -> JobEvent:
+        """Event of the job's present state. Raises UnknownJob."""
         return JobEvent.of(await self._database(self._jobs.get, job_id))
 
 
 def _has_ended(look: asyncio.Task[JobEvent]) -> bool:
+    """Whether a look has found that its job has ended."""
     return look.done() and not look.cancelled() and look.exception() is None and look.result().last
 
 

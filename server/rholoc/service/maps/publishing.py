@@ -44,6 +44,7 @@ def publish_merged(library: MapLibrary, parts: Mapping[str, Map], into: str, mer
 
 
 def _check_features(map_: Map) -> None:
+    """Raise InvalidMap unless the map's extractor is installed and its descriptors and channels are that one's."""
     hint = "Build the map with one of this version's extractors."
     try:
         extractor = get_extractor(map_.info.features)

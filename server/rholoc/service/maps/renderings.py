@@ -93,6 +93,7 @@ class Renderings:
         return self._making[path]
 
     async def _make(self, name: str, kind: Rendering, path: Path) -> None:
+        """Draw the map's rendering into the file ``path``. Raises as :meth:`get`."""
         await self._threads.files(lambda: self._folder.mkdir(parents=True, exist_ok=True))
         source = await self._threads.fetches(self._library.path, name)
         request = {"source": str(source), "name": name, "kind": kind, "target": str(path)}
@@ -145,6 +146,7 @@ class Renderings:
 
 
 def _read(path: Path) -> bytes | None:
+    """Content of a file; None if it is missing."""
     try:
         return path.read_bytes()
     except FileNotFoundError:

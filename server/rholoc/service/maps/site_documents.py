@@ -112,6 +112,7 @@ def site_of(given: SiteIn) -> Site:
 
 
 def _frame(given: FramePoseIn) -> FramePose:
+    """The pose as a site keeps it."""
     return FramePose(given.position, given.quaternion_xyzw)
 
 

@@ -198,6 +198,7 @@ def _file(folder: Path, path: str, content: bytes) -> tuple[str, Path]:
 
 
 def _recordings(store: RecordingStore, folder: Path) -> Iterator[tuple[str, Path]]:
+    """Iterate over pairs of a path in the backup and a file of each recording, its entry and notes included."""
     for entry in store.list():
         try:
             notes, _ = store.notes(entry.id), store.path(entry.id)
@@ -218,9 +219,11 @@ class _Hashed(io.RawIOBase):
         self.sha256 = hashlib.sha256()
 
     def readable(self) -> bool:
+        """True, as for every file that is read."""
         return True
 
     def read(self, size: int = -1) -> bytes:
+        """The next at most ``size`` bytes, counted in the hash; all for -1."""
         piece = self._source.read(size)
         self.sha256.update(piece)
         return piece
@@ -237,6 +240,7 @@ def _add(tar: tarfile.TarFile, path: str, source: Path) -> BackedUp:
 
 
 def _add_manifest(tar: tarfile.TarFile, manifest: Manifest) -> None:
+    """Add the manifest as the archive's last entry."""
     text = json.dumps({"format": _FORMAT, "format_version": _FORMAT_VERSION, **asdict(manifest)}).encode()
     entry = tarfile.TarInfo(_MANIFEST)
     entry.size, entry.mtime, entry.mode = len(text), int(manifest.created), 0o600
@@ -277,6 +281,7 @@ def _unpacked(file: Path, staged: dict[str, Path]) -> Manifest:
 
 
 def _manifest(file: Path, text: bytes) -> Manifest:
+    """The manifest in its entry's ``text``. Raises InvalidInput, naming the backup ``file``, if it is none."""
     try:
         read = json.loads(text)
         if read["format"] != _FORMAT or read["format_version"] > _FORMAT_VERSION:
@@ -297,11 +302,13 @@ def _checked(file: Path, name: str) -> str:
 
 
 def _at(staged: dict[str, Path], path: str) -> Path:
+    """Path of an entry in the staging folder of its first part, ``maps`` or ``data``."""
     root, _, rest = path.partition("/")
     return staged[root] / rest
 
 
 def _unpack(content: IO[bytes], target: Path) -> BackedUp:
+    """Write an entry's content durably to a new file; returns its size and hash."""
     target.parent.mkdir(parents=True, exist_ok=True)
     hashed = _Hashed(content)
     size = 0
@@ -328,4 +335,5 @@ def _move(source: Path, target: Path) -> None:
 
 
 def _invalid(file: Path, why: str) -> InvalidInput:
+    """Error for a backup that cannot be used; ``why`` is a clause."""
     return InvalidInput(f"{file} cannot be restored: {why}. Nothing was restored.", "Take another copy of the backup.")

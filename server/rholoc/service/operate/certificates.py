@@ -77,6 +77,7 @@ def server_certificate(data_dir: Path, names: tuple[str, ...]) -> Certificate:
 
 
 def _authority(certificate: Path, key: Path) -> trustme.CA:
+    """The stored authority, made if a file is missing: its certificate and its private key. Raises ValueError."""
     if not (certificate.is_file() and key.is_file()):
         made = trustme.CA(path_length=0, organization_name=_ORGANIZATION, organization_unit_name=socket.gethostname())
         _write_secret(key, made.private_key_pem.bytes())
@@ -85,6 +86,7 @@ def _authority(certificate: Path, key: Path) -> trustme.CA:
 
 
 def _issue(authority: trustme.CA, path: Path, names: tuple[str, ...]) -> None:
+    """Write a new certificate for ``names``, with its private key and chain, to ``path``."""
     now = datetime.now(UTC)
     issued = authority.issue_cert(
         *names, organization_name=_ORGANIZATION, not_before=now - _CLOCK_DIFFERENCE, not_after=now + _LIFETIME
@@ -102,6 +104,7 @@ def _serves(pem: bytes, names: tuple[str, ...]) -> bool:
 
 
 def _write_secret(path: Path, data: bytes) -> None:
+    """Write a file that only its owner may read."""
     replace_file(path, data)
     path.chmod(0o600)
 

@@ -118,6 +118,7 @@ def _maps(settings: Settings) -> _Found:
 
 
 def _maps_in(stores: Stores) -> _Found:
+    """Yield which maps and sites cannot be read, and which sites name missing maps; of shared maps one is read."""
     names, broken = stores.library.names(), 0
     for name in names[:1] if stores.are_shared else names:
         try:

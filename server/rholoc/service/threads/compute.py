@@ -125,7 +125,7 @@ class ComputePool:
         )
 
     def close(self) -> None:
-        """Accept no more work, drop waiting calls, and wait at most 5 s for running ones."""
+        """Start no more calls, and wait at most 5 s for running ones; callers of waiting ones get no answer."""
         for lane in self._lanes.values():
             lane.close()
         deadline_s = time.monotonic() + _CLOSE_TIMEOUT_S
@@ -180,14 +180,17 @@ class _Lane:
 
     @property
     def taken(self) -> int:
+        """Number of running and waiting calls."""
         return self._running + sum(map(len, self._waiting.values()))
 
     @property
     def busy(self) -> bool:
+        """Whether calls run or wait, or did within the last 0.1 s."""
         return self.taken > 0 or time.monotonic() - self._last_end_s < _BUSY_AFTER_S
 
     @property
     def full(self) -> bool:
+        """Whether as many calls run and wait as may."""
         return self.taken >= self._concurrency + self._queue_length
 
     def check_room(self, client: str) -> None:
@@ -219,6 +222,7 @@ class _Lane:
         return most if most is not None and len(self._waiting[most]) > mine + 1 else None
 
     def _busy(self) -> Busy:
+        """Error for a refused call; its ``retry_after_s`` is the expected wait of the calls taken."""
         wait_s = self._mean_s * self.taken / self._concurrency
         return Busy("The service is overloaded.", "Try again after Retry-After.", wait_s)
 
@@ -239,6 +243,7 @@ class _Lane:
             self._executor.submit(_timed, call.work).add_done_callback(partial(self._from_thread, loop, call))
 
     def _from_thread(self, loop: asyncio.AbstractEventLoop, call: _Call, ended: Future[_Ended]) -> None:
+        """Pass the end of a call from its thread to the event loop."""
         with suppress(RuntimeError):  # the loop is closed: nobody waits
             loop.call_soon_threadsafe(self._ended, call, ended, loop)
 
@@ -260,6 +265,7 @@ class _Lane:
         self._dispatch(loop)
 
     def _begin_thread(self) -> None:
+        """Note and prepare a new thread, which calls this."""
         self._threads.append(threading.current_thread())
         self._prepare()
 
@@ -283,6 +289,7 @@ class _Ended:
 
 
 def _timed(work: Callable[[], Any]) -> _Ended:
+    """Do work; returns its value or its exception, and its core time."""
     begun_s = time.thread_time()
     try:
         value, error = work(), None

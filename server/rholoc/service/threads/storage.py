@@ -74,6 +74,7 @@ class StorageThreads:
         future.add_done_callback(lambda _: _in_loop(loop, self._returned))
 
     def _returned(self) -> None:
+        """Count a blocked thread as free again."""
         self._overdue -= 1
 
 
@@ -105,11 +106,13 @@ def storage_threads() -> list[threading.Thread]:
 
 
 def _in_loop(loop: asyncio.AbstractEventLoop, function: Callable[[], None]) -> None:
+    """Call a function in the event loop's thread; nothing if the loop is closed."""
     with suppress(RuntimeError):  # the loop is closed
         loop.call_soon_threadsafe(function)
 
 
 def _unavailable() -> StorageUnavailable:
+    """Error for a call that took too long, or could not begin."""
     return StorageUnavailable(
         "The server's storage or its database does not answer.", "What it has in memory is still served. Try again."
     )

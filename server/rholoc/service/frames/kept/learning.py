@@ -125,6 +125,7 @@ class Learner:
         return self._waiting.unfinished_tasks == 0
 
     def _keep_all(self) -> None:
+        """Keep pending lessons one after another until :meth:`close`; errors are logged."""
         lower_priority()
         while (item := self._waiting.get()) is not None:
             try:
@@ -137,6 +138,7 @@ class Learner:
                 self._waiting.task_done()
 
     def _keep(self, lesson: Lesson, asker: str) -> None:
+        """Store an answer's features as a query of the asker's pseudonym, unless the store does not want it."""
         pose, covariance = lesson.answer.pose, lesson.answer.covariance
         assert pose is not None
         assert covariance is not None
