@@ -49,6 +49,7 @@ add_lab(app, maps.app, recordings.app)
 
 
 def _print_version(asked: bool) -> None:
+    """Print the version and exit, if asked to."""
     if asked:
         typer.echo(f"rholoc {__version__}")
         raise typer.Exit
@@ -99,7 +100,7 @@ def _missing(error: ModuleNotFoundError) -> tuple[str, str]:
 
 
 def _os_error(error: OSError) -> tuple[str, str]:
-    """Message and hint."""
+    """Message and hint for an error of the operating system; the message names the file, if any."""
     what = (error.strerror or str(error)).rstrip(".")
     message = f"{what}: {error.filename}." if error.filename else f"{what}."
     if is_full(error):

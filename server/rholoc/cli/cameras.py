@@ -134,6 +134,7 @@ def calibrate(
 
 
 def _parse(text: str, size: str | None) -> Camera:
+    """The camera written as text, for images of ``size`` (WIDTHxHEIGHT). Raises InvalidInput if one is not valid."""
     from rholoc.geometry import Camera
 
     width, _, height = (size or "").partition("x")
@@ -145,6 +146,7 @@ def _parse(text: str, size: str | None) -> Camera:
 
 
 def _read(path: Path) -> Camera:
+    """The camera of a map (.rho), or in a camera.json. Raises the errors of both, InvalidCamera without intrinsics."""
     from rholoc.maps import load_map
     from rholoc.recordings import read_camera_json
 
@@ -157,16 +159,19 @@ def _read(path: Path) -> Camera:
 
 
 def _figures(profile: CameraProfile) -> dict[str, Any]:
+    """Intrinsics and calibration by name, JSON-serialisable."""
     return {**profile.camera.to_dict(), "calibration": profile.calibration}
 
 
 def _line(camera: Camera) -> str:
+    """Size, lens and intrinsics [px] in one line."""
     lens, _, _ = camera.to_text().rpartition(":")
     figures = ",".join(f"{value:.6g}" for value in camera.parameters)
     return f"{camera.width}x{camera.height} {lens}{':' if lens else ''}{figures}"
 
 
 def _print(name: str, profile: CameraProfile, as_json: bool) -> None:
+    """Print a camera with the accuracy of its calibration, as JSON or as a table."""
     if as_json:
         print_json(_figures(profile))
         return

@@ -112,6 +112,7 @@ def frame_progress(what: str, total: int | None) -> Iterator[Callable[[], None]]
 
 
 def _progress(description: str, *columns: ProgressColumn) -> Progress:
+    """Bar with a description, percentage or ``columns``, and the task's field ``message``; shown only on a terminal."""
     return Progress(
         SpinnerColumn(),
         TextColumn(description),

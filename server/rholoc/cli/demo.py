@@ -77,6 +77,7 @@ def demo(
 
 
 def _run(files: _Files, seconds: float, every: int, seed: int, leave_open: bool, as_json: bool) -> None:
+    """Simulate both walks, map the first, localize the second and print the errors. Raises RholocError."""
     from rholoc.simulation import simulate_recording
     from rholoc_client import Client, RholocClientError
 
@@ -214,6 +215,7 @@ def _evaluation(files: _Files, table: TrajectoryTable, every: int) -> Evaluation
 
 
 def _print(figures: DemoFigures, files: _Files, as_json: bool) -> None:
+    """Print warnings and figures, as JSON or as a table with the paths of the results."""
     for warning in figures.warnings:
         print_notice(f"warning: {warning}")
     if as_json:

@@ -49,6 +49,7 @@ def info(
 
 
 def _figures(description: dict[str, Any]) -> dict[str, str]:
+    """A recording's description as texts with units, by name."""
     frames, imu, poses = description["frames"], description["imu"], description["poses"]
     measured = description["figures"]
     shown = {
@@ -74,10 +75,12 @@ def _figures(description: dict[str, Any]) -> dict[str, str]:
 
 
 def _size(frames: dict[str, Any]) -> str:
+    """ "WIDTH×HEIGHT, ", or "no images, "."""
     return f"{frames['width']}×{frames['height']}, " if frames["width"] else "no images, "
 
 
 def _span(table: dict[str, Any]) -> str:
+    """Length [s] and rate [Hz] of a table with times, in words."""
     if table["start_s"] is None:
         return "without times"
     rate = "" if table["rate_hz"] is None else f" at {table['rate_hz']:.1f} Hz"
@@ -85,6 +88,7 @@ def _span(table: dict[str, Any]) -> str:
 
 
 def _camera(description: dict[str, Any]) -> str:
+    """Intrinsics of a recording, in words."""
     camera, logged = description["camera"], description["frame_intrinsics"]
     if camera is not None:
         lens = f"{camera['lens']}, " if "lens" in camera else ""
@@ -95,16 +99,19 @@ def _camera(description: dict[str, Any]) -> str:
 
 
 def _imu(imu: dict[str, Any]) -> str:
+    """Whether the IMU's readings include gravity, and whether its mounting is known, in words."""
     gravity = "with gravity" if imu["includes_gravity"] else "without gravity"
     return f"{gravity}, mounting {'known' if imu['mounting_known'] else 'unknown'}"
 
 
 def _poses(poses: dict[str, Any]) -> str:
+    """Number of known poses and the length of their path, in words."""
     unit = " m" if poses["metric"] else " units of unknown length"
     return f"{poses['known']}, along {poses['path_length']:.2f}{unit}"
 
 
 def _print_findings(description: dict[str, Any]) -> None:
+    """Print a recording's problems and the advice for the next, one line each."""
     for title, findings in (("problem", description["warnings"]), ("next time", description["advice"])):
         for finding in findings:
             output.print(f"{title}: {finding['text']}", markup=False, soft_wrap=True)

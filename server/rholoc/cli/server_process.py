@@ -67,6 +67,7 @@ def in_background(module: str, *arguments: object) -> Iterator[Callable[[], None
 
 
 def _wait_until_it_answers(program: Program, server: RunningServer) -> None:
+    """Wait until the server answers. Raises RholocError if it ends before, or not within 200 s."""
     import httpx
 
     deadline = time.monotonic() + _START_TIMEOUT_S
@@ -79,6 +80,7 @@ def _wait_until_it_answers(program: Program, server: RunningServer) -> None:
 
 
 def _free_port() -> int:
+    """A local port that was free just now."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port: int = listener.getsockname()[1]
     return port

@@ -116,6 +116,7 @@ def place(
 
 
 def _queue_placing(name: str, maps: Path, data: Path | None, as_json: bool) -> None:
+    """Queue the job that places a site's maps, and print it. Raises UnknownSite, Conflict."""
     from dataclasses import asdict
 
     from rholoc.library.sites import SiteLibrary
@@ -163,6 +164,7 @@ def delete(name: Name, maps: Maps = _MAPS) -> None:
 
 
 def _shown(name: str, site: Site, maps: Path) -> dict[str, object]:
+    """A site as the service sends it, JSON-serialisable."""
     from rholoc.library.maps import MapLibrary
     from rholoc.service.maps.site_documents import site_out
 
@@ -170,6 +172,7 @@ def _shown(name: str, site: Site, maps: Path) -> dict[str, object]:
 
 
 def _print(name: str, site: Site, maps: Path, as_json: bool) -> None:
+    """Print a site with its maps and links, or as JSON."""
     from rholoc.library.maps import MapLibrary
 
     if as_json:

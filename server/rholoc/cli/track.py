@@ -132,6 +132,7 @@ def track(
 def _recorded(
     path: Path, motion: str | None, frames: str | None, topics: list[str] | None, camera: str | None, info: MapInfo
 ) -> _Followed:
+    """A recording to follow, every frame answered. Raises InvalidInput for odometry that it does not have."""
     from rholoc.recordings import read_recording
     from rholoc.tracking.follow import AtOnce
     from rholoc.tracking.moments import Motion, odometry_of, recorded_moments
@@ -150,6 +151,7 @@ def _recorded(
 
 
 def _live(live: LiveCamera, camera: str | None, info: MapInfo) -> _Followed:
+    """A live camera to follow by its pictures, answered in the background."""
     from rholoc.geometry import Camera
     from rholoc.tracking.follow import InBackground
     from rholoc.tracking.moments import Motion, live_moments

@@ -37,6 +37,7 @@ def preview_png(map_: Map, title: str = "") -> bytes:
 
 
 def _plot_landmarks(axes: Axes, map_: Map) -> PathCollection | None:
+    """Draw the landmarks from above, coloured by standard deviation [cm, or units]; None without landmarks."""
     if len(map_) == 0:
         return None
     sigmas = (100 if map_.info.metric else 1) * np.maximum(landmark_sigmas(map_), _MIN_SIGMA_M)
@@ -55,6 +56,7 @@ def _plot_landmarks(axes: Axes, map_: Map) -> PathCollection | None:
 
 
 def _plot_colour_scale(figure: Figure, axes: Axes, shown: PathCollection, unit: str) -> None:
+    """Draw the colour scale of the landmarks' standard deviations, which are in ``unit``."""
     bar = figure.colorbar(shown, ax=axes, shrink=0.55, aspect=28, pad=0.01)
     bar.set_label(f"landmark uncertainty, {unit}", fontsize=8, color=MUTED)
     bar.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -65,6 +67,7 @@ def _plot_colour_scale(figure: Figure, axes: Axes, shown: PathCollection, unit: 
 
 
 def _plot_path(axes: Axes, map_: Map) -> None:
+    """Draw the views from above with their headings."""
     if len(map_.views) == 0:
         return
     x, y = map_.views.positions[:, :2].T
@@ -74,6 +77,7 @@ def _plot_path(axes: Axes, map_: Map) -> None:
 
 
 def _plot_waypoints(axes: Axes, map_: Map) -> None:
+    """Draw the waypoints from above with their names."""
     for waypoint in map_.info.waypoints:
         x, y = waypoint.position[:2]
         axes.plot(x, y, marker="D", markersize=6, color=MARKED, markeredgecolor="white", zorder=5)

@@ -107,6 +107,7 @@ def _wedges(coverage: Coverage) -> list[FloatArray]:
 
 
 def _plot_path(axes: Axes, places: FloatArray, walks: IntArray, headings: FloatArray) -> None:
+    """Draw views at ``places`` (N, 2) with walk numbers (N,) and about 60 of their headings (N, 2), in the plane."""
     if len(places) == 0:
         return
     draw_views(axes, places, walks, 1.0, 3, halo=2.6)
@@ -124,6 +125,7 @@ def _plot_path(axes: Axes, places: FloatArray, walks: IntArray, headings: FloatA
 
 
 def _plot_waypoints(axes: Axes, map_: Map, coverage: Coverage) -> None:
+    """Draw the waypoints with their names, in the plane of the coverage."""
     for waypoint in map_.info.waypoints:
         place = coverage.axes @ np.array(waypoint.position, dtype=np.float64)
         axes.plot(*place, marker="D", markersize=6, color=MARKED, markeredgecolor="white", zorder=6)
@@ -153,6 +155,7 @@ def _frame(axes: Axes, coverage: Coverage, places: FloatArray, unit: str) -> Non
 
 
 def _caption(map_: Map, coverage: Coverage) -> str:
+    """Three lines: size and kind of the map, coverage, trust."""
     unit = "m" if map_.info.metric else "units"
     info = map_.info
     scale = "" if info.metric else " · scale arbitrary"
@@ -250,6 +253,7 @@ def _plot_expected_error(axes: Axes, map_: Map, unit: str, factor: float) -> Non
 
 
 def _plot_sigmas(axes: Axes, map_: Map, unit: str, factor: float) -> None:
+    """Plot a histogram of the landmarks' standard deviations, times ``factor`` in ``unit``."""
     _panel(axes, "Landmark uncertainty", f"standard deviation, {unit}", "landmarks")
     if len(map_) == 0:
         _say(axes, "no landmarks")
@@ -262,6 +266,7 @@ def _plot_sigmas(axes: Axes, map_: Map, unit: str, factor: float) -> None:
 
 
 def _plot_views_per_landmark(axes: Axes, map_: Map) -> None:
+    """Plot a histogram of the numbers of views that see a landmark."""
     _panel(axes, "Views of a landmark", "views", "landmarks")
     if len(map_) == 0:
         _say(axes, "no landmarks")
@@ -280,6 +285,7 @@ def _range(values: FloatArray) -> tuple[float, float]:
 
 
 def _median_line(axes: Axes, median: float, unit: str) -> None:
+    """Mark and write the median; ``unit`` follows the number."""
     axes.axvline(median, color=INK, linewidth=0.8, linestyle=":")
     axes.annotate(
         f"median {median:.3g}{unit}",
@@ -296,6 +302,7 @@ def _median_line(axes: Axes, median: float, unit: str) -> None:
 
 
 def _logarithmic(axes: Axes, low: float, high: float) -> None:
+    """Make the x axis logarithmic from ``low`` to ``high``, with plain numbers."""
     axes.set_xscale("log")
     axes.set_xlim(low, high)
     axes.xaxis.set_major_locator(

@@ -40,6 +40,7 @@ def recording_png(recording: Recording) -> bytes:
 
 
 def _plot_imu(force: Axes, turn: Axes, imu: Imu | None, start_s: float) -> None:
+    """Plot acceleration and angular velocity over the seconds since ``start_s``, or say that there is no IMU."""
     force.set_ylabel("acceleration [m/s²]", color=INK)
     turn.set_ylabel("turning [°/s]", color=INK)
     if imu is None:
@@ -54,12 +55,14 @@ def _plot_imu(force: Axes, turn: Axes, imu: Imu | None, start_s: float) -> None:
 
 
 def _plot_vectors(axis: Axes, times: FloatArray, values: FloatArray) -> None:
+    """Plot the components and lengths of vectors (N, 3) over times (N,) [s]."""
     for place, (name, colour) in enumerate(_AXES):
         axis.plot(times, values[:, place], color=colour, linewidth=0.8, label=name)
     axis.plot(times, np.linalg.norm(values, axis=1), color=INK, linewidth=0.6, alpha=0.6, label="length")
 
 
 def _plot_intervals(axis: Axes, frames: FrameSource, start_s: float) -> None:
+    """Plot the intervals between frames [ms] over the seconds since ``start_s``, or say that there are no times."""
     axis.set_ylabel("frame interval [ms]", color=INK)
     if not frames.timed:
         axis.text(0.5, 0.5, "no times", transform=axis.transAxes, ha="center", color=MUTED)
@@ -79,4 +82,5 @@ def _mark(axis: Axes, recording: Recording, start_s: float) -> None:
 
 
 def _timed(recording: Recording) -> list[Waypoint]:
+    """The waypoints whose time is known."""
     return [waypoint for waypoint in recording.waypoints if not np.isnan(waypoint.time)]

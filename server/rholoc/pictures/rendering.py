@@ -41,6 +41,7 @@ def serve(requests: TextIO, answers: TextIO) -> None:
 
 
 def _answer(request: dict[str, str]) -> dict[str, str]:
+    """Draw what a request wants into its file ``target``; the answer to it."""
     name = request["name"]
     try:
         map_ = load_map(Path(request["source"]), f"{name}.rho")
@@ -51,18 +52,21 @@ def _answer(request: dict[str, str]) -> dict[str, str]:
 
 
 def _preview(map_: Map, name: str) -> bytes:
+    """PNG of the map from above."""
     from rholoc.pictures.map_preview import preview_png  # matplotlib is loaded only where something is drawn
 
     return preview_png(map_, title=name)
 
 
 def _report(map_: Map, name: str) -> bytes:
+    """PNG of the map's report."""
     from rholoc.pictures.map_report import report_png
 
     return report_png(map_, name)
 
 
 def _coverage(map_: Map, _name: str) -> bytes:
+    """JSON of the map's coverage, as in its report."""
     return json.dumps(report_to_json(coverage_of(map_).report()), separators=(",", ":"), allow_nan=False).encode()
 
 

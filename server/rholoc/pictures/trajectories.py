@@ -61,6 +61,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def _draw_landmarks(figure: Figure, axes: Axes, landmarks: FloatArray) -> None:
+    """Draw landmarks (F, 3) [m] from above, coloured by height, with a colour scale."""
     low, high = np.percentile(landmarks[:, 2], [2, 98])
     x, y, z = landmarks[np.argsort(landmarks[:, 2])].T
     dots = axes.scatter(
@@ -84,6 +85,7 @@ def _draw_landmarks(figure: Figure, axes: Axes, landmarks: FloatArray) -> None:
 
 
 def _draw_estimate(axes: Axes, estimated: FloatArray, truth: FloatArray | None) -> None:
+    """Draw estimated positions and headings; with ``truth``, also their errors, and crosses where there is no pose."""
     placed = np.isfinite(estimated).all(axis=(1, 2))
     xy, heading = estimated[placed, :2, 3], estimated[placed, :2, 2]
     axes.plot(*xy.T, ".", color=_ESTIMATE_COLOUR, ms=4, zorder=4, label=f"estimated, {len(xy)} frames")
@@ -112,6 +114,7 @@ def _draw_estimate(axes: Axes, estimated: FloatArray, truth: FloatArray | None) 
 
 
 def _draw_waypoints(axes: Axes, waypoints: Sequence[tuple[str, FloatArray]]) -> None:
+    """Draw measured waypoints, names and positions (3,), from above."""
     if not waypoints:
         return
     points = np.array([position for _, position in waypoints])

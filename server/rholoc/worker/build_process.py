@@ -79,6 +79,7 @@ def build_in_process(
 
 
 def _too_long(time_s: float) -> Failure:
+    """Failure of a build that exceeded its time limit [s]."""
     return Failure(
         "mapping_failed",
         f"Mapping took longer than the limit of {time_s:g} s.",
@@ -87,6 +88,7 @@ def _too_long(time_s: float) -> Failure:
 
 
 def _too_much_memory(memory_bytes: float, held_bytes: float) -> KilledForMemory:
+    """Outcome of a build that exceeded its memory limit [bytes]."""
     failure = Failure(
         "mapping_failed",
         f"Mapping needed more memory than the limit of {memory_bytes / 2**30:.3g} GiB.",
@@ -96,6 +98,7 @@ def _too_much_memory(memory_bytes: float, held_bytes: float) -> KilledForMemory:
 
 
 def _died(died: ChildDied) -> Failure:
+    """Failure of a build whose process died."""
     return Failure(
         "internal",
         f"The mapping process ended unexpectedly ({died.reason}).",

@@ -69,10 +69,12 @@ class EmbeddedWorker:
             self._program.stop(_STOP_TIMEOUT_S)
 
     def _spawn(self) -> Program:
+        """Start a child; it reads the setup from its standard input."""
         # Through the standard input, not the command line: a URL may hold a password.
         return Program("rholoc.worker", first_input=self._setup.to_line(), keep_errors=True)
 
     def _keep_running(self) -> None:
+        """Restart the child after each death, until :meth:`stop`."""
         begun_s, deaths = time.monotonic(), 0
         while not self._stopping.wait(_LOOK_EVERY_S):
             assert self._program is not None
@@ -88,6 +90,7 @@ class EmbeddedWorker:
             self._program, begun_s = self._spawn(), time.monotonic()
 
     def _note_death(self, program: Program, deaths: int) -> None:
+        """Log the end of a child, requeue its jobs, and report the second death in a row and later ones."""
         error = reason_of_death(program.status or 0, program.last_errors())
         program.stop()  # what it left behind
         _log.warning("the worker died (%s); it is started again", error)

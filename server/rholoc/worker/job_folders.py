@@ -106,6 +106,7 @@ class JobFolders:
                 shutil.rmtree(folder, ignore_errors=True)
 
     def _folder(self, lease: Lease) -> Path:
+        """Folder of a run, whether it exists or not."""
         return self._stores.data_dir / _WORK / lease.run
 
     def _inputs(self, lease: Lease, work: JobWork) -> Path:

@@ -171,6 +171,7 @@ def _mapped(task: MappingTask, progress: ProgressListener) -> Map | MoreMemoryNe
 
 
 def _recording_of(task: MappingTask) -> Recording:
+    """The task's recording, with its camera, frames and corrected waypoints. Raises as :func:`read_recording`."""
     assert task.recording is not None
     camera = CameraLibrary(task.maps_dir).named_in(task.options.camera)
     with frame_pixels_limited(task.max_frame_pixels):
@@ -196,10 +197,12 @@ def _corrected(task: MappingTask) -> Path | None:
 
 
 def _updates(task: MappingTask) -> bool:
+    """Whether the job makes the next version of a published map instead of a new one."""
     return task.options.kind is not JobKind.BUILD
 
 
 def _built(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
+    """New map from the recording. Raises as :func:`build_map`."""
     from rholoc.mapping.build.pipeline import BuildOptions, build_map
 
     poses = task.options.poses or BuildOptions.poses
@@ -210,6 +213,7 @@ def _built(task: MappingTask, recording: Recording, progress: ProgressListener) 
 
 
 def _updated(task: MappingTask, recording: Recording, progress: ProgressListener) -> Map:
+    """Next version of the published map, with the recording learned. Raises as :func:`update_map`."""
     from rholoc.mapping.learn.from_recordings import UpdateOptions, update_map
 
     map_ = MapLibrary(task.maps_dir).get(task.map_name)
@@ -223,6 +227,7 @@ def doubts(map_: Map) -> tuple[str, ...]:
 
 
 def _published_id(library: MapLibrary, name: str) -> str | None:
+    """Id of the map in the library; None if there is none or it is damaged."""
     try:
         return library.get(name).info.id
     except (UnknownMap, InvalidMap):

@@ -77,6 +77,7 @@ def store_links(file: Path, site_name: str, sites: SiteLibrary, library: MapLibr
 
 
 def _store(pairs: Sequence[SearchedPair], site_name: str, sites: SiteLibrary, library: MapLibrary) -> tuple[str, ...]:
+    """Add the links to the site; returns reasons why maps are not placed. Raises Conflict if the site changes meanwhile."""
     before = sites.get(site_name)
     site, problems = add_links(before, pairs, lambda name: _state(library, name))
     if site != before:
@@ -85,6 +86,7 @@ def _store(pairs: Sequence[SearchedPair], site_name: str, sites: SiteLibrary, li
 
 
 def _state(library: MapLibrary, name: str) -> str | None:
+    """The :func:`map_state` of the present map; None if there is none or it is damaged."""
     try:
         info = library.outline(name).info
     except (UnknownMap, InvalidMap):
@@ -93,10 +95,12 @@ def _state(library: MapLibrary, name: str) -> str | None:
 
 
 def _read(file: Path) -> Sequence[SearchedPair]:
+    """Pairs in a search's file; empty without the file."""
     with suppress(FileNotFoundError):
         return report_from_json(_Search, json.loads(file.read_text(encoding="utf-8"))).pairs
     return ()
 
 
 def _write(file: Path, pairs: Sequence[SearchedPair]) -> None:
+    """Write the pairs of a search to its file, atomically."""
     replace_file(file, json.dumps(report_to_json(_Search(tuple(pairs)))).encode())

@@ -113,6 +113,7 @@ class Worker:
                 is_failing = True
 
     def _take_jobs(self) -> None:
+        """Take jobs until none can be taken."""
         while self._take():
             pass
 
@@ -128,6 +129,7 @@ class Worker:
         return True
 
     def _run(self, claim: Claim) -> None:
+        """Run a taken job to its end; errors are logged."""
         try:
             self._runner.run(claim)
         except Exception:  # the next heartbeats requeue the job

@@ -116,6 +116,7 @@ def _consistent(info: MapInfo) -> str:
 
 
 def _landmarks(info: MapInfo) -> str:
+    """Median uncertainty of the landmarks in words; empty if it is unknown."""
     sigma = info.report.landmark_sigma_median_m
     if sigma is None:
         return ""
@@ -123,11 +124,13 @@ def _landmarks(info: MapInfo) -> str:
 
 
 def _camera(camera: Camera) -> str:
+    """Lens, size, focal length and centre in words."""
     size = f"{camera.width}×{camera.height} px"
     return f"{camera.lens}, {size}, focal length {camera.focal:.1f} px, centre {camera.cx:.1f}, {camera.cy:.1f} px"
 
 
 def _source(source: Source) -> str:
+    """Name, number of views, source of the poses and id of a recording, separated by commas."""
     parts = [source.name]
     if source.views is not None:
         parts.append(f"{source.views} views" + ("" if source.frames is None else f" of {source.frames} frames"))

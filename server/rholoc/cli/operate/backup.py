@@ -60,7 +60,7 @@ def restore(
 
 @contextmanager
 def _opened(settings: Settings) -> Iterator[Stores]:
-
+    """Yield the service's stores, opened; closed at the end of the block."""
     stores = settings.stores()
     try:
         stores.open()
@@ -70,6 +70,7 @@ def _opened(settings: Settings) -> Iterator[Stores]:
 
 
 def _say(done: str, manifest: Manifest, as_json: bool) -> None:
+    """Print the numbers of a backup's files by kind, after the word ``done``; or as JSON."""
     figures = {
         "maps": manifest.count("maps/*.rho"),
         "versions": manifest.count("maps/.previous/*"),

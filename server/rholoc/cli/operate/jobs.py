@@ -70,10 +70,12 @@ def open_queue(settings: Settings) -> Iterator[JobQueue]:
 
 
 def _subject(job: Job) -> str:
+    """ "the map NAME" or "the site NAME" that a job is for."""
     return f"the site {job.site}" if job.site else f"the map {job.map_name}"
 
 
 def _outcome(job: Job) -> str:
+    """State of a job with its error, warnings, trust or stage, in one line."""
     if job.error_message is not None:
         return f"{job.state}: {job.error_message}"
     if job.trusted is None and job.warnings:

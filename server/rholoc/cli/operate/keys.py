@@ -111,6 +111,7 @@ def revoke(name: Name, data: Data = None) -> None:
 
 
 def _store(data: Data) -> KeyStore:
+    """The server's keys, in its data folder or in the shared database."""
     settings = service_settings(data_dir=data)
     if settings.shared_storage is not None:
         return opened_keys(settings)
@@ -135,6 +136,7 @@ def _limited(limits: KeyLimits) -> str:
 
 
 def _day(seconds: float) -> str:
+    """Date and minute, local time, of seconds since the epoch."""
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
 
 

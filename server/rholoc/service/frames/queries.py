@@ -227,7 +227,7 @@ def _angles(given: list[float | None] | None, n: int) -> FloatArray:
 
 
 def _descriptors(given: list[str] | str, n: int, extractor: Extractor) -> ByteArray:
-    """Descriptors (N, D) from N hexadecimal strings or one base64 string. Raises InvalidDescriptors for other lengths."""
+    """Descriptors (N, D) from N hexadecimal strings or one base64 string. Raises InvalidDescriptors: another length."""
     length = extractor.descriptor_bytes
     hint = f"This map takes '{extractor.name}' features: {length} bytes each, as hex strings or one base64 string."
     if isinstance(given, str):

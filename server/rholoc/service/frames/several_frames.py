@@ -58,7 +58,7 @@ class Frames:
 
 
 def _frame(query: FramesQuery, number: int, one: FrameIn, images: dict[int, bytes], stored: dict[str, Camera]) -> Frame:
-    """Frame ``number`` of the request, with the picture and camera that were sent beside it. Raises as :meth:`Frames.of`."""
+    """Frame ``number`` of the request, with the picture sent beside it and its camera. Raises as :meth:`Frames.of`."""
     image = images.get(number)
     if (image is not None) + (one.image is not None) + (one.features is not None) != 1:
         raise InvalidInput(
@@ -131,7 +131,7 @@ def _naming(number: int) -> Iterator[None]:
 def _localize(
     frames: Frames, localizer: AnyLocalizer, features: list[FrameFeatures], deadline_s: float, clock: Stopwatch
 ) -> JointLocalization:
-    """Joint answer of one map; without a pose at the deadline [s of the clock]. Raises InvalidInput, naming the frame."""
+    """Joint answer of one map; without a pose at the deadline [s of the clock]. Adds its timings to the clock."""
     queries = []
     for number, (frame, own) in enumerate(zip(frames.frames, features, strict=True)):
         if clock.elapsed_s >= deadline_s:

@@ -216,7 +216,7 @@ class _Parts:
         self._header = self._value = b""
 
     def _headers_finished(self) -> None:
-        """Take the part's name and filename, and add its first event. Raises InvalidRequest: no name, too many fields."""
+        """Take the part's name and filename, and add its first event. Raises InvalidRequest: no name, many fields."""
         _, options = parse_options_header(self._part.headers.get(b"content-disposition", b""))
         if b"name" not in options:
             raise InvalidRequest("A part of the multipart body has no name.", "Let an HTTP library write it.")
