@@ -155,6 +155,7 @@ def temporary_folder(parent: Path, prefix: str = ".") -> Iterator[Path]:
 
 
 def _write(path: Path, data: bytes | memoryview | Iterable[bytes], mode: int) -> None:
+    """Write a new file of ``mode``, in one piece or several, and sync it. Raises OSError, also if it exists."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     try:
         for piece in [data] if isinstance(data, bytes | memoryview) else data:

@@ -34,6 +34,7 @@ def configure_process_logs() -> None:
 
 
 def _handler() -> logging.Handler:
+    """Handler that writes JSON lines to standard error."""
     handler = logging.StreamHandler()
     handler.setFormatter(_JsonLines())
     return handler

@@ -132,10 +132,12 @@ def rigid_alignment(estimated: FloatArray, truth: FloatArray) -> FloatArray:
 
 
 def _percent(fraction: float) -> str:
+    """A fraction as a percentage with one decimal."""
     return f"{100 * fraction:.1f} %"
 
 
 def _number(value: float | None) -> str:
+    """A number with two decimals; "–" for None."""
     return "–" if value is None else f"{value:.2f}"
 
 

@@ -95,13 +95,14 @@ def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = 
 
 
 def in_range(numbers: IntArray, frames: slice) -> BoolArray:
-    """Mask (N,) of the increasing frame numbers (N,) in the slice ``frames``; steps from its start, else the first."""
+    """Mask (N,) of the increasing frame numbers (N,) in the slice ``frames``; a step counts from its start or the first."""
     start = (numbers[0] if len(numbers) else 0) if frames.start is None else frames.start
     stop = np.inf if frames.stop is None else frames.stop
     return np.asarray((numbers >= start) & (numbers < stop) & ((numbers - start) % (frames.step or 1) == 0))
 
 
 def _pair_by_frame(estimated: FramePoses, truth: FramePoses, frames: slice | None) -> PosePairs:
+    """Pairs of all true frames in ``frames``, by their numbers; NaN where there is no estimate."""
     assert estimated.frames is not None
     assert truth.frames is not None
     frames = frames or slice(None)
@@ -119,6 +120,7 @@ def _pair_by_frame(estimated: FramePoses, truth: FramePoses, frames: slice | Non
 
 
 def _pair_by_time(estimated: FramePoses, truth: FramePoses) -> PosePairs:
+    """Pairs of the estimates within ``MATCH_TOLERANCE_S`` of a true pose, each with the nearest one."""
     assert estimated.times is not None
     assert truth.times is not None
     if len(truth) == 0:

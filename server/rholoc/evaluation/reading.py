@@ -36,6 +36,7 @@ def read_frame_poses(path: Path) -> FramePoses:
 
 
 def _is_table_6(path: Path) -> bool:
+    """Whether the first column of a file is called ``timestamp``. Raises InvalidTrajectory if it cannot be read."""
     try:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             return file.readline().lower().startswith("timestamp,")

@@ -167,6 +167,7 @@ def _refitted(map_: Map, degree: int) -> Map:
 
 
 def _most_seen(map_: Map) -> list[int]:
+    """Numbers of the 500 features that most views see."""
     views = np.bincount(map_.observations.features, minlength=len(map_))
     chosen: list[int] = np.argsort(-views, kind="stable")[:_SURFACES].tolist()
     return chosen
@@ -178,6 +179,7 @@ def _pieces(lines: Iterator[str]) -> Iterator[bytes]:
 
 
 def _joined(lines: Iterable[str]) -> Iterator[bytes]:
+    """Iterate over ASCII lines joined to pieces of at least 256 KiB; the last one is shorter."""
     piece = bytearray()
     for line in lines:
         piece += line.encode("ascii")

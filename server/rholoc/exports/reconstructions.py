@@ -61,10 +61,12 @@ def nerfstudio_transforms(map_: Map) -> str:
 
 
 def _name(view: int) -> str:
+    """File name of a view's picture."""
     return f"{view:06d}.jpg"
 
 
 def _nerfstudio_camera(camera: Camera) -> dict[str, Any]:
+    """A camera as nerfstudio writes it. Raises InvalidInput if it cannot."""
     if any(camera.distortion[5:]):
         raise InvalidInput("nerfstudio has no lens with a rational distortion.", "Export the map as colmap.")
     fx, fy = camera.fx, camera.fy
@@ -163,4 +165,5 @@ def _point_numbers(map_: Map) -> np.ndarray:
 
 
 def _numbers(values: Any) -> str:
+    """Numbers as text, 12 digits each, separated by spaces."""
     return " ".join(f"{float(value):.12g}" for value in values)

@@ -49,7 +49,7 @@ class Correction:
         scale: of lengths.
         rotation: (3, 3), rows.
         translation: (3,) metres.
-        residual_m: RMS distance of the map's points from those of the floor plan or on Earth that were given for it.
+        residual_m: RMS distance between the map's and the floor plan's points.
         landmarks_removed, views_removed: their numbers.
     """
 

@@ -249,4 +249,5 @@ def _evidence(map_: Map, feature: int, rays: FloatArray, focal_px: float) -> Evi
 
 
 def _density(map_: Map, evidence: Evidence, T_map_camera: FloatArray, tolerance_px: float) -> FloatArray:
+    """Density ρ (N,) of each match of ``evidence`` at a pose (4, 4)."""
     return optimum_at(map_.densities, evidence, T_map_camera, tolerance_px).density

@@ -210,6 +210,7 @@ def _main(connection: Connection) -> None:
 
 
 def _answer(function: Callable[..., Any], args: tuple[Any, ...], listener: ProgressListener) -> _Returned | _Raised:
+    """Result of the function, or the error that it raised, one other than RholocError and MemoryError as ChildFailed."""
     try:
         return _Returned(function(*args, listener))
     except (RholocError, MemoryError) as error:
@@ -245,6 +246,7 @@ class _Listener:
             self.send(_Progress(stage, float(fraction), message))
 
     def send(self, message: _Progress | _Returned | _Raised) -> None:
+        """Send a message to the parent. Raises Cancelled if that has ended."""
         try:
             with self._lock:
                 self._connection.send(message)

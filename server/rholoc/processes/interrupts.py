@@ -29,6 +29,7 @@ def interruptible() -> Iterator[None]:
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    """Handler of a signal: ignore further ones, and raise KeyboardInterrupt."""
     for number in _INTERRUPTS:
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt

@@ -55,4 +55,5 @@ def report_from_json(kind: type[Report], value: Any) -> Report:
 
 @cache
 def _adapter(kind: Any) -> TypeAdapter[Any]:
+    """Validator of a report's type, made once."""
     return TypeAdapter(kind)

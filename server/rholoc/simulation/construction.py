@@ -42,9 +42,11 @@ class Builder:
     piece: str = ""
 
     def rng(self, name: str) -> np.random.Generator:
+        """Random numbers of the face ``name``, always the same for a seed."""
         return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
 
     def paint(self, name: str, texture: Texture, width_m: float, height_m: float, px_per_m: float) -> Paint:
+        """Paint of a face of this size, by its texture; at least 8 px a side."""
         height, width = max(8, round(height_m * px_per_m)), max(8, round(width_m * px_per_m))
         return Paint(texture(self.rng(name), height, width))
 
@@ -57,7 +59,7 @@ class Builder:
         decor: list[Decor],
         px_per_m: float = WALL_PX_PER_M,
     ) -> Paint:
-        """A wall's paint with its decor on it, cut to pixels; where decor shines, it glows."""
+        """A wall's paint: the texture ``ground`` with decor on it; it glows where decor is a source of light."""
         albedo = self.paint(name, ground, width_m, height_m, px_per_m).albedo
         glow: BoolArray | None = None
         source: Source | None = None
@@ -162,7 +164,7 @@ def window_view(rng: np.random.Generator, height: int, width: int) -> ByteArray:
 
 
 def lamp_diffuser(rng: np.random.Generator, height: int, width: int) -> ByteArray:
-    """Paint (H, W, 3) of a white lamp in a frame of ``FRAME_GRAY``."""
+    """Paint (H, W, 3) BGR of a white lamp in a frame of ``FRAME_GRAY``."""
     image = np.full((height, width, 3), 250, np.uint8)
     cv2.rectangle(image, (0, 0), (width - 1, height - 1), (FRAME_GRAY,) * 3, max(2, width // 20))
     return image

@@ -187,6 +187,7 @@ def _metered(renderer: Renderer, walk: Motion, camera: Camera, times: FloatArray
 def _write_video(
     path: Path, frames: Iterator[ByteArray], camera: Camera, fps: float, count: int, progress: Callable[[float], None]
 ) -> None:
+    """Write ``count`` frames (H, W, 3) BGR as MPEG-4. Raises StorageFull if the file cannot be opened."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (camera.width, camera.height))
     if not writer.isOpened():
         raise StorageFull(f"{path.name} cannot be written.", "Check that the folder is writable and the disk not full.")

@@ -101,18 +101,22 @@ class _Rows:
 
     @property
     def width(self) -> int:
+        """Width [px]."""
         return self.camera.width
 
     @property
     def focal_px(self) -> tuple[float, float]:
+        """Focal lengths along u and v."""
         return self.camera.fx, self.camera.fy
 
     @property
     def centre_px(self) -> tuple[float, float]:
+        """Principal point, u and v, counted from the first of these rows."""
         return self.camera.cx, self.camera.cy - self.top
 
     @property
     def inverse_matrix(self) -> FloatArray:
+        """Matrix (3, 3) from homogeneous pixels of these rows to rays with z = 1."""
         (fx, fy), (cx, cy) = self.focal_px, self.centre_px
         return np.array([[1 / fx, 0, -cx / fx], [0, 1 / fy, -cy / fy], [0, 0, 1]])
 
@@ -127,6 +131,7 @@ class _Room:
 
     @classmethod
     def of(cls, scene: Scene, first: int) -> _Room:
+        """Drawing data of a room whose first face has the index ``first``."""
         counts = first + np.cumsum([len(scene.room.paints), *(len(box.paints) for box in scene.boxes)])
         groups = [range(first, int(counts[0])), *(range(a, b) for a, b in pairwise(counts.tolist()))]
         return cls(DrawOrder(scene.boxes), range(first, int(counts[-1])), groups)
@@ -314,6 +319,7 @@ class Renderer:
 
 
 def _corners(face: Face) -> FloatArray:
+    """Corners (4, 3) [m]: the origin, then those at the ends of ``right``, of both, and of ``down``."""
     a, b = np.array([0.0, 1, 1, 0]), np.array([0.0, 0, 1, 1])
     return face.points(a, b)
 

@@ -130,6 +130,7 @@ class Box:
         return [self._face(name, paint, inside) for name, paint in self.paints.items()]
 
     def _face(self, name: str, paint: Paint, inside: bool) -> Face:
+        """The named face, seen from outside or from ``inside``."""
         x, y, z = self.axes * self.size[:, None]
         normal, right, down = {
             "x+": (x, y, -z),

@@ -44,7 +44,7 @@ def shaded(base: tuple[int, int, int], shade: FloatArray) -> ByteArray:
 
 
 def plaster(base: tuple[int, int, int], strength: float = 1.0) -> Texture:
-    """Texture of a painted wall: stains too large and grain too fine to give features."""
+    """Texture of a wall painted ``base`` (BGR): stains too large and grain too fine to give features."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         shade = 0.015 * noise(rng, height, width, 300, 300) + 0.008 * noise(rng, height, width, 12, 12)
@@ -55,7 +55,7 @@ def plaster(base: tuple[int, int, int], strength: float = 1.0) -> Texture:
 
 
 def wood(base: tuple[int, int, int], vertical: bool = False) -> Texture:
-    """Texture of grain along the width (or height, if ``vertical``), with knots."""
+    """Texture of wood of colour ``base`` (BGR), its grain along the width or ``vertical``, with knots."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         if vertical:
@@ -98,7 +98,7 @@ def fabric(base: tuple[int, int, int]) -> Texture:
 
 
 def planks(base: tuple[int, int, int], plank_px: int = 36) -> Texture:
-    """Texture of a parquet floor: every plank, ``plank_px`` wide, has its own tone, grain and length."""
+    """Texture of a parquet floor of colour ``base`` (BGR): planks ``plank_px`` wide of different tone and length."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         shade = 0.05 * noise(rng, height, width, 2, 60) + 0.03 * noise(rng, height, width, 200, 200)
@@ -125,7 +125,7 @@ def planks(base: tuple[int, int, int], plank_px: int = 36) -> Texture:
 def write_text(
     image: ByteArray, rng: Rng, left: float, top: float, width: float, glyph_px: float, ink: tuple[int, int, int]
 ) -> None:
-    """Draw a line of invented letters ``glyph_px`` high into ``image``, from (left, top), up to ``width`` long."""
+    """Draw a line of invented letters ``glyph_px`` high into ``image``, from (left, top), up to ``width`` px."""
     x = left
     thickness = max(1, round(glyph_px / 9))
     while x + 0.7 * glyph_px < left + width:
@@ -141,7 +141,7 @@ def write_text(
 
 
 def poster(rng: Rng, height: int, width: int) -> ByteArray:
-    """Image of saturated shapes on a graded ground, with a headline and small print."""
+    """Image (H, W, 3) BGR of saturated shapes on a graded ground, with a headline and small print."""
     top, bottom = (
         np.array(random_color(rng, (0.1, 0.8), (0.35, 0.95))),
         np.array(random_color(rng, (0.1, 0.8), (0.35, 0.95))),
@@ -175,7 +175,7 @@ def poster(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def painting(rng: Rng, height: int, width: int) -> ByteArray:
-    """Image of a framed picture: layered hills under a sky, brush strokes all over."""
+    """Image (H, W, 3) BGR of a framed picture: layered hills under a sky, brush strokes all over."""
     sky = np.array(color(rng.uniform(0.5, 0.7), 0.45, 0.9), np.float32)
     image = np.ascontiguousarray(np.broadcast_to(sky, (height, width, 3)))
     rows = np.arange(height)[:, None]
@@ -202,7 +202,7 @@ def painting(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def books(rng: Rng, height: int, width: int) -> ByteArray:
-    """Image of a row of spines of all colours and heights, titles on them, the shelf's shadow above."""
+    """Image (H, W, 3) BGR of a row of spines of all colours and heights, titles on them, the shelf's shadow above."""
     image = np.full((height, width, 3), 28, np.uint8)
     left = 0
     while left < width:
@@ -227,7 +227,7 @@ def books(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def cardboard(rng: Rng, height: int, width: int) -> ByteArray:
-    """Image of a box's side: tape, a label with small print, a big stamp."""
+    """Image (H, W, 3) BGR of a box's side: tape, a label with small print, a big stamp."""
     base = color(0.085 + rng.normal(0, 0.012), rng.uniform(0.35, 0.55), rng.uniform(0.55, 0.75))
     image = shaded(base, 0.03 * noise(rng, height, width, 60, 60) + 0.02 * noise(rng, height, width, 1.5, 14))
     tape = int(width * rng.uniform(0.3, 0.7))
@@ -251,7 +251,7 @@ def cardboard(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def panel(base: tuple[int, int, int], columns: int = 2, rows: int = 1) -> Texture:
-    """Texture of a cupboard's front or a door: ``columns`` × ``rows`` panels with edges, handles, a few stickers."""
+    """Texture of a cupboard or door of colour ``base`` (BGR): ``columns`` × ``rows`` panels, handles, stickers."""
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
         image = wood(base, vertical=height > width)(rng, height, width)
@@ -279,7 +279,7 @@ def panel(base: tuple[int, int, int], columns: int = 2, rows: int = 1) -> Textur
 
 
 def cushions(base: tuple[int, int, int]) -> Texture:
-    """Texture of upholstery with seams and, above 90 px, thrown-on cushions."""
+    """Texture of upholstery of colour ``base`` (BGR) with seams and, above 90 px a side, cushions."""
     columns = 3
 
     def paint(rng: Rng, height: int, width: int) -> ByteArray:
@@ -305,7 +305,7 @@ def cushions(base: tuple[int, int, int]) -> Texture:
 
 
 def fabric_pattern(rng: Rng, height: int, width: int) -> ByteArray:
-    """Image of bands and blots of a few matching colours, as on a rug or a cushion."""
+    """Image (H, W, 3) BGR of bands and blots of a few matching colours, as on a rug or a cushion."""
     inks = [random_color(rng, (0.3, 0.8), (0.25, 0.85)) for _ in range(5)]
     image = np.full((height, width, 3), inks[0], np.uint8)
     for ink in inks[1:]:
@@ -316,7 +316,7 @@ def fabric_pattern(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def whiteboard(rng: Rng, height: int, width: int) -> ByteArray:
-    """Image of handwriting, boxes and arrows on white."""
+    """Image (H, W, 3) BGR of handwriting, boxes and arrows on white."""
     image = shaded((236, 238, 236), 0.01 * noise(rng, height, width, 50, 50))
     for _ in range(6):
         ink = random_color(rng, (0.7, 1.0), (0.2, 0.7))
@@ -344,7 +344,7 @@ def whiteboard(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def screen(rng: Rng, height: int, width: int) -> ByteArray:
-    """Image of a monitor: windows with text on a desktop picture."""
+    """Image (H, W, 3) BGR of a monitor: windows with text on a desktop picture."""
     image = painting(rng, height, width)
     for _ in range(3):
         w, h = int(width * rng.uniform(0.3, 0.55)), int(height * rng.uniform(0.3, 0.6))
@@ -360,7 +360,7 @@ def screen(rng: Rng, height: int, width: int) -> ByteArray:
 
 
 def outdoors(rng: Rng, height: int, width: int) -> ByteArray:
-    """Image of a view through a window: sky, houses, trees."""
+    """Image (H, W, 3) BGR of a view through a window: sky, houses, trees."""
     sky = (
         np.array(color(0.58, 0.3, 1.0), np.float32)
         * (1 + 0.06 * noise(rng, height, width, height / 5, width / 4))[..., None]

@@ -43,13 +43,14 @@ class Wobble:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, rms: FloatArray, low_hz: float, high_hz: float) -> Wobble:
+        """Random wobble: a channel for each of ``rms``, tones of frequencies between these two."""
         amplitudes = rng.uniform(0.5, 1.0, (len(rms), _TONES))
         amplitudes *= (np.asarray(rms) * np.sqrt(2) / np.linalg.norm(amplitudes, axis=1))[:, None]
         frequencies = np.exp(rng.uniform(np.log(low_hz), np.log(high_hz), amplitudes.shape))
         return cls(amplitudes, frequencies, rng.uniform(0, 2 * np.pi, amplitudes.shape))
 
     def __call__(self, times: FloatArray) -> FloatArray:
-        """(N,) → (N, channels)."""
+        """Values (N, channels) at times (N,) [s]."""
         angle = 2 * np.pi * self.frequencies_hz * np.asarray(times)[:, None, None] + self.phases
         return np.asarray((self.amplitudes * np.sin(angle)).sum(axis=2))
 

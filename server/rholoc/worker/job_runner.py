@@ -227,7 +227,7 @@ class JobRunner:
         return store_links(task.built_file, work.options.site, self._folders.sites(), library)
 
     def _task(self, lease: Lease, work: JobWork) -> MappingTask:
-        """The job's task with its granted memory; waits for the storage. Raises as :meth:`JobFolders.task`, Cancelled."""
+        """The job's task; waits for the storage. Raises the errors of :meth:`JobFolders.task`, and Cancelled."""
         memory_bytes = self._running.granted_bytes(lease)
         return self._patiently(lease, lambda: self._folders.task(lease, work, memory_bytes))
 

@@ -77,7 +77,7 @@ def store_links(file: Path, site_name: str, sites: SiteLibrary, library: MapLibr
 
 
 def _store(pairs: Sequence[SearchedPair], site_name: str, sites: SiteLibrary, library: MapLibrary) -> tuple[str, ...]:
-    """Add the links to the site; returns reasons why maps are not placed. Raises Conflict if the site changes meanwhile."""
+    """Add the links to the site; returns why maps are not placed. Raises Conflict if the site changes meanwhile."""
     before = sites.get(site_name)
     site, problems = add_links(before, pairs, lambda name: _state(library, name))
     if site != before:
