@@ -95,7 +95,7 @@ def pair_poses(estimated: FramePoses, truth: FramePoses, frames: slice | None = 
 
 
 def in_range(numbers: IntArray, frames: slice) -> BoolArray:
-    """Mask (N,) of the increasing frame numbers (N,) in the slice ``frames``; a step counts from its start or the first."""
+    """Mask (N,) of increasing frame numbers (N,) in a slice, whose step counts from its start or the first number."""
     start = (numbers[0] if len(numbers) else 0) if frames.start is None else frames.start
     stop = np.inf if frames.stop is None else frames.stop
     return np.asarray((numbers >= start) & (numbers < stop) & ((numbers - start) % (frames.step or 1) == 0))

@@ -210,7 +210,7 @@ def _main(connection: Connection) -> None:
 
 
 def _answer(function: Callable[..., Any], args: tuple[Any, ...], listener: ProgressListener) -> _Returned | _Raised:
-    """Result of the function, or the error that it raised, one other than RholocError and MemoryError as ChildFailed."""
+    """Result of the function, or the error that it raised; ChildFailed for others than RholocError, MemoryError."""
     try:
         return _Returned(function(*args, listener))
     except (RholocError, MemoryError) as error:
