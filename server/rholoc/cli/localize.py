@@ -142,12 +142,12 @@ def _guessed(recording: Recording) -> Camera:
 
 
 def recording_camera(recording: Recording, info: MapInfo) -> Camera:
-    """The frames' camera: the recording's, or the map's (with a notice) if its size fits. Raises InvalidCamera."""
+    """The recording's camera; without one as :func:`camera_of`, the map's or InvalidCamera."""
     return camera_of(recording.camera, recording.frames.size, info)
 
 
 def camera_of(camera: Camera | None, size: tuple[int, int], info: MapInfo) -> Camera:
-    """``camera``, or if that is None the map's (with a notice) if its size [px] fits. Raises InvalidCamera."""
+    """``camera``, or if None the map's, with a notice. Raises InvalidCamera if the map's is not of ``size`` [px]."""
     if camera is not None:
         return camera
     if size != (info.camera.width, info.camera.height):
@@ -178,7 +178,7 @@ def _localize_frames(
 
 
 def _write_bag(path: Path, times: FloatArray, answers: Sequence[Localization], T_base_camera: FloatArray) -> None:
-    """Write the answers to a bag of ROS 2: beliefs of all frames, poses of those that were localized."""
+    """Write the answers at times (N,) [s] to a bag of ROS 2: beliefs of all frames, poses of those localized."""
     from rholoc.tracking.pose_bag import PoseBag
 
     with PoseBag(path, T_base_camera) as bag:

@@ -179,7 +179,7 @@ def _pieces(lines: Iterator[str]) -> Iterator[bytes]:
 
 
 def _joined(lines: Iterable[str]) -> Iterator[bytes]:
-    """Iterate over ASCII lines joined to pieces of at least 256 KiB; the last one is shorter."""
+    """Iterate over ASCII lines joined to pieces of at least 256 KiB; the last piece is what is left, maybe nothing."""
     piece = bytearray()
     for line in lines:
         piece += line.encode("ascii")

@@ -106,7 +106,7 @@ class UploadStore:
         self._assembling = threading.Lock()
 
     def create(self, file_name: str, length: int, map_name: str, options: JobOptions) -> Upload:
-        """Begin an upload of ``length`` bytes.
+        """Begin an upload of ``length`` bytes of a recording's file; its job will make ``map_name`` with ``options``.
 
         Raises:
             InvalidRecording: the name is not a recording's, or there is nothing to upload.

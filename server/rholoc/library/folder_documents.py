@@ -33,7 +33,7 @@ class Documents(ABC):
 
     @abstractmethod
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
-        """Store a file, or remove it if ``content`` is None. Returns False if refused, or already missing. ``accepts``,
+        """Store a file, or remove it if ``content`` is None. False if refused, or missing already. ``accepts``,
         if given, must return True for the present content, which is None if the file is missing.
         """
 
@@ -85,7 +85,7 @@ class FolderDocuments(Documents):
         return changed_ns if time.time_ns() - changed_ns > _TICK_NS else None
 
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
-        """As :meth:`Documents._set`, with the folder locked against other processes."""
+        """Store a file, or remove it (``content`` None), in the locked folder. False if refused, or already missing."""
         path = self._folder / name
         if content is None and not path.exists():
             return False

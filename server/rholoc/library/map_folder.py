@@ -180,7 +180,7 @@ class _Change:
         self.wanted: dict[str, str | None] = {}
 
     def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
-        """As :meth:`MapChange.arrange`, at the end of the change."""
+        """At the change's end, set a name's file (None deletes it), and keep the first five of ``versions``."""
         files = [present, *versions[:KEPT_VERSIONS]]
         for number in range(KEPT_VERSIONS + 1):
             file = files[number] if number < len(files) else None

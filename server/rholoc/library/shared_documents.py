@@ -31,11 +31,11 @@ class StoredDocuments(Documents):
             raise FileNotFoundError(name) from error
 
     def stamp(self) -> object:
-        """The catalogue's revision."""
+        """The catalogue's revision at the last refresh; -1 before the first."""
         return self._replica.revision
 
     def _set(self, name: str, content: bytes | None, called: str, accepts: Accepts | None = None) -> bool:
-        """As :meth:`Documents._set`, in one transaction of the catalogue."""
+        """Store a file, or remove it (``content`` None), in a transaction. False if refused, or already missing."""
         table, path = documents_table, self._prefix + name
         with self._replica.changing() as (connection, revision):
             present = connection.execute(sa.select(table.c.content).where(table.c.path == path)).scalar()

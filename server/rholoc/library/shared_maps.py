@@ -144,7 +144,7 @@ class _Change:
         return [_replaced(*row) for row in self._connection.execute(wanted)]
 
     def arrange(self, name: str, present: MapFile | None, versions: Sequence[MapFile]) -> None:
-        """As :meth:`MapChange.arrange`, in this transaction."""
+        """Set a name's file (None deletes it), and keep the first :data:`KEPT_VERSIONS` of ``versions``."""
         self._connection.execute(map_versions_table.delete().where(map_versions_table.c.name == name))
         for number, file in enumerate(versions[:KEPT_VERSIONS], start=1):
             self._connection.execute(map_versions_table.insert().values(name=name, number=number, **_columns(file)))

@@ -129,7 +129,7 @@ def _plane(rotations: FloatArray, upright: bool) -> tuple[FloatArray, FloatArray
 
 
 def _height_and_pitch(positions: FloatArray, rotations: FloatArray, up: FloatArray) -> tuple[float, float]:
-    """Median height [m] and median pitch above the plane [rad] of the views."""
+    """Median height along ``up`` (3,), and pitch [rad] above its plane, of positions (K, 3) and rotations (K, 3, 3)."""
     if len(positions) == 0:
         return 0.0, 0.0
     return float(np.median(positions @ up)), float(np.median(np.arcsin(np.clip(rotations[:, :, 2] @ up, -1, 1))))
@@ -147,7 +147,7 @@ def _metre(map_: Map, positions: FloatArray) -> float:
 
 
 def _grid(places: FloatArray, metre: float) -> tuple[FloatArray, float, IntArray]:
-    """Origin (2,), step, and cells (C, 2) of the grid within 0.75 m of ``places`` (K, 2); a larger step if C > 250."""
+    """Origin (2,), step and cells (C, 2) of the grid within 0.75 ``metre`` of ``places`` (K, 2), at most 250 cells."""
     step = _STEP_M * metre
     if len(places) == 0:
         return np.zeros(2), step, np.zeros((0, 2), dtype=np.int64)

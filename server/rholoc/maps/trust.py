@@ -41,5 +41,5 @@ def expected_error_m(info: MapInfo) -> float | None:
 
 
 def consistency_m(info: MapInfo) -> float | None:
-    """Median distance between localized held-out frames and their poses in the walk [m]; None if unknown."""
+    """Median distance of localized held-out frames from their poses in the walk [m]; None if unknown, or not metric."""
     return info.report.held_out.median_m if info.metric and info.report.held_out else None

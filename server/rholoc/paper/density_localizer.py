@@ -89,6 +89,6 @@ class DensityLocalizer:
     def localize(
         self, features: FeatureSet, camera: Camera, dof: Dof = Dof.FREE, start: FloatArray | None = None
     ) -> Ascent | None:
-        """The ascent with the highest optimum; None if there is none, or it has fewer than six inliers."""
+        """The one of :meth:`ascents` with the highest optimum; None without one, or with fewer than six inliers."""
         best = max(self.ascents(features, camera, dof, start), key=lambda one: one.optimum.value, default=None)
         return best if best is not None and best.inliers >= _MIN_MATCHES else None

@@ -178,7 +178,7 @@ def _trust(map_: Map) -> str:
 
 
 def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> None:
-    """Plot the cumulative distribution of the held-out frames' errors, or say why there is none."""
+    """Plot the distribution function of held-out frames' errors × ``factor`` in ``unit``, or say why there is none."""
     _panel(
         axes,
         "Consistency of frames of the walk",
@@ -217,7 +217,7 @@ def _plot_errors(axes: Axes, report: MapReport, unit: str, factor: float) -> Non
 
 
 def _quantiles(report: MapReport, unit: str, factor: float) -> str:
-    """One text with the report's median and 90th percentile of errors, or that none are known."""
+    """Text with the report's median and 90th percentile of errors × ``factor`` in ``unit``, or that none are known."""
     frames = report.held_out
     if frames is None or frames.median_m is None or frames.p90_m is None:
         return _NO_FRAMES
@@ -226,7 +226,7 @@ def _quantiles(report: MapReport, unit: str, factor: float) -> str:
 
 
 def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: float) -> None:
-    """Plot the confidences of the held-out frames' answers over their errors, or say why there are none."""
+    """Plot confidences of held-out frames over their errors × ``factor`` in ``unit``, or say why there are none."""
     _panel(axes, "… and their confidence", f"from the walk's own position, {unit}", "confidence")
     if held_out is None:
         _say(axes, _NO_FRAMES)
@@ -242,7 +242,7 @@ def _plot_confidences(axes: Axes, held_out: _HeldOut | None, unit: str, factor: 
 
 
 def _plot_expected_error(axes: Axes, map_: Map, unit: str, factor: float) -> None:
-    """Plot the expected error of each view."""
+    """Plot the expected error of each view, times ``factor`` in ``unit``."""
     _panel(axes, "Expected error over the walk", "view", f"root mean square, {unit}")
     errors = factor * map_.views.expected_errors_m
     numbers = np.arange(len(errors))
@@ -279,7 +279,7 @@ def _plot_views_per_landmark(axes: Axes, map_: Map) -> None:
 
 
 def _range(values: FloatArray) -> tuple[float, float]:
-    """Limits of a logarithmic axis, without the percentiles ``_HIDDEN_SHARE``."""
+    """Limits of a logarithmic axis for values (N,), a little beyond their percentiles 0.5 and 99.5."""
     low, high = (float(value) for value in np.percentile(values, _HIDDEN_SHARE))
     return low / 1.1, max(high, 1.5 * low) * 1.1
 

@@ -216,8 +216,8 @@ def _sources(faces: list[Face], conditions: _Conditions) -> _Emitters:
 def _gather(
     scene: Scene, points: FloatArray, normals: FloatArray, emitters: _Emitters, softening_m2: float = 0.0
 ) -> FloatArray:
-    """Illuminance (N, 3) [lux] at points: Σ I cosθ cosθ' / d², where nothing stands between; ``softening_m2`` is added
-    to one d².
+    """Illuminance (N, 3) [lux] at points (N, 3) with normals (N, 3): Σ I cosθ cosθ' / d², where nothing stands between;
+    ``softening_m2`` is added to one d².
     """
     total = np.zeros((len(points), 3))
     for place, normal, intensity in zip(emitters.places, emitters.normals, emitters.intensities, strict=True):
@@ -234,7 +234,7 @@ def _gather(
 def _sunlight(
     scene: Scene, faces: list[Face], points: FloatArray, normals: FloatArray, conditions: _Conditions
 ) -> FloatArray:
-    """The sun's illuminance (N, 3) [lux] where its rays come in through a window's glass; 0 elsewhere."""
+    """The sun's illuminance (N, 3) [lux] of points, normals (N, 3) that it reaches through a window's glass; else 0."""
     total = np.zeros((len(points), 3))
     if conditions.sun_illuminance == 0:
         return total

@@ -43,7 +43,7 @@ class Wobble:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, rms: FloatArray, low_hz: float, high_hz: float) -> Wobble:
-        """Random wobble: a channel for each of ``rms``, tones of frequencies between these two."""
+        """Random wobble with a channel for each root mean square in ``rms``, its tones between these frequencies."""
         amplitudes = rng.uniform(0.5, 1.0, (len(rms), _TONES))
         amplitudes *= (np.asarray(rms) * np.sqrt(2) / np.linalg.norm(amplitudes, axis=1))[:, None]
         frequencies = np.exp(rng.uniform(np.log(low_hz), np.log(high_hz), amplitudes.shape))

@@ -36,7 +36,7 @@ class JobFolders:
         self._max_frame_pixels = max_frame_pixels
 
     def task(self, lease: Lease, work: JobWork, memory_bytes: float) -> MappingTask:
-        """The job's task, its inputs fetched to this machine.
+        """The job's task, granted ``memory_bytes``, its inputs fetched to this machine.
 
         Raises:
             UnknownRecording, UnknownMap, UnknownSite, UnknownCamera: an input was deleted.

@@ -84,7 +84,7 @@ def assemble(info: MapInfo, views: Views, landmarks: Landmarks, view_sources: In
 
 
 def mean_colours(seen: ByteArray, features: IntArray, count: int) -> ByteArray:
-    """Mean colour (count, 3) of each feature over its observations (V,) with colours (V, 3); 0 without any."""
+    """Mean colour (count, 3) of each feature over observations of ``features`` (V,) in colours (V, 3); 0 without."""
     sums = [np.bincount(features, weights=seen[:, channel], minlength=count) for channel in range(3)]
     counts = np.maximum(np.bincount(features, minlength=count), 1)
     return np.asarray(np.round(np.column_stack(sums) / counts[:, None]).astype(np.uint8))

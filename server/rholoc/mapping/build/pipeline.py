@@ -183,7 +183,7 @@ def _look(
 
 
 def _ranges(walk: _Walk, row: int, features: FeatureSet) -> FloatArray:
-    """Distances (F,) [m] of a frame's features by its depth image; NaN where unknown or without a metric scale."""
+    """Distances (F,) [m] of features in the trajectory's ``row`` by its depth image; NaN if unknown or not metric."""
     depth, camera = walk.recording.depth, walk.trajectory.camera
     image = (
         None

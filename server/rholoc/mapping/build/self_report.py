@@ -68,7 +68,7 @@ def _held_out_errors(map_: Map, held_out: Sequence[Frame], progress: ProgressLis
 
 
 def _error_statistics(errors: list[tuple[float, float] | None], confidences: list[float]) -> HeldOutReport:
-    """Statistics of the errors [m, deg] of held-out frames (None for a refused frame), and the errors."""
+    """Statistics of held-out frames: errors [m, deg], None for a refused frame, and confidences, which it lists too."""
     found = [error for error in errors if error is not None]
     distances, angles = np.array(found).reshape(-1, 2).T
     return HeldOutReport(

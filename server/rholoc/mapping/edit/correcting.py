@@ -199,7 +199,7 @@ def _moved(
     metric: bool = False,
     residual_m: float | None = None,
 ) -> Map:
-    """The map moved by a similarity, with the correction noted in its history."""
+    """Next version of the map, moved; ``upright`` and ``metric`` are set if True. The correction has ``residual_m``."""
     moved = move_map(map_, similarity)
     info = replace(moved.info, upright=moved.info.upright or upright, metric=moved.info.metric or metric)
     moved = replace(moved, info=info)

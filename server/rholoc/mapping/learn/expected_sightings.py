@@ -130,7 +130,7 @@ _NOTHING: _Sight = (np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=
 
 
 def _sight(index: MapIndex, one: Looked, recorded: BoolArray, by_recording: BoolArray) -> _Sight:
-    """Expected sightings of one camera without hidden landmarks; empty if it saw fewer than twelve landmarks."""
+    """As :func:`_expected`, without hidden landmarks; empty if the camera saw fewer than twelve landmarks."""
     landmarks, chances, seen = _expected(index, one, recorded, by_recording)
     if seen.sum() < _MIN_SEEN:
         return _NOTHING

@@ -226,7 +226,7 @@ def _collected(frames: Iterable[Shown], count: int, progress: ProgressListener) 
 
 
 def _camera_of(recording: Recording, info: MapInfo) -> Camera:
-    """The recording's camera, or the map's if it has the same size and the recording has none. Raises InvalidCamera."""
+    """The recording's camera, else the map's if frames have its size. Raises InvalidCamera if they do not."""
     if recording.camera is not None:
         return recording.camera
     if recording.frames.size == (info.camera.width, info.camera.height):

@@ -211,7 +211,7 @@ def _window(camera: Camera, R_camera_pair: FloatArray) -> tuple[float, FloatArra
 def _rectified(
     image: ByteArray, camera: Camera, R_camera_pair: FloatArray, focal: float, centre: FloatArray
 ) -> tuple[ByteArray, BoolArray]:
-    """A frame as a camera in a pair's axes sees it (S, S, 3) BGR, and the mask (S, S) of pixels that it shows."""
+    """A frame in a pair's axes (S, S, 3) BGR, by ``focal`` and ``centre`` [px]; the mask (S, S) of what it shows."""
     camera = camera.fitted(*image.shape[1::-1])
     pixels = camera.project(_rays(focal, centre, _COARSE) @ R_camera_pair.T).reshape(len(_FINER[0]), -1, 2)
     at_u, at_v = (_FINER @ np.nan_to_num(pixels[..., k], nan=-1e4) @ _FINER.T for k in range(2))
@@ -241,7 +241,7 @@ _FINER = _interpolation()
 
 
 def _disparity(left: ByteArray, right: ByteArray, disparities: int) -> FloatArray:
-    """Disparity (S, S) float32 of the left picture [px]; negative or NaN where it is not known or has no contrast."""
+    """Disparity (S, S) float32 of ``left`` [px], below ``disparities``; negative or NaN where unknown or blank."""
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=disparities,

@@ -175,7 +175,7 @@ def _set(grid: DistanceGrid, voxels: BoolArray, distances: FloatArray) -> None:
 
 
 def _floor_area(grid: DistanceGrid, floor: float, walls: list[Wall], x: FloatArray, y: FloatArray) -> BoolArray:
-    """Mask (X, Y) of the convex hull of the voxel columns in which something was seen, cut off behind the walls."""
+    """Mask (X, Y) of the convex hull of the columns, at x and y, that show anything, cut off behind the walls."""
     seen = np.asarray(grid.known.any(axis=2), dtype=np.uint8)
     hull = np.zeros_like(seen)
     points = cv2.findNonZero(seen)

@@ -102,7 +102,7 @@ def read_coefficient_table(path: Path, called: str = "") -> Map:
 
 
 def _header(name: str, columns: list[str]) -> _Header:
-    """The form implied by the column names, which must be exactly those of that form. Raises InvalidMap."""
+    """The form implied by the column names. Raises InvalidMap unless they are exactly those of that form, in order."""
     coefficients = [name for name in columns if name.startswith("a_")]
     last = coefficients[-1].removeprefix("a_").split("_") if coefficients else []
     forms: dict[int, list[type[Densities]]] = {}
@@ -162,7 +162,7 @@ def _rows(name: str, lines: Iterator[str], header: _Header) -> Iterator[tuple[in
 
 
 def _add(name: str, row: int, header: _Header, values: list[str], features: dict[int, _Feature]) -> None:
-    """Add a row's descriptor and density to its feature. Raises InvalidMap if it contradicts earlier rows."""
+    """Add the descriptor and density of a row's texts ``values`` to ``features``. Raises InvalidMap: contradictions."""
     first = header.first_after
     domain_end = first + 1 + len(header.form.domain_columns)
     domain_texts, place_texts = tuple(values[first + 1 : domain_end]), tuple(values[domain_end:-6])
@@ -197,7 +197,7 @@ def _add(name: str, row: int, header: _Header, values: list[str], features: dict
 
 
 def _descriptor(name: str, row: int, text: str) -> tuple[int, bytes]:
-    """Channel and descriptor from hexadecimal digits. Raises InvalidMap."""
+    """Channel and descriptor from hexadecimal digits. Raises InvalidMap for other text, or less than two bytes."""
     try:
         data = bytes.fromhex(text)
     except ValueError:

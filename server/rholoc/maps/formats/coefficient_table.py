@@ -29,7 +29,7 @@ VIEW_NUMBERS = 8  # time, x, y, z, qx, qy, qz, qw
 
 
 def table_columns(form: type[Densities], degree: int) -> list[str]:
-    """The names of all columns, in their order."""
+    """The names of all columns of a table of this form and degree P, in order."""
     powers = tensor_powers(len(form.variables), degree).tolist()
     coefficients = ["a_" + "_".join(map(str, of_one)) for of_one in powers]
     place = [*form.domain_columns, *LANDMARK_COLUMNS, *COVARIANCE_COLUMNS]

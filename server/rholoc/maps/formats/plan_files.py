@@ -188,7 +188,7 @@ def _member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
 
 
 def _settings(text: bytes) -> dict[str, Any]:
-    """``image``, ``origin`` (x, y, yaw [rad]), ``resolution`` [m per pixel] of ``map_server``. Raises InvalidInput."""
+    """``image``, ``origin`` (x, y, yaw [rad]), ``resolution`` [m per pixel]. Raises InvalidInput if one is missing."""
     try:
         settings = yaml.safe_load(text)
         x, y, yaw = (float(value) for value in settings["origin"])

@@ -73,7 +73,7 @@ def piece(
 
 
 def data_array(name: str, kind: str, values: FloatArray | IntArray, form: str, components: int = 1) -> str:
-    """A DataArray element: ``values`` (N,) or (N, components), written with ``form``."""
+    """A DataArray element: ``values`` (N,) or (N, components) of VTK's type ``kind``, written with ``form``."""
     text = io.StringIO()
     np.savetxt(text, values, fmt=form)
     opening = f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{components}" format="ascii">'

@@ -167,7 +167,7 @@ def _read_values(path: Path) -> tuple[list[str], FloatArray]:
 
 
 def _parse(row: Sequence[str], line: int, header: Sequence[str], path: Path) -> list[float]:
-    """Values of the known columns, in the header's order. Raises InvalidTrajectory."""
+    """Values of the known columns, in the header's order. Raises InvalidTrajectory: one is no number, or missing."""
     if len(row) != len(header):
         raise InvalidTrajectory(f"{path.name}, row {line}: {len(row)} values under {len(header)} column names.")
     known = [(name, value) for name, value in zip(header, row, strict=True) if name in TRAJECTORY_COLUMNS]

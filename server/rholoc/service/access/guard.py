@@ -160,7 +160,7 @@ class Guard:
         return key
 
     async def _check_key(self, authorization: str, needed: KeyScope) -> ApiKey | None:
-        """The key that allows the request, of at least the scope ``needed``; None if the server needs no keys.
+        """The key in a header ``authorization``, of at least the scope ``needed``; None if the server needs no keys.
 
         Raises:
             Unauthorized: there is no key, or it is unknown, revoked or expired.

@@ -225,7 +225,7 @@ def _maps(held: Sequence[Holding], present: _Present) -> set[str]:
 
 
 def _check(what: str, wanted: int, most: int | None, used: int, name: str) -> None:
-    """Raise QuotaExceeded if ``wanted`` exceeds the limit ``most`` of the key ``name``; None is no limit."""
+    """Raise QuotaExceeded, naming ``what`` and ``used``, if ``wanted`` exceeds ``most`` (None: no limit)."""
     if most is not None and wanted > most:
         raise QuotaExceeded(
             f"The key {name} may have {most} {what}, and has {used}.",

@@ -208,7 +208,7 @@ def _query(dependant: Dependant) -> frozenset[str]:
 
 
 def _declared(context: RouteContext) -> Access | None:
-    """The access that a route declares, the greatest of several scopes; None without a declaration."""
+    """Access that a route declares: the greatest of its scopes, or open to everyone; None without a declaration."""
     declared = [one for one in getattr(context, "dependencies", ()) if isinstance(one, SecurityParameter)]
     scopes = [Scope(scope) for one in declared if one.dependency in _CHECKS for scope in one.scopes or ()]
     if scopes:

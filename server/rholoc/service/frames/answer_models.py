@@ -228,7 +228,7 @@ def _estimated_camera(found: Localization) -> EstimatedCameraOut | None:
 
 
 def _agreeing(localizer: AnyLocalizer, found: Localization) -> MatchesOut:
-    """Pixels and landmarks of the inliers; both empty without a pose."""
+    """Pixels and landmarks of the answer's inliers, one entry of each list per inlier."""
     landmarks = localizer.map.landmarks.positions[found.inlier_features]
     return MatchesOut(pixels=found.inlier_pixels.round(1).tolist(), landmarks=landmarks.round(4).tolist())
 

@@ -196,11 +196,11 @@ class _Parts:
             raise TooLarge("The multipart body has too many parts.", "Send fewer, or pack the files into one ZIP file.")
 
     def _header_field(self, data: bytes, start: int, end: int) -> None:
-        """Add to the name of the present header."""
+        """Add ``data[start:end]`` to the name of the present header."""
         self._header += self._of_header(data[start:end])
 
     def _header_value(self, data: bytes, start: int, end: int) -> None:
-        """Add to the value of the present header."""
+        """Add ``data[start:end]`` to the value of the present header."""
         self._value += self._of_header(data[start:end])
 
     def _of_header(self, data: bytes) -> bytes:
@@ -230,7 +230,7 @@ class _Parts:
         self.events.append(_Event(self._part, b""))
 
     def _data(self, data: bytes, start: int, end: int) -> None:
-        """Add an event with some of the part's data."""
+        """Add an event with ``data[start:end]`` of the part's content, if not empty."""
         if end > start:
             self.events.append(_Event(self._part, data[start:end]))
 
