@@ -11,6 +11,7 @@ class _JsonLines(logging.Formatter):
     """Records as JSON: event, logger, level, UTC time, a plain traceback, and what ``extra`` says."""
 
     def format(self, record: logging.LogRecord) -> str:
+        """The record as one line of JSON."""
         line = {name: value for name, value in vars(record).items() if name not in _OF_EVERY_RECORD}
         line |= {"event": record.getMessage(), "logger": record.name, "level": record.levelname.lower()}
         line["timestamp"] = datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")

@@ -165,5 +165,5 @@ def _point_numbers(map_: Map) -> np.ndarray:
 
 
 def _numbers(values: Any) -> str:
-    """Numbers as text, 12 digits each, separated by spaces."""
+    """Numbers as text, 12 significant digits each, separated by spaces."""
     return " ".join(f"{float(value):.12g}" for value in values)

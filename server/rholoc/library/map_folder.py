@@ -72,6 +72,7 @@ class MapFolder(MapCatalogue):
             return None
 
     def local(self, file: MapFile) -> Path:
+        """Path of the file, which is in the folder itself."""
         return self.folder / file.key
 
     def outline(self, file: MapFile, name: str) -> MapOutline:
@@ -79,6 +80,7 @@ class MapFolder(MapCatalogue):
         return load_outline(self.local(file))
 
     def make_room(self) -> None:
+        """Make the folder if it is missing. Raises InvalidInput, StorageFull: it cannot be made."""
         make_folder(self.folder)
 
     def store(self, arrived: Path, map_: Map) -> MapFile:

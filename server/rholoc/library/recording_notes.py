@@ -154,7 +154,7 @@ def waypoints_file(waypoints: Sequence[RecordedWaypoint], notes: RecordingNotes 
 
 
 def _span(notes: RecordingNotes | None) -> MissingImages:
-    """The times of a recording's first and last frame; no frame numbers, as corrected waypoints only have times."""
+    """The times of a recording's first and last frame, infinite if unknown; no frame numbers."""
     span = (-np.inf, np.inf)
     if notes is not None and notes.first_s is not None and notes.last_s is not None:
         span = (notes.first_s, notes.last_s)

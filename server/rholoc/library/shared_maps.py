@@ -40,6 +40,7 @@ class StoredMaps(MapCatalogue):
 
     @property
     def folder(self) -> Path:
+        """Folder of the cached copies."""
         return self._copies.folder
 
     def names(self) -> list[str]:
@@ -63,13 +64,16 @@ class StoredMaps(MapCatalogue):
         return self._replica.revision
 
     def refresh(self) -> None:
+        """Load other servers' changes; does nothing if the database does not answer."""
         with suppress(SQLAlchemyError):
             self._replica.refresh()
 
     def look_again(self) -> None:
+        """:meth:`refresh` on a cache miss, at most every 0.1 s."""
         self._replica.look_again()
 
     def is_here(self, file: MapFile) -> bool:
+        """Whether a copy of the file is in the cache."""
         return self._copies.has(file.key)
 
     def local(self, file: MapFile) -> Path:
@@ -82,6 +86,7 @@ class StoredMaps(MapCatalogue):
         return outline_of(self._copies.read(file.key, LENGTH_BYTES, length), name)
 
     def make_room(self) -> None:
+        """Make the folder of copies if it is missing, and evict copies to leave room on its disk."""
         make_folder(self.folder)
         self._copies.make_room()  # other files may have filled the disk
 

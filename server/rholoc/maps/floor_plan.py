@@ -64,7 +64,7 @@ def check_plan(content: bytes, plan: FloorPlan) -> FloorPlan:
 
     Raises:
         TooLarge: it is longer than ``MAX_PLAN_BYTES``.
-        InvalidInput: the file is not of its type, or its pose is not valid.
+        InvalidInput: the file is not of its type, or is a picture that cannot be shown; or its pose is not valid.
     """
     if len(content) > MAX_PLAN_BYTES:
         raise TooLarge(f"The floor plan is longer than {MAX_PLAN_BYTES} bytes.", "Make the picture smaller.")

@@ -195,7 +195,7 @@ def landscape_around(
     T_map_camera: FloatArray | None,
     check: Callable[[], None] = _go_on,
 ) -> Landscape | None:
-    """Landscape of an ascent around a pose (4, 4), or around the best optimum; None if fewer than six features match.
+    """Landscape around a pose (4, 4), or if that is None the best optimum; None if fewer than six features match.
 
     Args:
         localizer: of the map.

@@ -98,7 +98,7 @@ def _plot_coverage(figure: Figure, axes: Axes, map_: Map, coverage: Coverage) ->
 
 
 def _wedges(coverage: Coverage) -> list[FloatArray]:
-    """A polygon (5, 2) for each position and heading, in the plane of the coverage."""
+    """For each position and heading the centre and four points of the arc, (5, 2) [m], in the plane of the coverage."""
     centres = coverage.positions @ coverage.axes.T
     width = 360.0 / len(coverage.headings_deg)
     arcs = np.deg2rad(coverage.headings_deg[:, None] + np.linspace(-width / 2, width / 2, _ARC_STEPS))

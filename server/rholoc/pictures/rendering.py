@@ -41,7 +41,7 @@ def serve(requests: TextIO, answers: TextIO) -> None:
 
 
 def _answer(request: dict[str, str]) -> dict[str, str]:
-    """Draw what a request wants into its file ``target``; the answer to it."""
+    """Draw a rendering into the request's file ``target``. Returns {}, or an error as "code", "error" and "hint"."""
     name = request["name"]
     try:
         map_ = load_map(Path(request["source"]), f"{name}.rho")

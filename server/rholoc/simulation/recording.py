@@ -134,7 +134,7 @@ def _film(
     scene: Scene | Building,
     readout_s: float,
 ) -> Iterator[ByteArray]:
-    """Iterate over the frames (H, W, 3) BGR in order, drawn by as many threads as there are cores."""
+    """Iterate over the frames (H, W, 3) BGR at times (N,) [s], drawn by as many threads as there are cores."""
     renderer, white = _lit_renderer(scene, light)
     gains = _metered(renderer, walk, camera, times)
 

@@ -48,7 +48,7 @@ class Atlas:
 
     @classmethod
     def of(cls, paints: Sequence[ByteArray]) -> Atlas:
-        """Pack the mipmaps of images (H, W, 3), seven levels each, highest first, in rows of 8192 px."""
+        """Pack the mipmaps of images (H, W, 3), seven levels each, tallest first, in rows of 8192 px."""
         tiles: list[tuple[int, int, ByteArray]] = []
         scale = np.ones((2, len(paints), _MAX_LEVELS), np.float32)
         place = np.zeros((2, len(paints), _MAX_LEVELS), np.float32)
@@ -106,7 +106,7 @@ class _Rows:
 
     @property
     def focal_px(self) -> tuple[float, float]:
-        """Focal lengths along u and v."""
+        """Focal lengths along u and v [px]."""
         return self.camera.fx, self.camera.fy
 
     @property
@@ -325,7 +325,7 @@ def _corners(face: Face) -> FloatArray:
 
 
 def _may_be_seen(part: _Rows, polygons: FloatArray) -> BoolArray:
-    """Mask (F,) of polygons (F, N, 3) in the camera frame not wholly beyond a side of the view, or nearer than 2 cm."""
+    """Mask (F,) of polygons (F, N, 3), camera frame, not all beyond one side of the view nor all nearer than 2 cm."""
     x, y, z = np.moveaxis(polygons, 2, 0)
     (fx, fy), (cx, cy) = part.focal_px, part.centre_px
     left, right = -(cx + 1) / fx, (part.width - cx) / fx

@@ -113,7 +113,7 @@ def make_blank_wall() -> Scene:
 
 
 def _block(build: Builder, framed: _Framed, ground: Texture) -> None:
-    """Add the block of ``ground`` colour, with ``framed`` pictures, that cuts the room to an L."""
+    """Add the block that cuts the room to an L, painted with ``ground`` and hung with pictures by ``framed``."""
     length, _, height = ROOM_SIZE_M
     edge_x, edge_y = 3.2, 2.2
     board = Decor(0.55, 1.05, 1.35, 0.95, textures.whiteboard)

@@ -165,8 +165,8 @@ class Scene:
         return self.room.faces(inside=True) + [face for box in self.boxes for face in box.faces()]
 
     def blocked(self, start: FloatArray, end: FloatArray, margin: float = 1e-4) -> BoolArray:
-        """Mask (...) of where a box stands between points ``start`` (..., 3) and ``end`` (..., 3), less ``margin`` of
-        it at either end.
+        """Mask (...) of where a box stands between points ``start`` (..., 3) and ``end`` (..., 3), without the share
+        ``margin`` of the way at either end.
         """
         start, end = np.broadcast_arrays(np.asarray(start, np.float32), np.asarray(end, np.float32))
         shape, start, end = start.shape[:-1], start.reshape(-1, 3), end.reshape(-1, 3)

@@ -56,7 +56,7 @@ def expose(gains: FloatArray, white_luminance: float) -> Exposure:
 
 
 def develop(picture: ByteArray, exposure: Exposure, rng: np.random.Generator) -> ByteArray:
-    """A picture (H, W, 3) uint8 BGR as the camera gives it: encoded luminance amplified, noisy, gamma-encoded."""
+    """Image (H, W, 3) BGR by the camera of a ``picture`` (H, W, 3) of encoded luminance: amplified, noisy, encoded."""
     levels = np.arange(256, dtype=np.float64)[:, None] / 255.0
     linear = levels**GAMMA
     electrons = linear * exposure.white_luminance * exposure.seconds * _ELECTRONS_PER_CD_S

@@ -257,7 +257,7 @@ class JobRunner:
             _log.exception("progress of job %s could not be noted", lease.job)
 
     def _check_held(self, lease: Lease) -> None:
-        """Raise Cancelled if this worker no longer has the job."""
+        """Raise Cancelled if this worker no longer has the job; not if the database does not say."""
         try:
             held = self._leases.holds(lease)
         except SQLAlchemyError:

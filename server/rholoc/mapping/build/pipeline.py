@@ -259,7 +259,7 @@ def _assemble(
 
 
 def _in_one_frame(recordings: Sequence[Recording]) -> list[Recording]:
-    """The recordings with waypoints on Earth converted to metres east, north and up of the first one of all."""
+    """The recordings, waypoints on Earth converted to metres east, north and up of the first such waypoint."""
     places = [waypoint.earth for recording in recordings for waypoint in recording.waypoints if waypoint.earth]
     return [
         replace(

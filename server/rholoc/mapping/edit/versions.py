@@ -37,7 +37,7 @@ def as_learned(
 
 
 def _without_old_lessons(learned: tuple[LearningReport, ...]) -> tuple[LearningReport, ...]:
-    """Learning reports without those from queries except the last ten: there is one per night."""
+    """Learning reports: all of recordings, and the last ten from queries, of which there is one a night."""
     from_queries = [report for report in learned if report.queries is not None]
     old = from_queries[:-_MAX_LESSONS]
     return tuple(report for report in learned if report not in old)

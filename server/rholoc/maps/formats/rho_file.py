@@ -362,7 +362,7 @@ def _widened(arrays: Arrays) -> Arrays:
 
 
 def _prefix(kind: DensityKind) -> str:
-    """Prefix of the names of a form's arrays."""
+    """``extras/KIND_``, with which the names of a form's arrays begin."""
     return f"extras/{kind.value}_"
 
 
@@ -452,7 +452,7 @@ def _views_of(offsets: IntArray, views: int, observations: int) -> IntArray:
 
 
 def _packed_pixels(map_: Map, pixels: FloatArray) -> IntArray:
-    """Pixels (N, 2) of all observations, packed by their sources' cameras."""
+    """Pixels (N, 2) of all observations, packed to uint16 by their sources' cameras."""
     assert map_.views.sources is not None
     packed = np.zeros(pixels.shape, dtype=np.uint16)
     sources = map_.views.sources[map_.observations.views]

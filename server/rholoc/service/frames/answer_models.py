@@ -185,7 +185,7 @@ def too_late() -> Localization:
 def answer_of(
     name: str, localizer: AnyLocalizer, found: Localization, clock: Stopwatch, with_matches: bool
 ) -> LocalizationOut:
-    """A map's answer as it is sent; angles in degrees. A refused pose is only among its alternatives."""
+    """A map's answer as it is sent, with inliers if ``with_matches``; in degrees. A refused pose is an alternative."""
     info = localizer.map.info
     total_ms = 1000 * clock.elapsed_s
     timings_ms = {**dict.fromkeys(_STAGES, 0.0), **clock.stages_ms, "total": total_ms}

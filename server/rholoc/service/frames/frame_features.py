@@ -93,7 +93,7 @@ class FrameFeatures:
         return more
 
     def _found(self, extractor: Extractor, image: ByteArray) -> FeatureSet:
-        """Features of an image (H, W, 3) BGR, reduced to the settings' number of pixels if it has more."""
+        """Features of an image (H, W, 3) BGR, as of :func:`extract_bounded` with the settings' number of pixels."""
         return extract_bounded(extractor, image, self._settings.max_feature_pixels)
 
 

@@ -199,7 +199,7 @@ class _Lane:
             raise self._busy()
 
     async def run(self, work: Callable[[], _T], client: str) -> tuple[_T, float]:
-        """The result of ``work()`` and its core time [s]. Raises Busy."""
+        """The result of ``work()`` and its core time [s]. Raises Busy as :meth:`ComputePool.run`."""
         self.check_room(client)
         greediest = self._greediest(client) if self.full else None
         if greediest is not None:

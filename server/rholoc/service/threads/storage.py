@@ -61,7 +61,7 @@ class StorageThreads:
         return offloaded
 
     def close(self) -> None:
-        """Accept no more calls, without waiting for running ones."""
+        """Accept no more calls, and cancel those that wait for a thread; running ones go on."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _give_up(self, future: Future[T], waiting: asyncio.Future[T]) -> None:
@@ -95,7 +95,7 @@ class StorageLanes:
     transfers: StorageThreads = field(default_factory=lambda: StorageThreads(8, 300.0))
 
     def close(self) -> None:
-        """Accept no more calls, without waiting for running ones."""
+        """Accept no more calls, and cancel those that wait for a thread; running ones go on."""
         for lane in (self.database, self.files, self.fetches, self.transfers):
             lane.close()
 
