@@ -49,7 +49,7 @@ class Correction:
         scale: of lengths.
         rotation: (3, 3), rows.
         translation: (3,) metres.
-        residual_m: RMS distance between the map's and the floor plan's points.
+        residual_m: RMS distance between the map's and the floor plan's points, or the places on Earth.
         landmarks_removed, views_removed: their numbers.
     """
 

@@ -160,7 +160,7 @@ class MapReport:
         features, descriptors, views: how many there are.
         views_per_feature_median: in how many views a feature was seen.
         features_per_view_median: how many features a view saw.
-        landmark_sigma_median_m, landmark_sigma_p90_m: the landmarks' largest standard deviations along an axis.
+        landmark_sigma_median_m, landmark_sigma_p90_m: of the landmarks' standard deviations, RMS over the axes.
         coverage: where the map works.
         held_out: how consistent it is.
         expected_error: how far it expects to be off.

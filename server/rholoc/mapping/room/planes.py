@@ -162,7 +162,7 @@ def close_gaps(grid: DistanceGrid, floor: float, walls: list[Wall]) -> None:
         within = (along >= wall.ends[0]) & (along <= wall.ends[1]) & (z >= floor - reach) & (z <= wall.top)
         _set(grid, unknown & (np.abs(d) < 1) & within, np.broadcast_to(d, unknown.shape))
     above = np.broadcast_to((z - floor) / reach, unknown.shape)
-    inside = _floor_area(grid, floor, walls, x, y)
+    inside = _floor_area(grid, walls, x, y)
     _set(grid, unknown & (np.abs(above) < 1) & inside[..., None], above)
 
 
@@ -174,7 +174,7 @@ def _set(grid: DistanceGrid, voxels: BoolArray, distances: FloatArray) -> None:
     grid.weights[voxels] = _WEIGHT
 
 
-def _floor_area(grid: DistanceGrid, floor: float, walls: list[Wall], x: FloatArray, y: FloatArray) -> BoolArray:
+def _floor_area(grid: DistanceGrid, walls: list[Wall], x: FloatArray, y: FloatArray) -> BoolArray:
     """Mask (X, Y) of the convex hull of the columns, at x and y, that show anything, cut off behind the walls."""
     seen = np.asarray(grid.known.any(axis=2), dtype=np.uint8)
     hull = np.zeros_like(seen)
