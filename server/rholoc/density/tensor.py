@@ -351,7 +351,7 @@ class LocalTensorDensities:
 
 
 def _roots(F: FloatArray) -> FloatArray:
-    """(I, 2, 2) upper triangles U of Cholesky's factors: F = Uᵀ U."""
+    """Upper triangles U (I, 2, 2) of the Cholesky factors of F (I, 2, 2): F = Uᵀ U."""
     roots = np.zeros_like(F)
     roots[:, 0, 0] = np.sqrt(F[:, 0, 0])
     roots[:, 0, 1] = F[:, 0, 1] / roots[:, 0, 0]
@@ -459,6 +459,7 @@ class Layout:
 
     @classmethod
     def of(cls, degree: int) -> Layout:
+        """Layout for densities of this degree, 1 to 3."""
         nodes = max(degree + 1, 3)  # the target is a quadratic: fewer would not determine it
         line = np.cos((np.arange(nodes) + 0.5) * np.pi / nodes)
         plane = _VIEWPORT * _grid(line, 2)
