@@ -53,5 +53,6 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _array(storage: np.ndarray, offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *_: Any) -> np.ndarray:
+    """PyTorch's tensor as an array: ``offset`` and ``strides`` are counted in numbers of ``storage``, not in bytes."""
     bytes_apart = tuple(storage.itemsize * stride for stride in strides)
     return np.ascontiguousarray(np.ndarray(shape, storage.dtype, storage, storage.itemsize * offset, bytes_apart))
