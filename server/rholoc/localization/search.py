@@ -62,7 +62,7 @@ class SearchOptions:
 
 @dataclass
 class Stopwatch:
-    """Milliseconds per stage, and the deadline."""
+    """Milliseconds per stage, and the deadline [s after the start]; None if there is none."""
 
     deadline_s: float | None
     started: float = field(default_factory=time.perf_counter)
@@ -284,7 +284,7 @@ def _likelier(a: Found | None, b: Found) -> Found:
 
 
 def _shares(candidates: list[Found], places: list[float]) -> FloatArray:
-    """Share (M,) of each of M poses that exclude one another, given each one's probability of the right place."""
+    """Shares (M,), see :func:`shares`, of M poses that exclude one another, by each one's probability of its place."""
     return shares(np.array(places), np.array([one.verified.support.net for one in candidates]))
 
 

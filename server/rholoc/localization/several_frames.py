@@ -373,6 +373,7 @@ class _Joint:
     def _answer(
         self, best: _Candidate | None, reason: Reason, matched: int, stray: _Stray | None = None
     ) -> JointLocalization:
+        """The answer with a candidate, if probable and exact enough, else a refusal; a stray becomes its diagnosis."""
         timings_ms = {"match": 1e3 * (time.perf_counter() - self.started)}
         if best is None:
             refusal = Localization.refused(reason, matched, timings_ms)
