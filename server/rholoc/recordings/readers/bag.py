@@ -166,6 +166,7 @@ def _is_picture(reader: AnyReader, connection: Connection) -> bool:
 
 
 def _first(reader: AnyReader, connection: Connection) -> Any:
+    """First message of a connection that has messages."""
     _, _, raw = next(iter(reader.messages([connection])))
     return reader.deserialize(raw, connection.msgtype)
 

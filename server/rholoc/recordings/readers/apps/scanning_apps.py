@@ -136,6 +136,7 @@ def _scanner_app(folder: Path) -> list[_Shot]:
 
 
 def _is_scanner_app(folder: Path) -> bool:
+    """Whether ``frame_*.jpg`` have descriptions with a pose, by the first one."""
     pictures = _pictures(folder, "frame_*.jpg")
     return bool(pictures) and "cameraPoseARFrame" in _members_if_any(pictures[0].with_suffix(".json"))
 
@@ -156,6 +157,7 @@ def _polycam(folder: Path) -> list[_Shot]:
 
 
 def _is_polycam(folder: Path) -> bool:
+    """Whether ``keyframes`` has a folder of cameras."""
     return any((folder / "keyframes" / name).is_dir() for name in ("cameras", "corrected_cameras"))
 
 

@@ -66,8 +66,10 @@ def read(folder: Path) -> Recording:
 
 
 def _phone(folder: Path) -> Path:
+    """The folder of the iPhone's files: ``iphone``, or the folder itself if there is none."""
     return folder / "iphone" if (folder / "iphone").is_dir() else folder
 
 
 def _gyroscope(phone: Path) -> Path:
+    """The gyroscope's table: ``gyro.csv``, else ``gyroscope.csv``, which need not exist."""
     return phone / "gyro.csv" if (phone / "gyro.csv").is_file() else phone / "gyroscope.csv"

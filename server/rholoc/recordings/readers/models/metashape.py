@@ -126,6 +126,7 @@ def _photos(folder: Path, suffixes: Container[str]) -> dict[str, list[Path]]:
 
 
 def _label(camera: Element) -> str:
+    """A camera's label; empty if it has none."""
     return camera.get("label", "")
 
 
@@ -248,6 +249,7 @@ def _calibration(sensor: Element) -> dict[str, float]:
 
 
 def _no_calibration(sensor: Element) -> InvalidCamera:
+    """The error for a sensor without a valid calibration."""
     return InvalidCamera(f"The sensor {str(sensor.get('label'))[:60]} has no valid calibration.", _ADVICE)
 
 
