@@ -107,6 +107,7 @@ def live_moments(camera: LiveCamera) -> Iterator[Moment]:
 
 
 def _readings(imu: Imu | None) -> Iterator[Reading]:
+    """Iterate over the readings. Raises InvalidRecording without an IMU, a known mounting, or gravity in it."""
     if imu is None:
         raise InvalidRecording("The recording has no IMU.", "Use --motion pictures.")
     if imu.R_camera_imu is None or not imu.includes_gravity:
