@@ -132,6 +132,7 @@ class _NearestInPart(NearestLandmarks):
 
 
 def _in_part(found: NearestLandmarks, part: MapPart) -> _NearestInPart:
+    """Nearest landmarks in the whole map, restricted to a part."""
     return _NearestInPart(found.detections, found.landmarks, found.distances, found.metric, part)
 
 
@@ -228,6 +229,7 @@ class LargeMapLocalizer:
         return part, self._localizer(part, MapIndex(part.map, self._chance))
 
     def _localizer(self, part: MapPart, index: MapIndex) -> Localizer:
+        """Localizer of a part, with this one's options."""
         return Localizer(part.map, self.min_recognized, self.options, index)
 
     def _part(self, found: Sequence[NearestLandmarks], prior: Prior | None, size: _Size) -> MapPart:

@@ -407,6 +407,7 @@ def _verified(
     by_chance: FloatArray,
     wide: Matches,
 ) -> Verified:
+    """A frame's pose rated by its matches; ``by_chance`` (N,) and ``wide`` as of :func:`support_of`."""
     optimum = optimum_at(index.map.densities, evidence, T_map_camera, FINAL_TOLERANCE_PX)
     support = support_of(index, frame, matches, evidence, optimum, by_chance, wide)
     return Verified(optimum, matches, evidence, frame.features.pixels[matches.detections], wide, support)

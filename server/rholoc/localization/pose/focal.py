@@ -276,6 +276,7 @@ def _explaining_most(verified: Verified, others: Iterable[Refocused]) -> Refocus
 
 
 def _apart_m(a: Verified, b: Verified) -> float:
+    """Distance [m] between the positions of two poses."""
     return float(np.linalg.norm(a.optimum.T_map_camera[:3, 3] - b.optimum.T_map_camera[:3, 3]))
 
 
