@@ -93,6 +93,7 @@ class Descent:
 
     @lazy
     def _points_and_rest(self) -> tuple[gtsam.Ordering, gtsam.Ordering]:
+        """Elimination order of the points, and that of all other unknowns."""
         points, rest = split(self.ordering, _POINTS)
         return ordered(points), ordered(rest)
 

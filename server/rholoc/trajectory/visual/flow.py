@@ -147,7 +147,7 @@ def track_corners(
     )
 
 
-_Seen = tuple[ByteArray, ByteArray, FloatArray, float]
+_Seen = tuple[ByteArray, ByteArray, FloatArray, float]  # as :func:`_look` returns it
 
 
 def _looked_at(frames: FrameSource, breadth: float = 1.0) -> Iterator[_Seen]:
@@ -174,6 +174,7 @@ def _look(image: ByteArray, breadth: float = 1.0) -> _Seen:
 
 
 def _reduced(gray: ByteArray, longer_side_px: int) -> ByteArray:
+    """Grey image (H, W), shrunk to this longer side if it is larger."""
     height, width = gray.shape
     scale = longer_side_px / max(height, width)
     if scale >= 1:
