@@ -48,6 +48,7 @@ class _Unpickler(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} is no part of a tensor.")
 
     def persistent_load(self, pid: Any) -> np.ndarray:
+        """All numbers of the storage that a tensor refers to, flat."""
         _, dtype, key, *_ = pid
         return np.frombuffer(self._archive.read(f"{self._folder}data/{key}"), dtype)
 
