@@ -115,12 +115,15 @@ class _NearestInPart(NearestLandmarks):
     part: MapPart
 
     def joined(self, others: NearestLandmarks) -> NearestLandmarks:
+        """As :meth:`NearestLandmarks.joined`, restricted to this one's part."""
         return _in_part(super().joined(others), self.part)
 
     def matches(self, mutual: bool = False) -> Matches:
+        """The matches by the whole map that are in the part, landmarks numbered as in the part."""
         return self._within(super().matches(mutual))
 
     def pairs(self) -> Matches:
+        """The pairs by the whole map that are in the part, landmarks numbered as in the part."""
         return self._within(super().pairs())
 
     def _within(self, found: Matches) -> Matches:
@@ -153,6 +156,7 @@ class _PartIndex(MapIndex):
         self._part, self._places, self._looked_up = part, places, looked_up
 
     def nearest_everywhere(self, features: FeatureSet, some: IntArray | None = None) -> NearestLandmarks:
+        """Approximately the nearest landmarks in the whole map, of which only those in the part are matched."""
         known, found = self._looked_up
         if features is not known or some is None or not np.array_equal(found.detections, some):
             found = self._places.nearest(features, some)
@@ -222,8 +226,8 @@ class LargeMapLocalizer:
         return self.index.votes(self.index.nearest(features).matches())
 
     def around(self, frames: Sequence[FeatureSet]) -> tuple[MapPart, Localizer]:
-        """Cut out the part of the map that the frames' features vote for together, and make its localizer. For frames
-        taken at one place.
+        """Cut out the part of the map that the frames' features vote for together (view 0 and its landmarks without
+        votes), and make its localizer. For frames taken at one place.
         """
         part = self._part([self.index.nearest(features) for features in frames], None, _CLOSELY)
         return part, self._localizer(part, MapIndex(part.map, self._chance))

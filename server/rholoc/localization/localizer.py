@@ -508,6 +508,7 @@ class Localizer:
         return self._diagnose_picture(query, answer)
 
     def _diagnose_picture(self, query: Query, answer: Localization) -> Diagnosis:
+        """Likeliest cause of a refusal by the picture and its agreement, see :func:`diagnose_picture`."""
         agreement = Agreement(answer.inliers, answer.matches, answer.recognized)
         return diagnose_picture(query.image, self.map, len(query.features), _FEW_FEATURES, agreement)
 

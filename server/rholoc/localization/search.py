@@ -200,8 +200,9 @@ class Search:
             self.elsewhere = _likelier(self.elsewhere, found)
 
     def is_over(self, conclusive: float, max_sigma_m: float) -> bool:
-        """Whether some candidate ends the search: recognized with a probability of at least ``conclusive``, a position
-        sigma of at most ``max_sigma_m``, and at most a quarter as many nats against it as for it.
+        """Whether some candidate ends the search: recognized, if its focal length is right, with a probability of at
+        least ``conclusive``, a position sigma of at most ``max_sigma_m``, and nats against it of at most a quarter of
+        those for it.
         """
         candidates = [found for found in (self.best, self.elsewhere) if found is not None]
         return any(

@@ -286,6 +286,7 @@ class _Joint:
                 yield candidate
 
     def _late(self) -> bool:
+        """Whether the first frame's deadline has passed; False without one."""
         deadline_s = self.frames[0].deadline_s
         return deadline_s is not None and time.perf_counter() - self.started > deadline_s
 
