@@ -107,6 +107,7 @@ def image_frames(
     Raises:
         InvalidRecording: there are no files, or one is missing, has no image header, a side below 16 px or over 8K
             pixels.
+        InvalidCamera: a camera has another aspect ratio than its picture.
     """
     if not paths:
         raise InvalidRecording("The recording lists no images.")

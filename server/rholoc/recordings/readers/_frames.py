@@ -162,7 +162,7 @@ def unreadable(picture: Path) -> InvalidRecording:
 
 
 def listed_file(folder: Path, name: str) -> Path:
-    """The file that a list in the folder refers to, by a path relative to it; also with Windows' separators.
+    """The file, which need not exist, that a list in the folder names by a path in it; also with Windows' separators.
 
     Raises:
         InvalidRecording: the name leads out of the folder, is too long for a file, or has half of a surrogate pair.

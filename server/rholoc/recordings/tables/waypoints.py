@@ -77,7 +77,7 @@ def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
 def write_waypoints_csv(path: Path, waypoints: Sequence[Waypoint]) -> None:
     """Write waypoints under the header ``name,time,x,y,z``: microseconds, tenths of a millimetre.
 
-    Without times if they are unknown; with ``sigma`` if any differs from the default.
+    Without times if they are unknown; with ``sigma`` if any differs from the default. Places on Earth are not written.
     """
     ordered = any(np.isnan(waypoint.time) for waypoint in waypoints)
     usual = all(waypoint.sigma_m == DEFAULT_SIGMA_M for waypoint in waypoints)

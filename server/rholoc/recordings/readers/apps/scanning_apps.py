@@ -82,7 +82,7 @@ class ScanningApp:
     time_unit: str = "s"
 
     def read(self, folder: Path) -> Recording:
-        """Read a folder of this layout.
+        """Read a folder of this layout: poses by ARKit, which drift, and depth, if any.
 
         Raises:
             InvalidRecording: a picture or its description is broken or missing, or times go back.

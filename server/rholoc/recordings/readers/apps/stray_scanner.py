@@ -38,7 +38,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder: poses by ARKit, which drift, and depth and IMU, if any.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.

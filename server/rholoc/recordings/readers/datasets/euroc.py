@@ -59,7 +59,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read cam0, imu0 and the ground truth.
+    """Read cam0, imu0 and the ground truth; without the last two, cam0 and cam1 as a rig, if they are mounted.
 
     Raises:
         InvalidRecording: a table or an image is missing or broken.

@@ -32,7 +32,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder: poses in metres, not upright; depth; no intrinsics, no times.
 
     Raises:
         InvalidRecording: an image is broken.

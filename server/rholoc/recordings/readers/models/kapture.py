@@ -45,7 +45,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder; its poses are of unknown scale.
 
     Raises:
         InvalidRecording: a table or an image is broken.

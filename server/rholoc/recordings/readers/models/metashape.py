@@ -57,7 +57,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read the aligned cameras and their photos; poses are metric if a transform with a scale is stated.
 
     Raises:
         InvalidRecording: no camera is aligned, none has a label of its own, or a photo is missing or broken.
