@@ -192,8 +192,9 @@ def _verify(
     by_gyroscope: Rotation | None,
     fewest: int,
 ) -> VerifiedPair | None:
-    """Inlier matches of one relative pose; None with fewer than ``fewest``, or if the gyroscope contradicts its
-    rotation. If the gyroscope explains 80 % of the inliers, its rotation replaces the picture's.
+    """Inlier matches of one relative pose, with a ``tolerance`` as of :func:`relative_pose`; None with fewer than
+    ``fewest``. Where the gyroscope contradicts the rotation, its own is taken if that explains 80 % of the inliers;
+    otherwise the result is None, too.
     """
     i, j = pair
     matches = ratio_matches(descriptors(i), descriptors(j))
