@@ -192,7 +192,7 @@ def _flattened(rigs: _Pose) -> _Pose:
 
 
 def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[str, FloatArray] | None]:
-    """The rig of each picture's sensor, and T_rig_sensor (4, 4); None for sensors without a rig."""
+    """For each record (timestamp, sensor) its sensor's rig and T_rig_sensor (4, 4); None for sensors without a rig."""
     of_sensor = {sensor: (rig, np.linalg.inv(T_sensor_rig)) for (rig, sensor), T_sensor_rig in rigs.items()}
     return [of_sensor.get(sensor) for _, sensor in records]
 
