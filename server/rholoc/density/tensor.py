@@ -61,10 +61,9 @@ _HEADING_SCALE = math.sin(HEADING_LIMIT_RAD)
 class TensorDensities:
     """T densities, each local to a place.
 
-    The coefficients are of the monomials whose powers are a row of ``uv_powers``, of ``position_powers`` and of
-    ``heading_powers`` together; all others are zero. Their variables are u, v on the plane z = 1; the position
-    relative to the place, in units of the radius; the heading in the density's own frame, relative to the diagonal
-    (1, 1, 0) / √2, in units of sin 50°.
+    The coefficients are of the monomials whose powers are a row of each of the three arrays of :func:`kept_powers`;
+    all others are zero. Their variables are u, v on the plane z = 1; the position relative to the place, in units of
+    the radius; the heading in the density's own frame, relative to the diagonal (1, 1, 0) / √2, in units of sin 50°.
 
     Attributes:
         degree: P.
