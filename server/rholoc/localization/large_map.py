@@ -146,7 +146,7 @@ class _PartIndex(MapIndex):
         part: the part.
         chance: :func:`chance_of_likeness` of the whole map.
         places: inverted file of the whole map.
-        looked_up: results of earlier look-ups there.
+        looked_up: features that were looked up there before, and the result.
     """
 
     def __init__(

@@ -149,7 +149,7 @@ class Search:
         best: likeliest candidate that agrees with the prior.
         elsewhere: likeliest candidate that does not.
         reason: reason for a refusal, if no candidate is good enough.
-        place: place with the most votes.
+        place: first place that was searched: the prior's, else the one with the most votes.
         everywhere: matches with the whole map.
         nearest: nearest landmarks of each feature in the whole map.
         is_sampled: whether ``nearest`` covers only a sample of the features.

@@ -62,7 +62,7 @@ class StoredViews:
 
     Attributes:
         map: name of the map.
-        file: identifies the version of its file; no vectors if that file is not a valid map.
+        file: identifies the version of its file that they were made from.
         model: id of the model that made the vectors.
         features: name of the extractor.
         vectors: (V, ``DIMENSIONS``).
