@@ -98,7 +98,7 @@ class Descent:
         return ordered(points), ordered(rest)
 
     def _along(self, values: gtsam.Values, step: gtsam.VectorValues) -> Iterator[gtsam.Values]:
-        """Iterate over the values after the whole step, then after parts of it with the points settled."""
+        """Iterate over the values after the whole step, then after it and parts of it with the points settled."""
         yield values.retract(step)
         for share in _SHARES:
             with contextlib.suppress(MappingFailed):  # impossible intrinsics

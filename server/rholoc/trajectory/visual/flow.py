@@ -208,7 +208,7 @@ def _flow(
     levels: int,
     stop: tuple[int, int, float],
 ) -> tuple[FloatArray, BoolArray]:
-    """New positions (K, 2) of corners (K, 2), searched from ``guess`` (K, 2), and a mask (K,) of those found."""
+    """New positions (K, 2) of corners (K, 2), searched from ``guess`` (K, 2) or these; a mask (K,) of those found."""
     flags = 0 if guess is None else cv2.OPTFLOW_USE_INITIAL_FLOW
     start = None if guess is None else guess.reshape(-1, 1, 2).copy()
     moved, found, _ = cv2.calcOpticalFlowPyrLK(

@@ -136,7 +136,7 @@ def match_pictures(
 
 
 def with_poses_anew(pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray], focal_px: float) -> list[VerifiedPair]:
-    """Pairs with their relative poses by other rays, such as of a better focal length, and the inliers of these."""
+    """Pairs with relative poses by other rays, as of a better focal length, and their inliers; none with under 15."""
 
     def anew(pair: VerifiedPair) -> VerifiedPair | None:
         first, second = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
