@@ -47,7 +47,7 @@ def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
 
     Raises:
         InvalidRecording: the video cannot be read, the numbers of frames differ by more than
-            ``MAX_FRAME_COUNT_DIFFERENCE``, or times go back.
+            ``MAX_FRAME_COUNT_DIFFERENCE``, or over 5 % of the times do not increase.
     """
     frames = read_video(video)
     count = min(len(times), len(frames.times))

@@ -85,7 +85,7 @@ class ScanningApp:
         """Read a folder of this layout: poses by ARKit, which drift, and depth, if any.
 
         Raises:
-            InvalidRecording: a picture or its description is broken or missing, or times go back.
+            InvalidRecording: a picture or its description is broken or missing, or over 5 % of the times go back.
             InvalidCamera: intrinsics are broken.
             InvalidTrajectory: a pose is broken.
         """
