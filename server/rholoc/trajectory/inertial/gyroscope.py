@@ -97,7 +97,7 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
 
 
 def _fit(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
-    """Calibration with a small time offset, or with a large one if that fits clearly better; None as of the former."""
+    """Calibration with a small time offset, or a large one that fits clearly better; None with under 7 intervals."""
     near = _fit_within(_NARROW_OFFSETS_S, times, R_world_camera, imu)
     if near is None or near.residual_deg <= _USUAL_RESIDUAL_DEG:
         return near
