@@ -245,7 +245,7 @@ def _opened(source: Path | io.BytesIO, max_pixels: int, formats: tuple[str, ...]
 
 
 def _too_large(what: str, max_pixels: int) -> InvalidImage:
-    """Error for an image whose header claims ``what``, such as its size in words."""
+    """Error for an image of more than ``max_pixels``; ``what`` follows "an image", such as "of 90000×90000 pixels"."""
     return InvalidImage(
         f"The image's header claims an image {what}; {max_pixels} pixels are allowed.", "Scale it down."
     )

@@ -117,7 +117,7 @@ def _bags(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class _Topics:
-    """The connections of a bag, and which topics were asked for."""
+    """The connections of a bag that have messages, which topics were asked for, and the connection of the pictures."""
 
     connections: tuple[Connection, ...]
     asked: tuple[str, ...]

@@ -37,7 +37,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder, with the intrinsics logged for each frame.
 
     Raises:
         InvalidRecording: a table or the video is missing or broken, or they contradict each other.

@@ -116,7 +116,7 @@ def _imu(log: _Log, R_camera_imu: FloatArray | None) -> tuple[Imu | None, tuple[
 
 
 def _calibration(path: Path) -> dict[str, Any] | None:
-    """The first camera of the file ``calibration.json``; None if there is none. Raises InvalidCamera if it has none."""
+    """The first camera of the file ``calibration.json``; None without the file. Raises InvalidCamera if it has none."""
     if not path.is_file():
         return None
     try:

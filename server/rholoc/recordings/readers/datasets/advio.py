@@ -40,7 +40,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder; times of frames and poses count from the first frame.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.

@@ -191,8 +191,8 @@ def _frame_of(camera: Element, frames: Mapping[str | None, Element | None], chun
 
 
 def _pose(camera: Element, frame: Element | None) -> FloatArray:
-    """T_map_camera (4, 4) of a camera, in the frame of its component, or of its chunk if that is None. Raises
-    InvalidTrajectory if a transform is no pose.
+    """T_map_camera (4, 4) of a camera, moved and scaled by the transform ``frame``, only scaled by a geocentric one,
+    unchanged for None. Raises InvalidTrajectory if a transform is no pose.
     """
     T = _numbers(camera.find("transform"), 16).reshape(4, 4)
     rotation, translation, scale = (
