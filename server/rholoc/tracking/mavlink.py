@@ -134,7 +134,7 @@ class MavlinkSender:
     """Sends a track's poses from a thread, between frames at constant velocity; silent while searching or lost.
 
     Raises:
-        InvalidInput: the address is malformed.
+        InvalidInput: the address is malformed, or its host is unknown.
 
     Args:
         address: ``HOST:PORT`` of the flight controller or its router.
