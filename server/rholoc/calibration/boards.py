@@ -80,7 +80,7 @@ class Board:
 
     @property
     def outline(self) -> FloatArray:
-        """Outermost corners (4, 2) [m], in turn around the board."""
+        """Outermost inner corners (4, 2) [m]: (0, 0), (x, 0), (x, y), (0, y)."""
         x, y = (self.columns - 1) * self.square_m, (self.rows - 1) * self.square_m
         return np.array([[0, 0], [x, 0], [x, y], [0, y]], dtype=np.float64)
 

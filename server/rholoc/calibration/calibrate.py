@@ -148,7 +148,7 @@ def calibrate(
 
 
 def _check(calibration: Calibration) -> None:
-    """Raise InvalidRecording if the residuals are large, or the views too similar."""
+    """Raise InvalidRecording for large residuals, boards tilted by under 6° (RMS) or a focal sigma of over 1 %."""
     limit_px = _MAX_RMS_PX * max(calibration.camera.width, calibration.camera.height) / 1000
     if calibration.rms_px > limit_px:
         raise InvalidRecording(
@@ -178,6 +178,7 @@ def _without_outliers(found: BoardViews, board: Board, size: tuple[int, int], le
 def _solve(
     found: BoardViews, sightings: Sequence[Sighting], board: Board, size: tuple[int, int], lens: Lens
 ) -> Calibration:
+    """Calibration by all of the ``sightings``, which are among the views in ``found``."""
     solve = solve_fisheye if lens is Lens.FISHEYE else _solve_pinhole
     camera, poses, deviations = solve(sightings, board, size)
     views = []
@@ -211,6 +212,7 @@ def _solve_pinhole(
 
 
 def _calibrate_camera(sightings: Sequence[Sighting], board: Board, size: tuple[int, int], flags: int) -> Any:
+    """The result of OpenCV's ``calibrateCameraExtended`` with these flags."""
     return cv2.calibrateCameraExtended(
         [board.corners[sighting.corners].astype(np.float32) for sighting in sightings],
         [sighting.pixels.astype(np.float32) for sighting in sightings],

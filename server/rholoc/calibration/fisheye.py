@@ -23,7 +23,10 @@ _DAMPING = (1e-3, 1e-9, 1e9)  # at first, at least, at most
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """A camera and T_camera_board (V, 4, 4), with the residuals (2N,) and their slopes (2N, 8 + 6 V)."""
+    """A camera and T_camera_board (V, 4, 4), with the residuals (2N,) [px], projected − detected, and their slopes.
+
+    ``slopes`` (2N, 8 + 6 V) are by the intrinsics, then view by view by rotation (from the left) and translation.
+    """
 
     camera: Camera
     poses: FloatArray
@@ -108,7 +111,7 @@ def _stepped(found: _Solution, step: FloatArray) -> tuple[Camera | None, FloatAr
 
 
 def _changed(camera: Camera, by: FloatArray) -> Camera | None:
-    """Camera with ``by`` added to its parameters (P,); None if these are impossible."""
+    """Camera with ``by`` (8,) added to fx, fy, cx, cy, k1 … k4; None if these are impossible."""
     fx, fy, cx, cy, *coefficients = (np.array(camera.parameters) + by).tolist()
     try:
         return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(coefficients))

@@ -72,7 +72,7 @@ def choose_views(found: Sequence[Sighting], board: Board, size: tuple[int, int])
 
 
 def outline(sighting: Sighting, board: Board) -> FloatArray:
-    """Outermost corners (4, 2) [px] of the board by its homography, whether they are in view or not."""
+    """Pixels (4, 2) of :attr:`Board.outline`, by the board's homography, whether they are in view or not."""
     H, _ = cv2.findHomography(board.corners[sighting.corners, :2], sighting.pixels)
     return np.asarray(cv2.perspectiveTransform(board.outline[None], H)[0])
 
@@ -82,7 +82,7 @@ def _sharpest(
     advance: Callable[[], None],
     look: Callable[[int, ByteArray], Sighting | None],
 ) -> Iterator[Sighting | None]:
-    """Iterate over ``look`` of the sharpest frame of each of at most 160 equal parts of the recording."""
+    """Iterate over ``look(row, image)`` of the sharpest frame of each of at most 160 equal parts of the recording."""
     count = len(frames.times)
     stretch = np.arange(count) * min(count, _SEARCHED) // count
     best: tuple[float, int, ByteArray] | None = None
@@ -99,7 +99,7 @@ def _sharpest(
 
 
 def _sharpness(image: ByteArray) -> float:
-    """Variance of the Laplacian, in a picture of common width."""
+    """Variance of the Laplacian of an image (H, W, 3) or (H, W), resized to a width of 320 px."""
     height, width = image.shape[:2]
     size = (_SCAN_WIDTH_PX, max(1, round(height * _SCAN_WIDTH_PX / width)))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -30,7 +30,7 @@ class DensityKind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Data that densities are fitted to: F landmarks and the V poses from which they were seen.
+    """Data that densities are fitted to: F landmarks and V observations, each of one landmark from one pose.
 
     Attributes:
         landmarks: (F, 3) metres, map frame.
@@ -144,7 +144,7 @@ class Densities(Protocol):
     def kept_coefficients(
         cls, coefficients: FloatArray, degree: int, landmark: FloatArray, domain: FloatArray
     ) -> FloatArray:
-        """The part of the result of :meth:`coefficients_of` that a map stores; the inverse when reading Table 5.
+        """The part that a map stores of all (P + 1)ⁿ ``coefficients`` of one density, in the order of Table 5.
 
         Raises:
             ValueError: no density of this form has these coefficients; the message continues "row N …".

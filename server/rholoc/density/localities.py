@@ -39,7 +39,7 @@ class Places:
     def of(cls, sightings: Sightings) -> Places:
         """Gather each feature's views into places; from one place it is seen from one side and at similar distances.
 
-        Above 20,000 places, each feature keeps its first place, and of the others those with the most views stay.
+        Of more than 20,000 places, all features' first places stay, and of the others those with the most views.
         Positions and radii are rounded to float32, as files keep them.
         """
         order = np.argsort(sightings.features, kind="stable")

@@ -274,7 +274,7 @@ def fitted_by_place(
     """Fit a density for each place with ``fit``, to places and radii as rounded for files.
 
     ``fit`` takes bearings (n, 3) in the density's frame, positions (n, 3) relative to the place in radii, and the
-    radius [m], and returns coefficients and moments. Raises ValueError without bearings.
+    radius [m], and returns coefficients (X, U H) and moments (X, X). Raises ValueError without bearings.
     """
     if sightings.bearings is None:
         raise ValueError("the bearings at which the features were seen were not kept")

@@ -35,7 +35,7 @@ def monomial_derivatives(powers: IntArray, s: FloatArray) -> FloatArray:
 
 
 def power_factors(powers: IntArray, s: FloatArray, order: int) -> list[FloatArray]:
-    """The derivative of ``order`` of s_d^{p_d} for each variable (..., C), for ``powers`` (C, n) at ``s`` (..., n)."""
+    """For each variable the ``order``-th derivative of s_d^{p_d} (..., C), for ``powers`` (C, n) at ``s`` (..., n)."""
     table = [np.ones(s.shape)]
     for _ in range(int(powers.max(initial=0))):
         table.append(table[-1] * s)
@@ -48,4 +48,5 @@ def power_factors(powers: IntArray, s: FloatArray, order: int) -> list[FloatArra
 
 
 def _product(factors: list[FloatArray]) -> FloatArray:
+    """Elementwise product of arrays (..., C)."""
     return reduce(np.multiply, factors)

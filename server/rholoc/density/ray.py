@@ -81,7 +81,7 @@ def landmarks_from_information(information: FloatArray, eta: FloatArray) -> tupl
 def _along_and_aside(
     landmarks: FloatArray, bearings: FloatArray, positions: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Distance of a landmark along the ray [m], and its squared distance d² from the ray [m²]."""
+    """Signed distance (...) [m] of a landmark (..., 3) along the ray, and its squared distance d² [m²] from it."""
     to_landmark = landmarks - positions
     along = np.einsum("...i,...i->...", bearings, to_landmark)
     return along, np.einsum("...i,...i->...", to_landmark, to_landmark) - along**2
@@ -206,7 +206,7 @@ class RayDensities:
         """Empty: ray coefficients follow from the landmark and the tolerance.
 
         Raises:
-            ValueError: the given ones differ from those by more than 1e-6 × the largest.
+            ValueError: the tolerance is not positive, or the given ones differ from those by over 1e-6 × the largest.
         """
         if domain[0] <= 0:
             raise ValueError("has a tolerance that is not positive")
@@ -255,8 +255,8 @@ class LocalRayDensities:
     def at(self, T_map_camera: FloatArray, tolerance_px: float) -> Slopes:
         """ρ and its slopes at a pose (4, 4), d being eᵀ S⁻¹ e.
 
-        e (2,) is the offset of the landmark across the ray, S (2, 2) the pixel tolerance squared and the landmark's
-        covariance across the ray.
+        e (2,) [m] is the offset of the landmark across the ray, S (2, 2) [m²] the landmark's covariance across the ray
+        plus the squared tolerance at its depth.
         """
         evidence, R = self.evidence, T_map_camera[:3, :3]
         bearings = evidence.rays @ R.T

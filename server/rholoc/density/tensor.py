@@ -61,10 +61,9 @@ _HEADING_SCALE = math.sin(HEADING_LIMIT_RAD)
 class TensorDensities:
     """T densities, each local to a place.
 
-    The coefficients are of the monomials whose powers are a row of ``uv_powers``, of ``position_powers`` and of
-    ``heading_powers`` together; all others are zero. Their variables are u, v on the plane z = 1; the position
-    relative to the place, in units of the radius; the heading in the density's own frame, relative to the diagonal
-    (1, 1, 0) / √2, in units of sin 50°.
+    The coefficients are of the monomials whose powers are a row of each of the three arrays of :func:`kept_powers`;
+    all others are zero. Their variables are u, v on the plane z = 1; the position relative to the place, in units of
+    the radius; the heading in the density's own frame, relative to the diagonal (1, 1, 0) / √2, in units of sin 50°.
 
     Attributes:
         degree: P.
@@ -351,7 +350,7 @@ class LocalTensorDensities:
 
 
 def _roots(F: FloatArray) -> FloatArray:
-    """(I, 2, 2) upper triangles U of Cholesky's factors: F = Uᵀ U."""
+    """Upper triangles U (I, 2, 2) of the Cholesky factors of F (I, 2, 2): F = Uᵀ U."""
     roots = np.zeros_like(F)
     roots[:, 0, 0] = np.sqrt(F[:, 0, 0])
     roots[:, 0, 1] = F[:, 0, 1] / roots[:, 0, 0]
@@ -459,6 +458,7 @@ class Layout:
 
     @classmethod
     def of(cls, degree: int) -> Layout:
+        """Layout for densities of this degree, 1 to 3."""
         nodes = max(degree + 1, 3)  # the target is a quadratic: fewer would not determine it
         line = np.cos((np.arange(nodes) + 0.5) * np.pi / nodes)
         plane = _VIEWPORT * _grid(line, 2)

@@ -119,7 +119,7 @@ class FeatureSet:
 
     @classmethod
     def concatenate(cls, sets: list[FeatureSet]) -> FeatureSet:
-        """All features of the sets, in order; at least one set, all with descriptors of one length."""
+        """All features of one or more sets, in order, of one descriptor length; colours only if all sets have them."""
         return cls(
             np.concatenate([s.pixels for s in sets]),
             np.concatenate([s.channels for s in sets]),

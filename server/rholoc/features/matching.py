@@ -80,7 +80,7 @@ class DescriptorIndex:
             if len(mine) == 0:
                 continue
             count = min(k, index.ntotal)
-            found, where = index.search(_prepared(features.descriptors[mine], self.metric), count)
+            found, where = index.search(_for_faiss(features.descriptors[mine], self.metric), count)
             missing = where < 0  # the lists that were searched hold fewer
             distances[mine, :count] = np.where(missing, _NEVER, _as_distance(found, self.metric))
             rows[mine, :count] = np.where(missing, -1, self._rows[channel][where])
@@ -100,7 +100,7 @@ def descriptor_distances(a: ByteArray, b: ByteArray, metric: Metric) -> FloatArr
 
 
 def mutual_matches(a: FeatureSet, b: FeatureSet, metric: Metric, limit: float) -> IntArray:
-    """Pairs (M, 2) of rows of ``a`` and ``b`` of one channel that are each other's nearest, at most ``limit`` apart."""
+    """Rows (M, 2) in ``a`` and ``b`` of descriptors that are each other's nearest in one channel, within ``limit``."""
     if len(a) == 0 or len(b) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     distances, to_b = DescriptorIndex(b.descriptors, b.channels, metric).nearest(a, 1)
@@ -113,6 +113,7 @@ def mutual_matches(a: FeatureSet, b: FeatureSet, metric: Metric, limit: float) -
 
 
 def _flat_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | faiss.IndexBinary:
+    """Exact index of descriptors (D, B), which compares with all of them."""
     if metric is Metric.HAMMING:
         binary = faiss.IndexBinaryFlat(descriptors.shape[1] * 8)
         binary.add(np.ascontiguousarray(descriptors))
@@ -132,9 +133,9 @@ def _inverted_index(descriptors: ByteArray, metric: Metric) -> faiss.Index | fai
     index.cp.niter, index.cp.seed = _ITERATIONS, _SEED
     index.cp.max_points_per_centroid, index.cp.min_points_per_centroid = _TRAINING_PER_LIST, 1
     chosen = np.random.default_rng(_SEED).permutation(count)[: _TRAINING_PER_LIST * lists]
-    index.train(_prepared(descriptors[chosen], metric))
+    index.train(_for_faiss(descriptors[chosen], metric))
     for start in range(0, count, _ADDED_AT_A_TIME):
-        index.add(_prepared(descriptors[start : start + _ADDED_AT_A_TIME], metric))
+        index.add(_for_faiss(descriptors[start : start + _ADDED_AT_A_TIME], metric))
     index.nprobe = _LISTS_SEARCHED
     return index
 
@@ -149,7 +150,8 @@ def _empty_lists(size: int, lists: int, metric: Metric) -> faiss.IndexIVF | fais
     return index
 
 
-def _prepared(descriptors: ByteArray, metric: Metric) -> ByteArray | FloatArray:
+def _for_faiss(descriptors: ByteArray, metric: Metric) -> ByteArray | FloatArray:
+    """Descriptors (N, B) as faiss takes them: contiguous bytes for the Hamming distance, else float32."""
     return np.ascontiguousarray(descriptors) if metric is Metric.HAMMING else descriptors.astype(np.float32)
 
 

@@ -53,6 +53,7 @@ class Vlad:
         return vlad
 
     def _set_words(self, words: FloatArray) -> None:
+        """Set the words (W, D) float32, and index them."""
         self.words = words
         self._index = faiss.IndexFlatL2(words.shape[1])
         self._index.add(words)

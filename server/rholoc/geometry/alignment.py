@@ -42,12 +42,12 @@ class Similarity:
 
 
 def aligning_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The rotation (3, 3) that takes vectors (N, 3) to vectors (N, 3) best, in the sense of least squares (Kabsch)."""
+    """The rotation (3, 3) that takes vectors ``source`` (N, 3) to ``target`` (N, 3), by least squares (Kabsch)."""
     return _nearest_rotation(target.T @ source)[0]
 
 
 def _nearest_rotation(correlation: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The rotation (3, 3) nearest to a correlation (3, 3), and the singular values (3,), the last one signed."""
+    """Rotation (3, 3) nearest to Σ target sourceᵀ (3, 3), and singular values (3,), the last one signed."""
     U, singular, Vt = np.linalg.svd(correlation)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
     return U @ np.diag(sign) @ Vt, singular * sign
@@ -117,7 +117,8 @@ def _normalized(weights: FloatArray | None, count: int) -> FloatArray:
 def align_poses(source: FloatArray, target: FloatArray, rounds: int = 5) -> Similarity:
     """Robust similarity from poses ``source`` (N, 4, 4) to poses ``target`` (N, 4, 4) of the same cameras.
 
-    Uses camera centres only, reweighted so that a minority of wrong ones is ignored (Cauchy weights at their median).
+    Uses camera centres only, not on one line, reweighted ``rounds`` times so that a minority of wrong ones is ignored
+    (Cauchy weights at the median distance).
     """
     a, b = source[:, :3, 3], target[:, :3, 3]
     weights = np.ones(len(a))

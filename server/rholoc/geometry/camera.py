@@ -178,7 +178,7 @@ class Camera:
 
     @property
     def breadth(self) -> float:
-        """Horizontal field of view of a wide lens in units of 60°, 1 to 4; 1 for pinholes.
+        """Field of view of a wide lens along the longer side in units of 60°, clipped to 1 to 4; 1 for pinholes.
 
         Limits on pixels and features are for ordinary pictures; for wide ones they are multiplied by this.
         """
@@ -282,7 +282,10 @@ class Camera:
         return inside
 
     def shows(self, points: FloatArray) -> BoolArray:
-        """Mask (...) of the points (..., 3) in the camera frame that lie in its field of view."""
+        """Mask (...) of the points (..., 3) in the camera frame that lie in its field of view.
+
+        With a pinhole's distortion approximately: as a rectangle through the middles of the image's edges.
+        """
         if self.lens is not Lens.PINHOLE:
             return np.reshape(self.contains(self.project(points)), points.shape[:-1])
         (left, top), (right, bottom) = self._field

@@ -144,13 +144,13 @@ def _distorted(plane: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
 
 
 def _off_axis(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distances (N,) from the optical axis, and angles (N,) off it in radians, 0 to π."""
+    """Distances (N,) of points (N, 3) from the optical axis, and angles (N,) off it in radians, 0 to π."""
     radius = np.hypot(points[:, 0], points[:, 1])
     return radius, np.arctan2(radius, points[:, 2])
 
 
 def _bent(angle: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """Kannala and Brandt's radius (N,) in the image at angles (N,) off the axis."""
+    """Kannala and Brandt's radius (N,) in the image, in focal lengths, at angles (N,) [rad] off the axis."""
     if not distortion:
         return angle
     k1, k2, k3, k4 = distortion

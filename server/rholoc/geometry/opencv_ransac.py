@@ -68,7 +68,7 @@ class _Problem:
     tolerance: float
 
     def errors(self, T_map_rig: FloatArray) -> FloatArray:
-        """Squared errors (S, M) for poses (S, 4, 4); infinite behind the rays."""
+        """Squared errors (S, M) on the plane at distance 1, for poses (S, 4, 4); infinite behind a camera."""
         R_rig_map = T_map_rig[:, :3, :3].transpose(0, 2, 1)
         seen = R_rig_map @ self.points.T - R_rig_map @ T_map_rig[:, :3, 3:] - self.centres.T
         depth = (seen * self.rays.T).sum(axis=1)

@@ -70,4 +70,5 @@ def mean_patches(vectors: FloatArray, features: IntArray, count: int) -> FloatAr
 
 
 def _in_camera(T_map_camera: FloatArray, landmarks: FloatArray) -> FloatArray:
+    """Landmarks (N, 3) of the map frame in the camera frame."""
     return (landmarks.astype(np.float64) - T_map_camera[:3, 3]) @ T_map_camera[:3, :3]

@@ -115,6 +115,7 @@ def _mounted(R_face_camera: FloatArray, T_rig_camera: FloatArray) -> FloatArray:
 
 
 def _poselib_pose(T_face_rig: FloatArray) -> Any:
+    """poselib's pose of a transform (4, 4)."""
     pose = poselib.CameraPose()
     pose.R, pose.t = T_face_rig[:3, :3], T_face_rig[:3, 3]
     return pose

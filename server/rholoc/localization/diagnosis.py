@@ -102,7 +102,7 @@ class Sight:
 
 
 def sight_of(image: ByteArray) -> Sight:
-    """Measure brightness, tint (0 for grey) and sharpness of an image (H, W, 3) BGR or (H, W), at most 640 px wide."""
+    """Brightness, tint (0 for grey) and sharpness of an image (H, W, 3) BGR or (H, W), first shrunk to 640 px width."""
     height, width = image.shape[:2]
     if width > _WORK_WIDTH_PX:
         size = (_WORK_WIDTH_PX, max(1, round(height * _WORK_WIDTH_PX / width)))

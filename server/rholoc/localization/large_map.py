@@ -115,12 +115,15 @@ class _NearestInPart(NearestLandmarks):
     part: MapPart
 
     def joined(self, others: NearestLandmarks) -> NearestLandmarks:
+        """As :meth:`NearestLandmarks.joined`, restricted to this one's part."""
         return _in_part(super().joined(others), self.part)
 
     def matches(self, mutual: bool = False) -> Matches:
+        """The matches by the whole map that are in the part, landmarks numbered as in the part."""
         return self._within(super().matches(mutual))
 
     def pairs(self) -> Matches:
+        """The pairs by the whole map that are in the part, landmarks numbered as in the part."""
         return self._within(super().pairs())
 
     def _within(self, found: Matches) -> Matches:
@@ -132,6 +135,7 @@ class _NearestInPart(NearestLandmarks):
 
 
 def _in_part(found: NearestLandmarks, part: MapPart) -> _NearestInPart:
+    """Nearest landmarks in the whole map, restricted to a part."""
     return _NearestInPart(found.detections, found.landmarks, found.distances, found.metric, part)
 
 
@@ -142,7 +146,7 @@ class _PartIndex(MapIndex):
         part: the part.
         chance: :func:`chance_of_likeness` of the whole map.
         places: inverted file of the whole map.
-        looked_up: results of earlier look-ups there.
+        looked_up: features that were looked up there before, and the result.
     """
 
     def __init__(
@@ -152,6 +156,7 @@ class _PartIndex(MapIndex):
         self._part, self._places, self._looked_up = part, places, looked_up
 
     def nearest_everywhere(self, features: FeatureSet, some: IntArray | None = None) -> NearestLandmarks:
+        """Approximately the nearest landmarks in the whole map, of which only those in the part are matched."""
         known, found = self._looked_up
         if features is not known or some is None or not np.array_equal(found.detections, some):
             found = self._places.nearest(features, some)
@@ -221,13 +226,14 @@ class LargeMapLocalizer:
         return self.index.votes(self.index.nearest(features).matches())
 
     def around(self, frames: Sequence[FeatureSet]) -> tuple[MapPart, Localizer]:
-        """Cut out the part of the map that the frames' features vote for together, and make its localizer. For frames
-        taken at one place.
+        """Cut out the part of the map that the frames' features vote for together (view 0 and its landmarks without
+        votes), and make its localizer. For frames taken at one place.
         """
         part = self._part([self.index.nearest(features) for features in frames], None, _CLOSELY)
         return part, self._localizer(part, MapIndex(part.map, self._chance))
 
     def _localizer(self, part: MapPart, index: MapIndex) -> Localizer:
+        """Localizer of a part, with this one's options."""
         return Localizer(part.map, self.min_recognized, self.options, index)
 
     def _part(self, found: Sequence[NearestLandmarks], prior: Prior | None, size: _Size) -> MapPart:

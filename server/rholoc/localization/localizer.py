@@ -284,7 +284,7 @@ class Localizer:
             yield from self._look_closely(place, search, rays)
 
     def _glance(self, matches: Matches, search: Search, rays: FloatArray) -> Found | None:
-        """Candidate from one LO-RANSAC over all matches, enough for most frames. None without a credible pose."""
+        """Candidate from one LO-RANSAC over ``matches``, enough for most frames. None without a credible pose."""
         seed = self._ransac_seed(matches, search)
         return None if seed is None else self._candidate_at(seed, search.query, rays, search, matches)
 
@@ -429,6 +429,7 @@ class Localizer:
         return self._candidate(verified, query, check, belief)
 
     def _candidate(self, verified: Verified, query: Query, check: Callable[[], FocalEstimate], belief: Belief) -> Found:
+        """Candidate from a verified pose; ``check`` checks the focal length when the result is first asked for."""
         near_prior = _near_prior(verified.optimum.T_map_camera, query.prior)
         return Found(verified, query.camera, cache(check), belief, near_prior)
 
@@ -448,6 +449,7 @@ class Localizer:
         return found
 
     def _answer(self, search: Search) -> Localization:
+        """A search's answer: its pose if probable and exact enough, else a refusal with its reason."""
         found = self._outcome(search)
         if found is None:
             return Localization.refused(search.reason, search.matches, search.watch.timings_ms)
@@ -506,6 +508,7 @@ class Localizer:
         return self._diagnose_picture(query, answer)
 
     def _diagnose_picture(self, query: Query, answer: Localization) -> Diagnosis:
+        """Likeliest cause of a refusal by the picture and its agreement, see :func:`diagnose_picture`."""
         agreement = Agreement(answer.inliers, answer.matches, answer.recognized)
         return diagnose_picture(query.image, self.map, len(query.features), _FEW_FEATURES, agreement)
 

@@ -62,7 +62,7 @@ class SearchOptions:
 
 @dataclass
 class Stopwatch:
-    """Milliseconds per stage, and the deadline."""
+    """Milliseconds per stage, and the deadline [s after the start]; None if there is none."""
 
     deadline_s: float | None
     started: float = field(default_factory=time.perf_counter)
@@ -149,7 +149,7 @@ class Search:
         best: likeliest candidate that agrees with the prior.
         elsewhere: likeliest candidate that does not.
         reason: reason for a refusal, if no candidate is good enough.
-        place: place with the most votes.
+        place: first place that was searched: the prior's, else the one with the most votes.
         everywhere: matches with the whole map.
         nearest: nearest landmarks of each feature in the whole map.
         is_sampled: whether ``nearest`` covers only a sample of the features.
@@ -200,8 +200,9 @@ class Search:
             self.elsewhere = _likelier(self.elsewhere, found)
 
     def is_over(self, conclusive: float, max_sigma_m: float) -> bool:
-        """Whether some candidate ends the search: recognized with a probability of at least ``conclusive``, a position
-        sigma of at most ``max_sigma_m``, and at most a quarter as many nats against it as for it.
+        """Whether some candidate ends the search: recognized, if its focal length is right, with a probability of at
+        least ``conclusive``, a position sigma of at most ``max_sigma_m``, and nats against it of at most a quarter of
+        those for it.
         """
         candidates = [found for found in (self.best, self.elsewhere) if found is not None]
         return any(
@@ -284,7 +285,7 @@ def _likelier(a: Found | None, b: Found) -> Found:
 
 
 def _shares(candidates: list[Found], places: list[float]) -> FloatArray:
-    """Share (M,) of each of M poses that exclude one another, given each one's probability of the right place."""
+    """Shares (M,), see :func:`shares`, of M poses that exclude one another, by each one's probability of its place."""
     return shares(np.array(places), np.array([one.verified.support.net for one in candidates]))
 
 

@@ -286,6 +286,7 @@ class _Joint:
                 yield candidate
 
     def _late(self) -> bool:
+        """Whether the first frame's deadline has passed; False without one."""
         deadline_s = self.frames[0].deadline_s
         return deadline_s is not None and time.perf_counter() - self.started > deadline_s
 
@@ -373,6 +374,7 @@ class _Joint:
     def _answer(
         self, best: _Candidate | None, reason: Reason, matched: int, stray: _Stray | None = None
     ) -> JointLocalization:
+        """The answer with a candidate, if probable and exact enough, else a refusal; a stray becomes its diagnosis."""
         timings_ms = {"match": 1e3 * (time.perf_counter() - self.started)}
         if best is None:
             refusal = Localization.refused(reason, matched, timings_ms)
@@ -406,6 +408,7 @@ def _verified(
     by_chance: FloatArray,
     wide: Matches,
 ) -> Verified:
+    """A frame's pose rated by its matches; ``by_chance`` (N,) and ``wide`` as of :func:`support_of`."""
     optimum = optimum_at(index.map.densities, evidence, T_map_camera, FINAL_TOLERANCE_PX)
     support = support_of(index, frame, matches, evidence, optimum, by_chance, wide)
     return Verified(optimum, matches, evidence, frame.features.pixels[matches.detections], wide, support)

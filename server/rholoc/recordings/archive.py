@@ -57,6 +57,7 @@ def check_archive(archive: Path, max_files: int = MAX_FILES) -> None:
 
 @contextmanager
 def _opened(archive: Path, max_files: int) -> Iterator[zipfile.ZipFile]:
+    """Open a ZIP file for the block; errors of reading it become InvalidRecording, a full disk StorageFull."""
     try:
         _check_directory(archive, max_files)
         with zipfile.ZipFile(archive) as packed:
@@ -107,11 +108,14 @@ def _checked_entries(packed: zipfile.ZipFile, archive: Path, max_bytes: int) -> 
 
 
 def _path(entry: zipfile.ZipInfo) -> PurePosixPath:
+    """An entry's path inside the archive; also with Windows' separators."""
     return PurePosixPath(entry.filename.replace("\\", "/"))
 
 
 def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> None:
-    """Raise InvalidRecording for unsafe paths, links and devices; TooLarge for too much, or suspicious compression."""
+    """Raise InvalidRecording for unsafe paths, links and devices; TooLarge above ``max_bytes``, ``MAX_FILES`` entries,
+    or 200-fold compression of an entry over 1 MiB.
+    """
     for entry in entries:
         path = _path(entry)
         if path.is_absolute() or ".." in path.parts or ":" in path.parts[0]:
@@ -135,6 +139,7 @@ def _check(entries: list[zipfile.ZipInfo], archive: Path, max_bytes: int) -> Non
 
 
 def _unpack_entry(packed: zipfile.ZipFile, entry: zipfile.ZipInfo, folder: Path) -> None:
+    """Write an entry below ``folder``. Raises InvalidRecording if its content is of another type than its name."""
     target = folder / _path(entry)
     if entry.is_dir():
         target.mkdir(parents=True, exist_ok=True)

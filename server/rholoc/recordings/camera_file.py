@@ -68,10 +68,12 @@ def write_camera_json(path: Path, description: CameraFile) -> None:
 
 
 def _hint() -> str:
+    """Hint for people: the members of the intrinsics."""
     return f"The intrinsics are {', '.join(_INTRINSICS)} and distortion (a list), all numbers, and lens (a name)."
 
 
 def _camera(values: dict[str, Any], path: Path) -> Camera | None:
+    """The intrinsics, None without fx, fy, cx and cy (unless a panorama). Raises InvalidCamera, naming ``path``."""
     _refuse_other_models(values, path)
     given = [name for name in _INTRINSICS if values.get(name) is not None]
     is_panorama = values.get("lens") == Lens.EQUIRECTANGULAR
@@ -103,6 +105,7 @@ def _refuse_other_models(values: dict[str, Any], path: Path) -> None:
 
 
 def _fps(values: dict[str, Any], path: Path) -> float | None:
+    """Frames a second; None if not given. Raises InvalidCamera, naming ``path``."""
     fps = values.get("fps")
     if fps is None:
         return None
@@ -112,6 +115,7 @@ def _fps(values: dict[str, Any], path: Path) -> float | None:
 
 
 def _readout_s(values: dict[str, Any], path: Path) -> float | None:
+    """Read-out time [s], up to 0.2; None if it is 0 or not given. Raises InvalidCamera, naming ``path``."""
     readout_s = values.get("readout_s")
     if readout_s is None:
         return None
@@ -122,7 +126,7 @@ def _readout_s(values: dict[str, Any], path: Path) -> float | None:
 
 
 def _rotation(values: dict[str, Any], path: Path) -> FloatArray | None:
-    """R_camera_imu (3, 3), if given. Raises InvalidCamera."""
+    """R_camera_imu (3, 3); None if not given. Raises InvalidCamera, naming ``path``."""
     rows = values.get("R_camera_imu")
     if rows is None:
         return None

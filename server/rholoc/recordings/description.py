@@ -42,6 +42,7 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
 
 
 def _known_poses(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Times (K,) and poses (K, 4, 4) of the frames that have one; empty without poses."""
     if recording.poses is None:
         return np.zeros(0), np.zeros((0, 4, 4))
     known = recording.poses.known
@@ -49,6 +50,7 @@ def _known_poses(recording: Recording) -> tuple[FloatArray, FloatArray]:
 
 
 def _frames(frames: FrameSource) -> dict[str, Any]:
+    """Number, numbers, size, time span and rate of the frames, for JSON; None for what needs measured times."""
     steps = np.diff(frames.times) if frames.timed else np.zeros(0)
     width, height = frames.size
     return {
@@ -75,6 +77,7 @@ def _logged(frame_intrinsics: FloatArray | None) -> dict[str, list[float] | None
 
 
 def _imu(imu: Imu) -> dict[str, Any]:
+    """Rows, time span, rate, median force, mounting and pauses of the IMU, for JSON."""
     steps = np.diff(imu.times)
     return {
         "rows": len(imu.times),
@@ -90,10 +93,12 @@ def _imu(imu: Imu) -> dict[str, Any]:
 
 
 def _waypoint(waypoint: Waypoint) -> dict[str, Any]:
+    """A waypoint's attributes by name, for JSON: an unknown time (NaN) becomes None."""
     return asdict(waypoint) | ({"time": None} if np.isnan(waypoint.time) else {})
 
 
 def _poses(poses: GivenPoses) -> dict[str, Any]:
+    """Number of known poses, whether they are metric, and the path length in their unit, for JSON."""
     positions = poses.T_map_camera[poses.known, :3, 3]
     path = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
     return {"known": int(poses.known.sum()), "metric": poses.metric, "path_length": path}

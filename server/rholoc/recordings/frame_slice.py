@@ -132,5 +132,6 @@ def _waypoints_within(recording: Recording, frames: SelectedFrames) -> tuple[Way
 
 
 def _text(chosen: slice) -> str:
+    """A slice as :func:`parse_frame_slice` reads it."""
     parts = [chosen.start, chosen.stop, *([chosen.step] if chosen.step is not None else [])]
     return ":".join("" if part is None else str(part) for part in parts)

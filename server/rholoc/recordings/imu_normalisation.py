@@ -78,7 +78,7 @@ def normalise_imu(
     says: ImuConvention,
     R_camera_imu: FloatArray | None = None,
 ) -> tuple[Imu, tuple[RecordingWarning, ...]]:
-    """Combine both sensors in one table at the gyroscope's times, in seconds, m/s² and rad/s.
+    """Combine both sensors in one table at the gyroscope's times, in seconds, m/s² and rad/s; and warnings.
 
     Args:
         accelerometer, gyroscope: as logged; their times may differ, and be out of order.
@@ -275,6 +275,7 @@ def interpolated(samples: Samples, times: FloatArray) -> FloatArray:
 
 
 def _check_range(samples: Samples, sensor: str) -> None:
+    """Raise InvalidRecording, naming ``sensor``, if a value is above 1e5."""
     largest = float(np.abs(samples.values).max(initial=0.0))
     if largest > _LARGEST:
         raise InvalidRecording(f"The {sensor} reads {largest:.3g}, which is out of range in any unit.")
@@ -306,10 +307,12 @@ def _on_clock(what: str, sensors: list[Samples], says: str, warnings: list[Recor
 
 
 def _unit_warning(what: str, unit: str, says: str) -> RecordingWarning:
+    """Warning that the times of ``what`` are in ``unit``, not in the documented one, ``says``."""
     return RecordingWarning(WarningKind.TIME_UNIT, f"The times of the {what} are in {unit}, not in {says}.")
 
 
 def _convention_warnings(says: ImuConvention, measured: ImuConvention) -> list[RecordingWarning]:
+    """A warning for each difference of the measured convention from the documented one, ``says``."""
     warnings = []
     if measured.in_g != says.in_g:
         unit = "g" if measured.in_g else "m/s²"

@@ -89,6 +89,7 @@ def read_recording(
 
 
 def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Sequence[str]) -> Recording:
+    """Read a recording of any format as it is. Raises as :func:`read_recording`."""
     suffix = path.suffix.lower()
     if not path.exists():
         raise InvalidRecording(f"There is no {path.name}.", "Check the path.")
@@ -108,6 +109,7 @@ def _read(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Seq
 
 
 def _read_zip(path: Path, workdir: Path | None, max_unpacked_bytes: int, topics: Sequence[str]) -> Recording:
+    """Unpack a ZIP file into a new folder, and read that; the folder is removed if this fails."""
     folder = Path(tempfile.mkdtemp(prefix="rholoc-recording-", dir=workdir))
     try:
         unpack(path, folder, max_unpacked_bytes)

@@ -150,7 +150,7 @@ class GivenPoses:
     Attributes:
         known: (N,) bool, whether the frame in this row has a pose.
         T_map_camera: (N, 4, 4), NaN where unknown.
-        metric: whether their unit of length is the metre, or unknown.
+        metric: whether their unit of length is the metre; False: it is unknown.
         kind: how they were measured.
     """
 
@@ -191,7 +191,7 @@ class Recording:
         poses: None if none came with it.
         format: the layout that it was read as.
         frame_intrinsics: (N, 4) fx, fy, cx, cy of each frame in pixels, NaN where not logged; None where none were.
-        readout_s: how long a rolling shutter takes from the first row to the last, or None where not logged.
+        readout_s: seconds that a rolling shutter takes from the first row to the last, or None where not logged.
         depth: depth images of its frames, or None.
         odometry: None if there is none.
         focal_px: first guess of the focal length where the intrinsics are unknown, by EXIF; or None.

@@ -106,7 +106,7 @@ def follow(
     answering: Answering | None = None,
     options: TrackOptions | None = None,
 ) -> Iterator[Step]:
-    """Track a camera in a map.
+    """Track a camera in a map: iterate over the result of each frame.
 
     Args:
         localizer: of the map; it answers the tracker's questions.

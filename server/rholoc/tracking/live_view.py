@@ -83,6 +83,7 @@ class LiveView(PoseMessages):
         self._channels[topic].log(message, log_time=stamp_ns)
 
     def _schema(self, kind: str) -> Schema:
+        """Foxglove's schema of a ROS 2 message type, such as ``nav_msgs/msg/Path``."""
         from foxglove import Schema
 
         text, _ = self._store.generate_msgdef(kind, ros_version=2)

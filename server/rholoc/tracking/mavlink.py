@@ -134,7 +134,7 @@ class MavlinkSender:
     """Sends a track's poses from a thread, between frames at constant velocity; silent while searching or lost.
 
     Raises:
-        InvalidInput: the address is malformed.
+        InvalidInput: the address is malformed, or its host is unknown.
 
     Args:
         address: ``HOST:PORT`` of the flight controller or its router.
@@ -198,6 +198,7 @@ class MavlinkSender:
         self._known = now
 
     def _send(self) -> None:
+        """Until stopped, send odometry at ``RATE_HZ``, each second a heartbeat, and five times the origin."""
         begun_s, count, origins = time.monotonic(), 0, 0
         while not self._stop.wait(max(0.0, begun_s + count / RATE_HZ - time.monotonic())):
             known, now_s = self._known, time.monotonic()

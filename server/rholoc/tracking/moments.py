@@ -48,7 +48,9 @@ class Moment:
 
 
 def odometry_of(recording: Recording) -> FloatArray | None:
-    """Poses T_odom_camera (N, 4, 4) at a recording's frames, NaN where unknown; None without odometry."""
+    """Poses T_odom_camera (N, 4, 4) at a recording's frames, NaN where unknown, by its odometry, else by its own poses
+    if these are by a tracker; None without either.
+    """
     if recording.odometry is not None:
         times, rows = recording.frames.times, recording.odometry.times
         inside = np.flatnonzero((times >= rows[0]) & (times <= rows[-1]))
@@ -107,6 +109,7 @@ def live_moments(camera: LiveCamera) -> Iterator[Moment]:
 
 
 def _readings(imu: Imu | None) -> Iterator[Reading]:
+    """Iterate over the readings. Raises InvalidRecording without an IMU, a known mounting, or gravity in it."""
     if imu is None:
         raise InvalidRecording("The recording has no IMU.", "Use --motion pictures.")
     if imu.R_camera_imu is None or not imu.includes_gravity:

@@ -102,6 +102,7 @@ class MqttSender:
             self._client.publish(self._topic, json.dumps(self._message(step)))
 
     def _message(self, step: Step) -> dict[str, Any]:
+        """Message of a step, for JSON; takes the next ``headerId``."""
         tracked = step.tracked
         timestamp = datetime.fromtimestamp(step.moment.time_s, UTC).isoformat(timespec="milliseconds")
         message: dict[str, Any] = {
@@ -134,5 +135,6 @@ class MqttSender:
         }
 
     def _connected(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        """Note the broker's answer, a refusal with its reason (paho's ``on_connect``)."""
         self._refusal = str(reason) if reason.is_failure else ""
         self._answered.set()

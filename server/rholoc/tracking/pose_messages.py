@@ -160,6 +160,7 @@ class PoseMessages(ABC):
         self._write("/camera/camera_info", time_s, self._camera_info(header, camera, share, small.shape[1::-1]))
 
     def _camera_info(self, header: Any, camera: Camera, share: float, size: tuple[int, int]) -> Any:
+        """CameraInfo of pictures of ``camera`` that are shrunk by the factor ``share`` to ``size`` (width, height)."""
         fx, fy = share * camera.fx, share * camera.fy
         cx, cy = (share * (value + 0.5) - 0.5 for value in (camera.cx, camera.cy))
         model, count = _lens_model(camera)
@@ -208,10 +209,12 @@ class PoseMessages(ABC):
             self._write("/visual_localization/path", time_s, path)
 
     def _write(self, topic: str, time_s: float, message: Any) -> None:
+        """Serialize a message of a topic, and send it with the time ``time_s``."""
         data = self._store.serialize_cdr(message, {**TOPICS, **PICTURE_TOPICS}[topic])
         self._send(topic, round(time_s * _S_NS), bytes(data))
 
     def _transforms(self, topic: str, time_s: float, *transforms: tuple[str, str, FloatArray]) -> None:
+        """Write one message of transforms, each of frame, child and T_frame_child (4, 4)."""
         messages = []
         for frame, child, T_frame_child in transforms:
             pose = self._pose(T_frame_child)
@@ -223,16 +226,19 @@ class PoseMessages(ABC):
         self._write(topic, time_s, self._store.types["tf2_msgs/msg/TFMessage"](transforms=messages))
 
     def _pose(self, T: FloatArray) -> Any:
+        """Message ``Pose`` of T (4, 4)."""
         ((px, py, pz, x, y, z, w),) = rows_from_poses(T[None]).tolist()
         position, orientation = self._make("Point", x=px, y=py, z=pz), self._make("Quaternion", x=x, y=y, z=z, w=w)
         return self._make("Pose", position=position, orientation=orientation)
 
     def _header(self, time_s: float, frame: str) -> Any:
+        """Message ``Header`` of a time [s] and a coordinate frame."""
         seconds, rest = divmod(round(time_s * _S_NS), _S_NS)
         stamp = self._store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
         return self._store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
 
     def _make(self, kind: str, package: str = "geometry_msgs", **fields: Any) -> Any:
+        """Message of the type ``package/msg/kind`` with these fields."""
         return self._store.types[f"{package}/msg/{kind}"](**fields)
 
 

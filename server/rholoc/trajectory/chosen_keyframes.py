@@ -22,9 +22,9 @@ _MAX_COMPARED = 1200  # pictures of a set, of which those least alike are used
 def keyframes_and_waypoints(
     recording: Recording, imu: Imu | None, flow: Flow, features: KeyframeFeatures | None = None
 ) -> tuple[IntArray, list[tuple[Waypoint, ...]]]:
-    """Keyframe rows (K,) by motion and sharpness, with the frames nearest to the waypoints; choices of waypoint times.
-    If the times are not known, one frame for each pause, and every way to take pauses for the waypoints. Raises
-    MappingFailed for too few keyframes, InvalidWaypoints for too few pauses.
+    """Keyframe rows (K,) by motion and sharpness, with the frames nearest to the waypoints and those of known lengths;
+    choices of waypoint times. If these are not known, one frame for each pause, and every way to take pauses for the
+    waypoints. Raises MappingFailed for too few keyframes, InvalidWaypoints for too few pauses.
     """
     choices = [recording.waypoints]
     if not times_are_known(recording.waypoints):

@@ -238,7 +238,7 @@ def _is_upright(R_map_camera: FloatArray) -> tuple[bool, str]:
 
 
 def _inertial(recording: Recording, progress: ProgressListener) -> Trajectory:
-    """Trajectory of the keyframes between the waypoints, by the IMU and the waypoints alone."""
+    """Trajectory of the keyframes between the waypoints, by the IMU and the waypoints alone; never trusted."""
     camera = _known_camera(recording)
     if recording.imu is None:
         raise InvalidRecording("The recording has no IMU table.", "Choose poses 'visual'.")

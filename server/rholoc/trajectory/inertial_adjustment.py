@@ -83,6 +83,7 @@ def adjust_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: FloatA
 
 
 def _add_motion(graph: gtsam.NonlinearFactorGraph, imu: Imu, times: FloatArray) -> None:
+    """Add the IMU's factor from each of ``times`` (N,) to the next. Raises MappingFailed over a gap in its readings."""
     parameters, longest_s, still = imu_noise(_TIMES_USUAL), longest_interval_s(imu), gtsam.imuBias.ConstantBias()
     for k, (before_s, after_s) in enumerate(pairwise(times.tolist())):
         summed = preintegrated(imu, before_s, after_s, parameters, still, longest_s)

@@ -112,6 +112,7 @@ def report_on(found: Reconstruction, method: PoseMethod, doubts: Sequence[str]) 
 
 
 def _finite_or_none(value: float) -> float | None:
+    """The value; None if it is NaN or infinite."""
     return value if np.isfinite(value) else None
 
 

@@ -80,6 +80,7 @@ class NeedsPackage(Protocol):
 
 @cache
 def _registry() -> dict[str, Extractor]:
+    """All extractors by name, installed or not."""
     modules = [
         importlib.import_module(f"{__name__}.{found.name}")
         for found in pkgutil.iter_modules(__path__)

@@ -48,10 +48,12 @@ class _Unpickler(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} is no part of a tensor.")
 
     def persistent_load(self, pid: Any) -> np.ndarray:
+        """All numbers of the storage that a tensor refers to, flat."""
         _, dtype, key, *_ = pid
         return np.frombuffer(self._archive.read(f"{self._folder}data/{key}"), dtype)
 
 
 def _array(storage: np.ndarray, offset: int, shape: tuple[int, ...], strides: tuple[int, ...], *_: Any) -> np.ndarray:
+    """PyTorch's tensor as an array: ``offset`` and ``strides`` are counted in numbers of ``storage``, not in bytes."""
     bytes_apart = tuple(storage.itemsize * stride for stride in strides)
     return np.ascontiguousarray(np.ndarray(shape, storage.dtype, storage, storage.itemsize * offset, bytes_apart))

@@ -156,6 +156,7 @@ def _place_logit(features: ConfidenceFeatures, weights: Weights) -> float:
 
 
 def _weighed(inputs: tuple[float, ...], weights: tuple[float, ...]) -> float:
+    """The first weight plus the products of the inputs with the others."""
     intercept, *slopes = weights
     return float(intercept + np.dot(slopes, inputs))
 

@@ -188,6 +188,7 @@ class MapFinder:
         self._models, self._indexes, self._files, self._is_read = models, indexes, files, True
 
     def _forget(self, names: Sequence[str]) -> None:
+        """Remove the views of maps, from memory and from the file; they are no longer known."""
         if not names:
             return
         for index in self._indexes.values():
@@ -259,6 +260,7 @@ class MapFinder:
         self._hold(views)
 
     def _hold(self, views: StoredViews) -> None:
+        """Put a map's views into the index of their kind of features, out of any other, and note its file as known."""
         for features, index in self._indexes.items():
             if features != views.features:
                 index.drop([views.map])

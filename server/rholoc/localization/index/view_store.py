@@ -62,7 +62,7 @@ class StoredViews:
 
     Attributes:
         map: name of the map.
-        file: identifies the version of its file; no vectors if that file is not a valid map.
+        file: identifies the version of its file that they were made from.
         model: id of the model that made the vectors.
         features: name of the extractor.
         vectors: (V, ``DIMENSIONS``).
@@ -163,16 +163,17 @@ class ViewStore:
             raise
 
     def _connected(self) -> sqlite3.Connection:
-        """An open connection; a corrupt file is removed first. Raises sqlite3.OperationalError."""
+        """An open connection; a corrupt file, or one of another layout, is begun anew. Raises OperationalError."""
         try:
-            return self._prepared()
+            return self._new_connection()
         except sqlite3.OperationalError:
             raise
         except sqlite3.DatabaseError:
             self._remove()
-            return self._prepared()
+            return self._new_connection()
 
-    def _prepared(self) -> sqlite3.Connection:
+    def _new_connection(self) -> sqlite3.Connection:
+        """Open the database, making folder, file and tables if missing. Raises DatabaseError for another layout."""
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
         connection = sqlite3.connect(self._path or ":memory:", timeout=_BUSY_TIMEOUT_S, check_same_thread=False)
@@ -191,6 +192,7 @@ class ViewStore:
         return connection
 
     def _remove(self) -> None:
+        """Delete the file with SQLite's own beside it; nothing for a database in memory."""
         if self._path is not None:
             for ending in ("", "-wal", "-shm"):
                 self._path.with_name(self._path.name + ending).unlink(missing_ok=True)
@@ -200,4 +202,5 @@ _PUT_VIEWS = "INSERT OR REPLACE INTO views VALUES (?, ?, ?, ?, ?)"
 
 
 def _row(views: StoredViews) -> tuple[str, str, str, str, bytes]:
+    """The columns of a row of the table ``views``."""
     return views.map, views.file, views.features, views.model, packed_vectors(views.vectors).tobytes()

@@ -98,8 +98,8 @@ def check_focal(index: MapIndex, query: Query, verified: Verified, matches: Matc
 
     Returns :meth:`FocalEstimate.unchecked` if the lens is not a pinhole, or if pixels are square and freeing the focal
     length moves the pose by less than 15 mm (:func:`_fits`). Otherwise an ascent from the pose frees it
-    (:func:`_followed`). If the ascent fails or its 3 σ exceed 5 % of the focal length, other focal lengths are tried
-    (:func:`_zoomed`). If it confirms pixels that are not square, square ones are tried (:func:`_sought`).
+    (:func:`_followed`). If it fails, or confirms the focal length but with 3 σ of 5 % or more, other focal lengths are
+    tried (:func:`_zoomed`); if it fails or confirms pixels that are not square, square ones are (:func:`_sought`).
 
     Args:
         index: index of the map.
@@ -183,7 +183,7 @@ def _followed(
 
 
 def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused]:
-    """Poses by focal lengths from half to twice the query's, at most eight.
+    """Poses by focal lengths from half to twice the query's, at most eight, and one refined.
 
     Each starts from the verified pose moved along the optical axis, its distance from the landmarks scaled like the
     focal length. The search in either direction ends when the likelihood falls by :func:`_margin`. If a pose has a
@@ -276,6 +276,7 @@ def _explaining_most(verified: Verified, others: Iterable[Refocused]) -> Refocus
 
 
 def _apart_m(a: Verified, b: Verified) -> float:
+    """Distance [m] between the positions of two poses."""
     return float(np.linalg.norm(a.optimum.T_map_camera[:3, 3] - b.optimum.T_map_camera[:3, 3]))
 
 
@@ -297,7 +298,7 @@ def _spread(sigma: float) -> float:
 
 
 def _fits(index: MapIndex, query: Query, verified: Verified, matches: Matches) -> bool:
-    """Whether matches around the pose and matches with its place both agree with the given focal length: freeing it
+    """Whether matches around the pose and ``matches``, made without, both agree with the given focal length: freeing it
     would move the pose by less than 15 mm and gain less than 0.5 nats. False with fewer than ``ENOUGH_MATCHES`` of
     either, or inliers. True for most frames. Matches around the pose alone would not suffice: a wrong focal length
     excludes the matches that contradict it.

@@ -168,6 +168,7 @@ class _Grid:
 
     @classmethod
     def of(cls, camera: Camera) -> _Grid:
+        """Eight cells across the longer side of an ordinary picture, more across a wide lens's."""
         across = round(_CELLS_ACROSS * camera.breadth)
         size_px = max(camera.width, camera.height) / across
         return cls(size_px, across, int(np.ceil(camera.height / size_px)))

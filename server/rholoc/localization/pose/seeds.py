@@ -61,8 +61,8 @@ def groups_by_votes(
     """Iterate over views by descending votes (K,), each with the group of at most ``views_each`` views (itself
     included) that share most features with it.
 
-    The nearer half of a group is not yielded again. ``shared_with`` returns the number (K,) of features that each view
-    shares with a given one.
+    The half of a group that shares most is not yielded again. ``shared_with`` returns the number (K,) of features that
+    each view shares with a given one.
     """
     open_ = votes > 0
     while open_.any():

@@ -59,8 +59,8 @@ def decode_image(
         still_wanted: called between pieces of the file; may raise to end the decoding.
 
     Raises:
-        InvalidImage: not an image, empty, truncated, more than ``max_pixels``, or a JPEG file of more than
-            ``MAX_JPEG_SCANS`` scans. All but truncation is detected before decoding.
+        InvalidImage: not an image, empty, truncated, a PPM file of text, more than ``max_pixels``, or a JPEG file with
+            too many scans (:func:`_check_scans`). All but truncation is detected before decoding.
     """
     if not data:
         raise InvalidImage("The image is empty: 0 bytes.", _HINT)
@@ -142,6 +142,7 @@ def exif_orientation(path: Path) -> int:
 
 
 def _orientation(image: Image.Image) -> int:
+    """EXIF orientation of an open image, 1 to 8; 1 if none or an impossible one is stated."""
     stated = Image.Image.getexif(image).get(_ORIENTATION_TAG, 1)  # a PNG file's own getexif would decode the pixels
     return int(stated) if stated in range(1, 9) else 1
 
@@ -216,6 +217,7 @@ def jpeg_scans(data: bytes) -> int:
 
 
 def _check_scans(data: bytes, image: Image.Image, max_pixels: int) -> None:
+    """Raise InvalidImage for more than 100 scans, or scans × pixels over 10 × ``max_pixels``."""
     scans = jpeg_scans(data)
     if scans > MAX_JPEG_SCANS or scans * image.width * image.height > MAX_SCANNED_IMAGES * max_pixels:
         raise InvalidImage("The JPEG file has too many scans.", "Save it as baseline JPEG.")
@@ -243,6 +245,7 @@ def _opened(source: Path | io.BytesIO, max_pixels: int, formats: tuple[str, ...]
 
 
 def _too_large(what: str, max_pixels: int) -> InvalidImage:
+    """Error for an image of more than ``max_pixels``; ``what`` follows "an image", such as "of 90000×90000 pixels"."""
     return InvalidImage(
         f"The image's header claims an image {what}; {max_pixels} pixels are allowed.", "Scale it down."
     )

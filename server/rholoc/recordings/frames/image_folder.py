@@ -27,7 +27,7 @@ _MAX_DIGITS = 25  # including leading zeros; Python refuses to parse thousands o
 class ImageFolderFrames:
     """Image files of one size as frames, see :class:`rholoc.recordings.FrameSource`; ``paths`` has one file per row.
 
-    ``focal_px`` is their focal length by EXIF, None where it is not known.
+    ``focal_px`` is their focal length [px] by EXIF, None where it is not known.
     """
 
     paths: tuple[Path, ...]
@@ -107,6 +107,7 @@ def image_frames(
     Raises:
         InvalidRecording: there are no files, or one is missing, has no image header, a side below 16 px or over 8K
             pixels.
+        InvalidCamera: a camera has another aspect ratio than its picture.
     """
     if not paths:
         raise InvalidRecording("The recording lists no images.")
@@ -181,6 +182,7 @@ def number_in_name(path: Path) -> int | None:
 
 
 def _times_of(numbers: IntArray, times_csv: Path) -> FloatArray:
+    """Times (N,) [s] of the frames ``numbers`` (N,) by a table. Raises InvalidRecording if it lacks one."""
     table_numbers, table_times = read_frames_csv(times_csv)
     missing = np.setdiff1d(numbers, table_numbers)
     if len(missing):

@@ -62,6 +62,7 @@ class LiveCamera:
             yield newest
 
     def _read(self) -> None:
+        """The thread: replace the newest frame until stopped, the camera fails, or a frame has another size."""
         last_s = 0.0
         while not self._ended:
             found, image = self._capture.read()

@@ -107,6 +107,7 @@ def read_video(path: Path) -> VideoFrames:
 
 
 def _retrieved_size(capture: cv2.VideoCapture) -> tuple[int, int] | None:
+    """Width and height of the frame that was grabbed last; None if it cannot be decoded."""
     decoded, image = capture.retrieve()
     return (image.shape[1], image.shape[0]) if decoded and image is not None else None
 
@@ -129,6 +130,7 @@ def check_frame_size(name: str, width: int, height: int) -> None:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[cv2.VideoCapture]:
+    """Open a video for the block. Raises InvalidRecording if it cannot be opened."""
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():

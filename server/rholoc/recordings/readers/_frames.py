@@ -47,7 +47,7 @@ def timed_video(video: Path, times: FloatArray, table: str) -> TimedFrames:
 
     Raises:
         InvalidRecording: the video cannot be read, the numbers of frames differ by more than
-            ``MAX_FRAME_COUNT_DIFFERENCE``, or times go back.
+            ``MAX_FRAME_COUNT_DIFFERENCE``, or over 5 % of the times do not increase.
     """
     frames = read_video(video)
     count = min(len(times), len(frames.times))
@@ -162,7 +162,7 @@ def unreadable(picture: Path) -> InvalidRecording:
 
 
 def listed_file(folder: Path, name: str) -> Path:
-    """The file that a list in the folder refers to, by a path relative to it; also with Windows' separators.
+    """The file, which need not exist, that a list in the folder names by a path in it; also with Windows' separators.
 
     Raises:
         InvalidRecording: the name leads out of the folder, is too long for a file, or has half of a surrogate pair.

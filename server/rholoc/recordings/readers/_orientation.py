@@ -48,7 +48,10 @@ def stored_size(path: Path) -> tuple[int, int]:
 
 
 def _quarter_turns(path: Path, camera: Camera | None) -> int:
-    """Clockwise quarter turns from the picture as ``camera`` knows it to the picture as it is shown."""
+    """Clockwise quarter turns from the picture as ``camera`` knows it to the picture as it is shown: 0 to 3.
+
+    Raises InvalidRecording if the picture is mirrored.
+    """
     orientation = 1
     with suppress(InvalidImage, OSError):  # reported where the picture is read
         orientation = exif_orientation(path)

@@ -28,6 +28,7 @@ def stamp_ns(message: Any, logged_ns: int) -> int:
 
 
 def vector(value: Any) -> tuple[float, float, float]:
+    """x, y and z of a message's vector."""
     return value.x, value.y, value.z
 
 
@@ -108,7 +109,7 @@ class Mounting:
 
 
 def pose_of(message: Any, topic: str) -> FloatArray:
-    """Pose (4, 4) in a message with a transform or a pose, with covariance or without."""
+    """Pose (4, 4) in a message with a transform or a pose. Raises InvalidTrajectory, naming ``topic``."""
     if hasattr(message, "transform"):
         return _pose(message.transform.translation, message.transform.rotation, topic)
     pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose

@@ -65,6 +65,7 @@ def _is_known(path: PurePath, tables: tuple[str, ...]) -> bool:
 
 
 def _files_of(frames: FrameSource) -> tuple[Path, ...]:
+    """Files that the frames are read from: pictures, or a video or bag; none for frames in memory."""
     match frames:
         case SelectedFrames() | SteadyFrames():
             return _files_of(frames.source)

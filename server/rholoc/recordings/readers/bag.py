@@ -117,7 +117,7 @@ def _bags(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True, eq=False)
 class _Topics:
-    """The connections of a bag, and which topics were asked for."""
+    """The connections of a bag that have messages, which topics were asked for, and the connection of the pictures."""
 
     connections: tuple[Connection, ...]
     asked: tuple[str, ...]
@@ -166,6 +166,7 @@ def _is_picture(reader: AnyReader, connection: Connection) -> bool:
 
 
 def _first(reader: AnyReader, connection: Connection) -> Any:
+    """First message of a connection that has messages."""
     _, _, raw = next(iter(reader.messages([connection])))
     return reader.deserialize(raw, connection.msgtype)
 

@@ -77,6 +77,7 @@ def read_description(folder: Path) -> CameraFile:
 
 
 def _read_imu(folder: Path, description: CameraFile) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    """The IMU by ``imu.csv``, and warnings; None without the file. Raises InvalidRecording."""
     path = folder / "imu.csv"
     if not path.is_file():
         return None, ()
@@ -87,6 +88,7 @@ def _read_imu(folder: Path, description: CameraFile) -> tuple[Imu | None, tuple[
 
 
 def _read_frames(folder: Path, description: CameraFile) -> tuple[FrameSource, tuple[RecordingWarning, ...]]:
+    """Frames of the video, else of the images, with their table of times if there is one; and warnings."""
     times_csv = _first_file(folder, "frames.csv", "times.csv")
     video = find_video(folder)
     if video is not None and times_csv is not None:
@@ -132,4 +134,5 @@ def _require_no_gap(numbers: IntArray, table: str) -> None:
 
 
 def _first_file(folder: Path, *names: str) -> Path | None:
+    """The first of these files that the folder has; None if it has none."""
     return next((folder / name for name in names if (folder / name).is_file()), None)

@@ -68,6 +68,7 @@ def parse_json(text: str) -> Any:
 
 
 def _integer(digits: str) -> int:
+    """A JSON integer. Raises ValueError for more than 300 digits."""
     if len(digits) > _MAX_DIGITS:
         raise ValueError(f"it has a number of {len(digits)} digits")
     return int(digits)
@@ -92,8 +93,8 @@ def read_numbers(path: Path, columns: Sequence[str]) -> dict[str, FloatArray]:
     Row by row: a table takes the memory of its numbers, not of its text.
 
     Raises:
-        InvalidRecording: a column is missing, there are no rows or more than ``MAX_TABLE_ROWS``, or a value is not a
-            finite number.
+        InvalidRecording: the file cannot be read, a column is missing, there are no rows or more than
+            ``MAX_TABLE_ROWS``, or a value is not a finite number.
     """
     values = {column: array("d") for column in columns}
     with table_rows(path, InvalidRecording, MAX_TABLE_ROWS) as (header, rows):
@@ -145,6 +146,7 @@ def _paper_columns(groups: list[str], second: list[str], path: Path, error: type
 def _checked_rows(
     lines: Iterator[list[str]], columns: int, path: Path, error: type[InvalidInput], max_rows: int
 ) -> Iterator[list[str]]:
+    """Iterate over rows, values stripped; raises ``error`` for another number of ``columns``, or above ``max_rows``."""
     for line, row in enumerate(lines, start=2):
         if line - 1 > max_rows:
             raise error(f"{path.name} has more than {max_rows} rows.", "Record for a shorter time.")
@@ -169,6 +171,7 @@ def _raising(error: type[InvalidInput], path: Path) -> Iterator[None]:
 
 
 def _check_size(path: Path, error: type[InvalidInput], max_bytes: int) -> None:
+    """Raise ``error`` if the file has more than ``max_bytes``."""
     if path.stat().st_size > max_bytes:
         raise error(f"{path.name} is larger than {max_bytes / 2**20:g} MiB.", "Record for a shorter time.")
 

@@ -45,7 +45,7 @@ class LoggedTable:
         return (_fields(line, self.blanks) for line in self.lines)
 
     def named(self, *names: str) -> FloatArray:
-        """The named columns, (N, len(names)).
+        """The columns of these names in ``header``, (N, len(names)).
 
         Raises:
             InvalidRecording: a column is missing, the header does not fit the rows, or a value is not a finite number.
@@ -80,6 +80,7 @@ class LoggedTable:
         return [row[place] for row in self.rows]
 
     def _places(self, names: Sequence[str]) -> list[int]:
+        """Indices of the columns of these names. Raises InvalidRecording."""
         require_columns(self.path, self.header, names, InvalidRecording)
         if len(self.header) != self.columns:
             raise InvalidRecording(f"{self.path.name} has {len(self.header)} names over {self.columns} columns.")
@@ -138,7 +139,7 @@ def is_bare_table(path: Path, columns: int) -> bool:
 
 
 def _head(path: Path) -> list[str]:
-    """The first lines of a text file; none for no file or no text."""
+    """Lines of a text file's first 4 KiB; none if it cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(_HEAD_BYTES).decode("utf-8-sig", errors="replace").splitlines()
@@ -147,6 +148,7 @@ def _head(path: Path) -> list[str]:
 
 
 def _begins_with_number(line: str) -> bool:
+    """Whether the first field of a line is a number, whatever separates it."""
     text = line.replace(",", " ").split()
     try:
         float(text[0] if text else "")
@@ -156,6 +158,7 @@ def _begins_with_number(line: str) -> bool:
 
 
 def _fields(line: str, blanks: bool) -> list[str]:
+    """Fields of a line, separated by spaces if ``blanks``, else by commas and stripped."""
     if blanks:
         return line.split()
     try:
@@ -165,6 +168,7 @@ def _fields(line: str, blanks: bool) -> list[str]:
 
 
 def _header(lines: list[str], blanks: bool) -> tuple[str, ...]:
+    """Names in the last of these lines that is not blank, lower case, without ``#`` and units; empty without one."""
     named = [line.lstrip("#").strip() for line in lines if line.lstrip("#").strip()]
     if not named:
         return ()

@@ -118,6 +118,7 @@ def _half_interval(times: FloatArray) -> float:
 
 
 def _is_number(text: str) -> bool:
+    """Whether a text is a finite number."""
     try:
         return bool(np.isfinite(float(text)))
     except ValueError:

@@ -77,7 +77,7 @@ def read_waypoints_csv(path: Path, frames: FrameSource) -> tuple[Waypoint, ...]:
 def write_waypoints_csv(path: Path, waypoints: Sequence[Waypoint]) -> None:
     """Write waypoints under the header ``name,time,x,y,z``: microseconds, tenths of a millimetre.
 
-    Without times if they are unknown; with ``sigma`` if any differs from the default.
+    Without times if they are unknown; with ``sigma`` if any differs from the default. Places on Earth are not written.
     """
     ordered = any(np.isnan(waypoint.time) for waypoint in waypoints)
     usual = all(waypoint.sigma_m == DEFAULT_SIGMA_M for waypoint in waypoints)
@@ -110,10 +110,12 @@ def check_waypoints_fix_frame(waypoints: Sequence[Waypoint]) -> None:
 
 
 def _listed(names: Sequence[str]) -> str:
+    """Names for a message, separated by commas; of more than five, five and how many more."""
     return ", ".join(names[:_NAMES_SHOWN]) + (f" and {len(names) - _NAMES_SHOWN} more" if names[_NAMES_SHOWN:] else "")
 
 
 def _require_enough(waypoints: Sequence[Waypoint]) -> None:
+    """Raise InvalidWaypoints for fewer than three."""
     if len(waypoints) < MIN_WAYPOINTS:
         raise InvalidWaypoints(
             f"{len(waypoints)} waypoints; a frame needs at least {MIN_WAYPOINTS}.",
@@ -147,6 +149,7 @@ def _on_earth(waypoints: Sequence[Waypoint], columns: Sequence[str], crs: str | 
 def _waypoint(
     row: dict[str, str], line: int, moment: str | None, coordinates: Sequence[str], path: Path, frames: FrameSource
 ) -> Waypoint:
+    """Waypoint of a row: its time by the column ``moment`` (None: NaN), its position by ``coordinates``, as written."""
     name = row["name"]
     if not name:
         raise InvalidWaypoints(f"{path.name}, row {line}: the waypoint has no name.")
@@ -171,6 +174,7 @@ def _waypoint(
 
 
 def _sigma_m(row: dict[str, str], line: int, path: Path) -> float:
+    """The row's ``sigma`` [m], 0.02 if absent or empty. Raises InvalidWaypoints unless it is 0.001 to 1 m."""
     if not row.get("sigma"):
         return DEFAULT_SIGMA_M
     sigma_m = parse_number(row["sigma"], path, line, "sigma", InvalidWaypoints)

@@ -26,6 +26,7 @@ def whole_warnings(recording: Recording) -> tuple[RecordingWarning, ...]:
 
 
 def _cut_short(frames: FrameSource) -> tuple[RecordingWarning, ...]:
+    """A warning if a video has under 95 % of the frames that it announces, else none."""
     if not isinstance(frames, VideoFrames) or len(frames.times) >= _WHOLE * frames.announced:
         return ()
     text = f"The video ends after {len(frames.times)} of its {frames.announced} frames: the file seems cut short."
@@ -33,6 +34,7 @@ def _cut_short(frames: FrameSource) -> tuple[RecordingWarning, ...]:
 
 
 def _frame_gaps(times: FloatArray) -> tuple[RecordingWarning, ...]:
+    """A warning if frames at ``times`` (N,) [s] have gaps, see :func:`gap_rows`, else none."""
     gaps = gap_rows(times)
     if len(gaps) == 0:
         return ()
@@ -42,6 +44,7 @@ def _frame_gaps(times: FloatArray) -> tuple[RecordingWarning, ...]:
 
 
 def _uncovered(times: FloatArray, imu: Imu) -> tuple[RecordingWarning, ...]:
+    """A warning if frames at ``times`` (N,) [s] are over 0.5 s before or after the IMU's readings, else none."""
     covered = (times >= imu.times[0] - _MARGIN_S) & (times <= imu.times[-1] + _MARGIN_S)
     if covered.all():
         return ()

@@ -38,5 +38,5 @@ def pauses(imu: Imu, shortest_s: float = MIN_PAUSE_S) -> FloatArray:
 
 
 def _mean(values: FloatArray, size: int) -> FloatArray:
-    """Running mean over ``size`` rows."""
+    """Running mean of values (M, ...) over ``size`` rows around each."""
     return np.asarray(uniform_filter1d(values, size, axis=0, mode="nearest"))

@@ -65,6 +65,7 @@ def describe(spans: tuple[MissingSpan, ...]) -> str:
 
 
 def _place(span: MissingSpan) -> str:
+    """A span's times since the first frame, or its picture numbers, as a sentence's subject."""
     if span.start_s is not None and span.end_s is not None:
         return f"{_clock(span.start_s)}–{_clock(span.end_s)}"
     if span.first_number == span.last_number:
@@ -73,6 +74,7 @@ def _place(span: MissingSpan) -> str:
 
 
 def _reason(flow: Flow, frames: IntArray) -> str:
+    """Probable cause why ``frames`` (rows) have no pose, as a predicate: "is too dark"."""
     corners = np.diff(flow.starts)[frames]
     level = np.median if flow.timed else np.max  # without times the message is about each picture, not about most
     if level(flow.brightness[frames]) < _DARK:
@@ -87,5 +89,6 @@ def _reason(flow: Flow, frames: IntArray) -> str:
 
 
 def _clock(seconds: float) -> str:
+    """Minutes and seconds, such as 1:05."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d}"

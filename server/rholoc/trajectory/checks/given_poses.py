@@ -122,6 +122,7 @@ def _pairs(rows: IntArray, T: FloatArray) -> list[tuple[int, int]]:
 
 
 def _matched(recording: Recording, camera: Camera, pairs: list[tuple[int, int]]) -> list[_Matched]:
+    """Pairs of frames (rows) with at least 30 inlier matches. Raises InvalidRecording if one cannot be decoded."""
     needed = np.unique(list(itertools.chain.from_iterable(pairs))).astype(np.int64)
     with KeyframeFeatures(recording.frames, camera=camera) as extractor:
         features = dict(zip(needed.tolist(), extractor.of(needed), strict=True))

@@ -124,6 +124,7 @@ def _way(times: FloatArray, positions: FloatArray, waypoints: Sequence[Waypoint]
 
 
 def _check_enough_near(waypoints: Sequence[Waypoint], near: BoolArray) -> None:
+    """Raise MappingFailed, naming the others, if the waypoints ``near`` (W,) do not fix a frame."""
     if near.all():
         return
     lost = ", ".join(w.name for w, ok in zip(waypoints, near, strict=True) if not ok)

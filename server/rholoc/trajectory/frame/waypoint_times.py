@@ -25,7 +25,7 @@ def find_pauses(times: FloatArray, motion: FloatArray, imu: Imu | None) -> Float
 
     Args:
         times: (N,) of the frames [s].
-        motion: (N,) image motion before each frame, as a share of the image's width.
+        motion: (N,) image motion before each frame, as a share of the image's longer side.
         imu: of the same recording; None to use the images alone.
     """
     if len(times) < 2:

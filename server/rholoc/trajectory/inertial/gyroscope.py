@@ -97,7 +97,7 @@ def calibrate_gyro(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> G
 
 
 def _fit(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
-    """Calibration with a small time offset, or with a large one if that fits clearly better; None if neither fits."""
+    """Calibration with a small time offset, or a large one that fits clearly better; None with under 7 intervals."""
     near = _fit_within(_NARROW_OFFSETS_S, times, R_world_camera, imu)
     if near is None or near.residual_deg <= _USUAL_RESIDUAL_DEG:
         return near
@@ -106,6 +106,7 @@ def _fit(times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibra
 
 
 def _fit_within(offsets: FloatArray, times: FloatArray, R_world_camera: FloatArray, imu: Imu) -> GyroCalibration | None:
+    """Calibration with one of the ``offsets`` [s], refined to 1 ms; None with fewer than seven common intervals."""
     rows = spaced_rows(times, _MIN_INTERVAL_S)
     margin = offsets[-1] + _FINE_OFFSETS_S[-1]
     rows = rows[(times[rows] > imu.times[0] + margin) & (times[rows] < imu.times[-1] - margin)]

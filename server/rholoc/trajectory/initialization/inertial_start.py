@@ -166,7 +166,7 @@ class _Motion:
 
 
 def _covered(t: FloatArray, imu: Imu) -> BoolArray:
-    """Mask (K - 1,) of the intervals between keyframes that the IMU table covers without a gap."""
+    """Mask (K - 1,) of the intervals between times ``t`` (K,), IMU clock, that its table covers without a gap."""
     inside = (t[:-1] >= imu.times[0]) & (t[1:] <= imu.times[-1])
     gaps = np.flatnonzero(np.diff(imu.times) > longest_interval_s(imu))
     for gap in gaps.tolist():
@@ -222,7 +222,8 @@ def _integrated(
     imu: Imu, gyro: GyroCalibration, t: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Velocity changes and displacements (K - 1, 3) by the specific force between keyframes, in the rotations' frame.
-    Then their derivatives (K - 1, 3, 3) by the accelerometer bias, in the same order.
+    Then their derivatives (K - 1, 3, 3) by the accelerometer bias, in the same order. ``t`` (K,) [s] are the keyframes'
+    times on the IMU's clock, ``R`` (K, 3, 3) is R_world_camera.
     """
     R_start_imu = orientations(imu, gyro.bias).as_matrix()
     n = len(t) - 1

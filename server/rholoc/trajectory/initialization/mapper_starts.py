@@ -81,13 +81,14 @@ class PycolmapStarts:
     def pieces(self, mapper: Mapper) -> list[Piece]:
         """Models of a mapper, largest first, each of at least three pictures; models may share pictures.
 
-        Waits for a mapper that was begun, runs another one.
+        Waits for the mapper, which is begun if it was not.
         """
         if mapper not in self._begun:
             self.begin(mapper)
         return self._begun[mapper].result()
 
     def _pieces(self, mapper: Mapper) -> list[Piece]:
+        """Run a mapper: its models of at least three pictures, largest first."""
         pycolmap.logging.minloglevel = 3  # a failure shows in the result
         output = Path(self._folder.name) / mapper
         output.mkdir()
@@ -154,6 +155,7 @@ def _guessed_model(camera: Camera, pixels: Sequence[FloatArray]) -> tuple[pycolm
 
 
 def _pycolmap_camera(camera: Camera, kind: str, params: list[float]) -> pycolmap.Camera:
+    """pycolmap's camera of the same size, of the model ``kind`` with its parameters, the focal length a prior."""
     model = pycolmap.Camera(camera_id=_CAMERA, model=kind, width=camera.width, height=camera.height, params=params)
     model.has_prior_focal_length = True
     return model
@@ -197,6 +199,7 @@ def _run(mapper: Mapper, folder: Path, is_known: bool, pictures: int) -> list[py
 
 
 def _global_options(is_known: bool) -> pycolmap.GlobalPipelineOptions:
+    """Options of the global mapper, which refines intrinsics unless they are known."""
     options = pycolmap.GlobalPipelineOptions()
     options.mapper.bundle_adjustment.refine_focal_length = not is_known
     options.mapper.bundle_adjustment.refine_extra_params = not is_known
@@ -206,6 +209,7 @@ def _global_options(is_known: bool) -> pycolmap.GlobalPipelineOptions:
 
 
 def _incremental_options(is_known: bool, pictures: int) -> pycolmap.IncrementalPipelineOptions:
+    """Options of the incremental mapper, which refines intrinsics unless they are known."""
     options = pycolmap.IncrementalPipelineOptions()
     options.max_runtime_seconds = _SECONDS + pictures
     options.ba_refine_focal_length = options.ba_refine_extra_params = not is_known

@@ -22,9 +22,10 @@ _GYRO_BIAS_RAD_S = 1e-3  # … and a part times the seconds, from the remaining 
 def average_rotations(
     count: int, pairs: Sequence[PairRotation], times: FloatArray, by_gyroscope: Rotation | None
 ) -> tuple[FloatArray, IntArray]:
-    """R_world_camera (K, 3, 3) of ``count`` keyframes, the first's the identity, and the component (K,) of each.
+    """R_world_camera (K, 3, 3) of ``count`` keyframes, and the component (K,) of each, named by its first keyframe.
 
-    With a gyroscope there is one component. Without one, each connected component of the pairs has its own frame.
+    With a gyroscope there is one component, in the gyroscope's frame. Without one, each connected component of the
+    pairs has its own frame, that of its first keyframe.
 
     Args:
         pairs: relative rotations of keyframes; outliers are down-weighted (Cauchy's loss).

@@ -93,11 +93,12 @@ class Descent:
 
     @lazy
     def _points_and_rest(self) -> tuple[gtsam.Ordering, gtsam.Ordering]:
+        """Elimination order of the points, and that of all other unknowns."""
         points, rest = split(self.ordering, _POINTS)
         return ordered(points), ordered(rest)
 
     def _along(self, values: gtsam.Values, step: gtsam.VectorValues) -> Iterator[gtsam.Values]:
-        """Iterate over the values after the whole step, then after parts of it with the points settled."""
+        """Iterate over the values after the whole step, then after it and parts of it with the points settled."""
         yield values.retract(step)
         for share in _SHARES:
             with contextlib.suppress(MappingFailed):  # impossible intrinsics

@@ -48,6 +48,7 @@ def robust(sigmas: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base
 def _add_sightings(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, problem: Problem, state: State, used: BoolArray
 ) -> None:
+    """Add the sightings in ``used`` (N,) to ``graph``, and their points and any estimated intrinsics to ``values``."""
     observations, camera = problem.observations, state.camera
     noise = robust(CAUCHY_PIXELS, gtsam.noiseModel.Isotropic.Sigma(2, problem.pixel_sigma_px))
     for track in np.unique(observations.tracks[used]).tolist():
@@ -99,12 +100,14 @@ def _hold_unseen(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, seeing
 
 
 def _add_fixes(graph: gtsam.NonlinearFactorGraph, fixes: Sequence[Fix]) -> None:
+    """Add measured camera positions to ``graph``, with Cauchy's loss."""
     for fix in fixes:
         noise = robust(_CAUCHY_WAYPOINTS, gtsam.noiseModel.Isotropic.Sigma(3, fix.sigma_m))
         graph.add(gtsam.PoseTranslationPrior3D(C(fix.keyframe), np.array(fix.position), noise))
 
 
 def _add_steps(graph: gtsam.NonlinearFactorGraph, steps: Sequence[Step]) -> None:
+    """Add relative poses of keyframes to ``graph``, with Cauchy's loss."""
     for step in steps:
         sigmas = np.repeat([step.sigma_rad, step.sigma_m], 3)
         noise = robust(_CAUCHY_STEPS, gtsam.noiseModel.Diagonal.Sigmas(sigmas))

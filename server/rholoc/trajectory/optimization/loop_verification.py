@@ -33,7 +33,7 @@ class PlacedFeatures:
 
     Attributes:
         points: (M, 3) in the walk's frame [m].
-        known: (M,) bool, points with enough parallax.
+        known: (M,) bool, points with enough parallax and small residuals.
         labels: for each keyframe the points (F,) of its features.
         rays: for each keyframe the rays (F, 3) of its features in the camera frame.
         state: the walk.

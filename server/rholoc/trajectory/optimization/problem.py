@@ -76,7 +76,7 @@ class InertialState:
         biases: (K, 6) of the accelerometer, m/s², and the gyroscope, rad/s.
         T_imu_camera: (4, 4) mounting of the camera.
         clock_s: correction to add to the calibrated time offset.
-        gravity: (3,) m/s² in the map frame, as the accelerometer measures it.
+        gravity: (3,) m/s² in the map frame, downwards, as long as the accelerometer reads it.
     """
 
     velocities: FloatArray

@@ -147,7 +147,7 @@ def track_corners(
     )
 
 
-_Seen = tuple[ByteArray, ByteArray, FloatArray, float]
+_Seen = tuple[ByteArray, ByteArray, FloatArray, float]  # as :func:`_look` returns it
 
 
 def _looked_at(frames: FrameSource, breadth: float = 1.0) -> Iterator[_Seen]:
@@ -174,6 +174,7 @@ def _look(image: ByteArray, breadth: float = 1.0) -> _Seen:
 
 
 def _reduced(gray: ByteArray, longer_side_px: int) -> ByteArray:
+    """Grey image (H, W), shrunk to this longer side if it is larger."""
     height, width = gray.shape
     scale = longer_side_px / max(height, width)
     if scale >= 1:
@@ -207,7 +208,7 @@ def _flow(
     levels: int,
     stop: tuple[int, int, float],
 ) -> tuple[FloatArray, BoolArray]:
-    """New positions (K, 2) of corners (K, 2), searched from ``guess`` (K, 2), and a mask (K,) of those found."""
+    """New positions (K, 2) of corners (K, 2), searched from ``guess`` (K, 2) or these; a mask (K,) of those found."""
     flags = 0 if guess is None else cv2.OPTFLOW_USE_INITIAL_FLOW
     start = None if guess is None else guess.reshape(-1, 1, 2).copy()
     moved, found, _ = cv2.calcOpticalFlowPyrLK(

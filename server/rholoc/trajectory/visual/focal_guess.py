@@ -125,7 +125,7 @@ def _focal_by_pictures(flow: Flow) -> float | None:
 
 def camera_by_matches(matched: Sequence[tuple[FloatArray, FloatArray]], size: tuple[int, int]) -> Camera | None:
     """Camera by the pairs of pictures with most matches: one with barrel distortion if it fits them clearly better,
-    else one with the median of their focal lengths. None if these do not agree.
+    else one with the median of their focal lengths. None if these do not agree, or are implausible.
 
     Args:
         matched: pixels (M, 2) of a pair's matches in either picture.
@@ -193,8 +193,8 @@ def _best_matched(matched: Sequence[tuple[FloatArray, FloatArray]]) -> list[tupl
 
 
 def _epipolar_misfit(first: Camera, second: Camera, matched: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Mean over pairs of the truncated squared epipolar error [px²] of the best relative pose, the cameras those of
-    either picture.
+    """Mean over pairs of the truncated squared epipolar error [px²] of the best relative pose, by the cameras of their
+    first and second pictures.
     """
     focal = float(np.sqrt(2 / (first.focal**-2 + second.focal**-2)))  # pixels of both pictures count alike
     options = {"max_epipolar_error": 1 / focal, "min_iterations": 50, "max_iterations": 200, "seed": 1}

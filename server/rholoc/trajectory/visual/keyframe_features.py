@@ -137,6 +137,7 @@ class KeyframeFeatures:
         return begun
 
     def _extracted(self, row: int, image: ByteArray) -> tuple[FeatureSet, int]:
+        """Show an image, and extract its features, as :func:`_extract`."""
         if self._show is not None:
             self._show(row, image)
         return _extract(image, self._extractor, self._longest_px)
@@ -148,7 +149,7 @@ def _features_each(pictures: int) -> int:
 
 
 def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> tuple[FeatureSet, int]:
-    """Features of an image reduced to ``longest_px``, to twice as much if they are fewer than 600; and that size."""
+    """Features of an image reduced to ``longest_px``, to twice as much if they are under 600; and that side [px]."""
     found = _extract_reduced(image, extractor, longest_px)
     if len(found) >= _FEW or max(image.shape[:2]) <= longest_px:
         return found, longest_px
@@ -156,6 +157,7 @@ def _extract(image: ByteArray, extractor: Extractor, longest_px: int) -> tuple[F
 
 
 def _extract_reduced(image: ByteArray, extractor: Extractor, longest_px: int) -> FeatureSet:
+    """Features of an image searched at a longer side of ``longest_px`` at most, in pixels of the whole image."""
     height, width = image.shape[:2]
     longer = max(height, width)
     if longer <= longest_px:

@@ -72,7 +72,7 @@ def picture_pairs(features: Sequence[FeatureSet]) -> list[Pair]:
 
 
 def _best_pairs(matches: IntArray) -> list[Pair]:
-    """Sorted pairs of each picture at ``_RANKS`` by ``matches`` (N, N), symmetric, of at least ``_MIN_LARGEST``."""
+    """Sorted pairs of each picture with those at ``_RANKS`` by ``matches`` (N, N), at least ``_MIN_LARGEST`` each."""
     ranked = np.argsort(-matches, axis=1, kind="stable")[:, [rank for rank in _RANKS if rank < len(matches)]]
     is_chosen = np.zeros(matches.shape, np.bool_)
     np.put_along_axis(is_chosen, ranked, True, axis=1)

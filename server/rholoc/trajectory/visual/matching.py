@@ -136,7 +136,7 @@ def match_pictures(
 
 
 def with_poses_anew(pairs: Sequence[VerifiedPair], rays: Sequence[FloatArray], focal_px: float) -> list[VerifiedPair]:
-    """Pairs with their relative poses by other rays, such as of a better focal length, and the inliers of these."""
+    """Pairs with relative poses by other rays, as of a better focal length, and their inliers; none with under 15."""
 
     def anew(pair: VerifiedPair) -> VerifiedPair | None:
         first, second = rays[pair.first][pair.matches[:, 0]], rays[pair.second][pair.matches[:, 1]]
@@ -192,8 +192,9 @@ def _verify(
     by_gyroscope: Rotation | None,
     fewest: int,
 ) -> VerifiedPair | None:
-    """Inlier matches of one relative pose; None with fewer than ``fewest``, or if the gyroscope contradicts its
-    rotation. If the gyroscope explains 80 % of the inliers, its rotation replaces the picture's.
+    """Inlier matches of one relative pose, with a ``tolerance`` as of :func:`relative_pose`; None with fewer than
+    ``fewest``. Where the gyroscope contradicts the rotation, its own is taken if that explains 80 % of the inliers;
+    otherwise the result is None, too.
     """
     i, j = pair
     matches = ratio_matches(descriptors(i), descriptors(j))

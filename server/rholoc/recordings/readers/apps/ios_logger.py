@@ -76,6 +76,7 @@ def _frames(folder: Path, times: FloatArray) -> TimedFrames:
 
 
 def _imu(folder: Path) -> tuple[Imu, tuple[RecordingWarning, ...]]:
+    """The IMU by ``MotARH.txt``, else by ``Accel.txt`` and ``Gyro.txt``, and warnings. Raises InvalidRecording."""
     fused = folder / "MotARH.txt"
     says = ImuConvention(in_g=True, apple_sign=True)
     if fused.is_file():

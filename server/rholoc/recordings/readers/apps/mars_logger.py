@@ -37,7 +37,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder, with the intrinsics logged for each frame.
 
     Raises:
         InvalidRecording: a table or the video is missing or broken, or they contradict each other.
@@ -69,6 +69,7 @@ def read(folder: Path) -> Recording:
 
 
 def _with_columns(folder: Path, names: tuple[str, ...]) -> Path | None:
+    """The first CSV file of the folder, by name, with these columns; None if there is none."""
     return next((path for path in sorted(folder.glob("*.csv")) if has_columns(path, names)), None)
 
 
@@ -96,6 +97,7 @@ def _intrinsics(metadata: LoggedTable) -> FloatArray:
 
 
 def _readout_s(metadata: LoggedTable) -> float | None:
+    """Median read-out time [s] of the frames; None if it is not logged, or not positive."""
     if _READOUT not in metadata.header:
         return None
     readout_s = float(np.median(metadata.named(_READOUT))) / 1e9

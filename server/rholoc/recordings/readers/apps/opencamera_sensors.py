@@ -67,4 +67,5 @@ def _times_csv(gyroscope: Path) -> Path | None:
 
 
 def _sibling(gyroscope: Path, ending: str) -> Path:
+    """Path of the table beside the gyroscope's with another ending."""
     return gyroscope.with_name(gyroscope.name.removesuffix(_GYROSCOPE) + ending)

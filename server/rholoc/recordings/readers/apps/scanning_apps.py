@@ -82,10 +82,10 @@ class ScanningApp:
     time_unit: str = "s"
 
     def read(self, folder: Path) -> Recording:
-        """Read a folder of this layout.
+        """Read a folder of this layout: poses by ARKit, which drift, and depth, if any.
 
         Raises:
-            InvalidRecording: a picture or its description is broken or missing, or times go back.
+            InvalidRecording: a picture or its description is broken or missing, or over 5 % of the times go back.
             InvalidCamera: intrinsics are broken.
             InvalidTrajectory: a pose is broken.
         """
@@ -136,6 +136,7 @@ def _scanner_app(folder: Path) -> list[_Shot]:
 
 
 def _is_scanner_app(folder: Path) -> bool:
+    """Whether ``frame_*.jpg`` have descriptions with a pose, by the first one."""
     pictures = _pictures(folder, "frame_*.jpg")
     return bool(pictures) and "cameraPoseARFrame" in _members_if_any(pictures[0].with_suffix(".json"))
 
@@ -156,6 +157,7 @@ def _polycam(folder: Path) -> list[_Shot]:
 
 
 def _is_polycam(folder: Path) -> bool:
+    """Whether ``keyframes`` has a folder of cameras."""
     return any((folder / "keyframes" / name).is_dir() for name in ("cameras", "corrected_cameras"))
 
 

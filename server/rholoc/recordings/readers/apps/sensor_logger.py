@@ -54,6 +54,7 @@ def read(folder: Path) -> Recording:
 
 
 def _frames(camera: Path) -> TimedFrames:
+    """Frames of the folder ``Camera``, from a video, else from images. Raises InvalidRecording without either."""
     hint = "Switch the camera on in the app, and pack the folder Camera with the tables."
     if not camera.is_dir():
         raise InvalidRecording("The recording has no folder Camera.", hint)
@@ -69,6 +70,7 @@ def _frames(camera: Path) -> TimedFrames:
 
 
 def _milliseconds(path: Path) -> int:
+    """Number in a file's name, milliseconds since 1970. Raises InvalidRecording if there is none."""
     number = number_in_name(path)
     if number is None:
         raise InvalidRecording(f"The name of {path.name} is not a time.", "Keep the file names that the app gives.")
@@ -89,6 +91,7 @@ def _acceleration(folder: Path) -> tuple[Samples, bool]:
 
 
 def _samples(path: Path) -> Samples:
+    """Samples of a sensor's table, times as logged. Raises InvalidRecording."""
     return Samples.from_rows(read_logged_table(path).named(*_COLUMNS))
 
 

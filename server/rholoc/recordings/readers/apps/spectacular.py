@@ -31,7 +31,7 @@ _LENSES = {"pinhole": Lens.PINHOLE, "brown-conrady": Lens.PINHOLE, "kannala-bran
 
 @dataclass(eq=False)
 class _Log:
-    """The lines: rows of time and three values for each sensor; time and parameters of each frame."""
+    """The lines: rows of time and three values for each sensor; time [s] and description of each frame of camera 0."""
 
     sensors: dict[str, list[list[float]]] = field(default_factory=lambda: {"accelerometer": [], "gyroscope": []})
     frames: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
@@ -47,7 +47,7 @@ def read(folder: Path) -> Recording:
     """Read a recording of this format from its folder.
 
     Raises:
-        InvalidRecording: a line is malformed, or lines and video contradict each other.
+        InvalidRecording: a line is malformed, there are no frames, or lines and video contradict each other.
         InvalidCamera: the calibration is broken.
     """
     log = _read_lines(folder / "data.jsonl")
@@ -70,6 +70,7 @@ def read(folder: Path) -> Recording:
 
 
 def _read_lines(path: Path) -> _Log:
+    """Content of ``data.jsonl``; a last line that is cut off becomes a warning. Raises InvalidRecording."""
     log = _Log()
     lines = [line for line in read_text(path).splitlines() if line.strip()]
     for number, line in enumerate(lines, start=1):
@@ -105,6 +106,7 @@ def _take(log: _Log, value: dict[str, Any]) -> None:
 
 
 def _imu(log: _Log, R_camera_imu: FloatArray | None) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    """The IMU, and warnings; None if one of its sensors has no rows. Raises InvalidRecording."""
     accelerometer, gyroscope = (np.array(log.sensors[name]).reshape(-1, 4) for name in ("accelerometer", "gyroscope"))
     if len(accelerometer) == 0 or len(gyroscope) == 0:
         return None, ()
@@ -114,7 +116,7 @@ def _imu(log: _Log, R_camera_imu: FloatArray | None) -> tuple[Imu | None, tuple[
 
 
 def _calibration(path: Path) -> dict[str, Any] | None:
-    """The first camera of the file ``calibration.json``; None if there is none. Raises InvalidCamera if it has none."""
+    """The first camera of the file ``calibration.json``; None without the file. Raises InvalidCamera if it has none."""
     if not path.is_file():
         return None
     try:
@@ -137,6 +139,7 @@ def _intrinsics(values: Any) -> list[float]:
 
 
 def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
+    """Camera rescaled to ``size``, and warnings; None without intrinsics or, with a warning, of an unknown model."""
     fx, fy, cx, cy = _intrinsics(values)
     if not np.isfinite(fx):
         return None, ()
@@ -156,6 +159,7 @@ def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | Non
 
 
 def _rotation(rows: Any) -> FloatArray | None:
+    """Rotation (3, 3) of a transform ``imuToCamera``; None if it is missing or no rotation."""
     try:
         R = np.array(rows, dtype=np.float64)[:3, :3]
     except (TypeError, ValueError, IndexError):

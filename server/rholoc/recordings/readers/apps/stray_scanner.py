@@ -38,7 +38,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder: poses by ARKit, which drift, and depth and IMU, if any.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.
@@ -63,6 +63,7 @@ def read(folder: Path) -> Recording:
 
 
 def _imu(path: Path, times: FloatArray, poses: GivenPoses) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    """The IMU, its sign by the ``poses`` at ``times`` (N,) [s], and warnings; None without the file."""
     if not path.is_file():
         return None, ()
     rows = read_logged_table(path).named(*_IMU)
@@ -74,6 +75,7 @@ def _imu(path: Path, times: FloatArray, poses: GivenPoses) -> tuple[Imu | None, 
 
 
 def _camera(path: Path, size: tuple[int, int]) -> Camera | None:
+    """Camera by a file of K (3, 3) for pictures of ``size`` (width, height); None without the file."""
     if not path.is_file():
         return None
     K = read_logged_table(path).numbered(0, 1, 2)
@@ -83,4 +85,5 @@ def _camera(path: Path, size: tuple[int, int]) -> Camera | None:
 
 
 def _logged_intrinsics(odometry: LoggedTable, rows: IntArray) -> FloatArray | None:
+    """fx, fy, cx, cy (N, 4) [px] in these rows (N,); None if they are not logged."""
     return odometry.named(*_INTRINSICS)[rows] if set(_INTRINSICS) <= set(odometry.header) else None

@@ -40,7 +40,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder; times of frames and poses count from the first frame.
 
     Raises:
         InvalidRecording: a table or the video is broken, or they contradict each other.
@@ -66,8 +66,10 @@ def read(folder: Path) -> Recording:
 
 
 def _phone(folder: Path) -> Path:
+    """The folder of the iPhone's files: ``iphone``, or the folder itself if there is none."""
     return folder / "iphone" if (folder / "iphone").is_dir() else folder
 
 
 def _gyroscope(phone: Path) -> Path:
+    """The gyroscope's table: ``gyro.csv``, else ``gyroscope.csv``, which need not exist."""
     return phone / "gyro.csv" if (phone / "gyro.csv").is_file() else phone / "gyroscope.csv"

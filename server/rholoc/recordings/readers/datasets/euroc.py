@@ -59,7 +59,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read cam0, imu0 and the ground truth.
+    """Read cam0, imu0 and the ground truth; without the last two, cam0 and cam1 as a rig, if they are mounted.
 
     Raises:
         InvalidRecording: a table or an image is missing or broken.
@@ -117,10 +117,12 @@ def _rig(root: Path, first: Camera | None) -> Recording | None:
 
 
 def _root(folder: Path) -> Path:
+    """Folder of the sensors: ``mav0``, or the folder itself if there is none."""
     return folder / "mav0" if (folder / "mav0").is_dir() else folder
 
 
 def _sensor(path: Path) -> dict[str, Any]:
+    """Content of a ``sensor.yaml``; empty without the file. Raises InvalidCamera if it is not plain YAML."""
     if not path.is_file():
         return {}
     lines = read_text(path, InvalidCamera, _MAX_SENSOR_BYTES).splitlines()
@@ -169,6 +171,7 @@ def _body(sensor: dict[str, Any]) -> FloatArray | None:
 
 
 def _imu(folder: Path, T_body_camera: FloatArray | None) -> tuple[Imu | None, tuple[RecordingWarning, ...]]:
+    """The IMU of its folder, and warnings; None without a table. The mounting is None if ``T_body_camera`` is."""
     if not (folder / "data.csv").is_file():
         return None, ()
     table = read_logged_table(folder / "data.csv")
@@ -184,6 +187,7 @@ def _imu(folder: Path, T_body_camera: FloatArray | None) -> tuple[Imu | None, tu
 
 
 def _poses(root: Path, T_body_camera: FloatArray | None, frames: FrameSource) -> GivenPoses | None:
+    """Ground truth of cam0: of the body where its mounting is known, else of cam0 itself; None without such a file."""
     of_body, of_camera = root / "state_groundtruth_estimate0" / "data.csv", root / "groundtruth_cam0.txt"
     if of_body.is_file() and T_body_camera is not None:
         table = read_logged_table(of_body)

@@ -32,11 +32,11 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder: poses in metres, not upright; depth; no intrinsics, no times.
 
     Raises:
         InvalidRecording: an image is broken.
-        InvalidTrajectory: a pose is not a 4×4 matrix.
+        InvalidTrajectory: a pose is not a 4×4 matrix, or has no rotation.
     """
     images = _images(folder)
     timed = untimed_images(images)
@@ -53,12 +53,14 @@ def read(folder: Path) -> Recording:
 
 
 def _images(folder: Path) -> list[Path]:
+    """Colour images of a folder, by name."""
     return sorted(
         path for path in folder.iterdir() if path.name.lower().endswith(_COLOUR) and not path.name.startswith(".")
     )
 
 
 def _pose_file(image: Path) -> Path:
+    """File of an image's pose, which need not exist."""
     return image.with_suffix("").with_suffix(".pose.txt")
 
 

@@ -34,7 +34,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder: poses in metres and depth, if any; no intrinsics.
 
     Raises:
         InvalidRecording: the list or an image is missing or broken.

@@ -84,7 +84,7 @@ _MAX_NAME_BYTES = 4096
 
 @dataclass(frozen=True, eq=False)
 class _Image:
-    """An image of the model: tx ty tz qx qy qz qw of the world in the camera."""
+    """An image of the model: its camera's identifier, and tx ty tz qx qy qz qw of the world in the camera."""
 
     name: str
     camera: str
@@ -97,7 +97,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder; images that the model does not place are ignored.
+    """Read the model with most images: poses of unknown scale. Images that it does not place are ignored.
 
     Raises:
         InvalidRecording: the model or an image is broken.
@@ -180,6 +180,7 @@ def _read_binary(model: Path) -> tuple[list[_Image], dict[str, list[str]]]:
 
 
 def _binary_cameras(data: bytes) -> dict[str, list[str]]:
+    """Fields of each camera by identifier: model, width, height, parameters. Raises struct.error, KeyError."""
     fields, place = {}, _COUNT.size
     for _ in range(_COUNT.unpack_from(data)[0]):
         number, model, width, height = _CAMERA_HEAD.unpack_from(data, place)
@@ -192,6 +193,7 @@ def _binary_cameras(data: bytes) -> dict[str, list[str]]:
 
 
 def _binary_images(data: bytes) -> list[_Image]:
+    """Images of a binary file. Raises struct.error or ValueError if it is cut off, InvalidRecording if it is empty."""
     images, place = [], _COUNT.size
     for _ in range(_COUNT.unpack_from(data)[0]):
         _, qw, qx, qy, qz, tx, ty, tz, camera = _IMAGE_HEAD.unpack_from(data, place)
@@ -208,6 +210,7 @@ def _binary_images(data: bytes) -> list[_Image]:
 
 
 def _read_images(path: Path) -> list[_Image]:
+    """Images of a text file. Raises InvalidRecording if it is broken, or lists none."""
     lines = iter(read_text(path).splitlines())
     images = []
     for line in lines:

@@ -36,7 +36,7 @@ from rholoc.reports import RecordingWarning
 TABLES = ("sensors/*.txt", "reconstruction/*")
 _ADVICE = "Leave it as kapture wrote it."
 UNKNOWN_MODEL = "UNKNOWN_CAMERA"  # of a camera without intrinsics
-_Pose = dict[tuple[str, str], FloatArray]
+_Pose = dict[tuple[str, str], FloatArray]  # transforms (4, 4) by rig and sensor, or by timestamp and sensor
 
 
 def recognises(folder: Path) -> bool:
@@ -45,7 +45,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read a recording of this format from its folder; its poses are of unknown scale.
 
     Raises:
         InvalidRecording: a table or an image is broken.
@@ -126,6 +126,7 @@ def _optional_rows(path: Path, fewest: int, error: type[InvalidInput] = InvalidR
 
 
 def _number(text: str, table: str) -> float:
+    """A finite number. Raises InvalidRecording, naming ``table``."""
     try:
         number = float(text)
     except ValueError:
@@ -149,6 +150,7 @@ def _cameras(
 def _frames(
     paths: Sequence[Path], stamps: FloatArray | None, cameras: Sequence[Camera] | None
 ) -> tuple[TimedFrames, tuple[RecordingWarning, ...]]:
+    """Frames, by time if there are ``stamps`` (N,), their rows indices of ``paths``; and warnings on the unit."""
     if stamps is None:
         return untimed_images(paths, cameras), ()
     times, warnings = frame_times_s(stamps, "ns")
@@ -190,7 +192,7 @@ def _flattened(rigs: _Pose) -> _Pose:
 
 
 def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[str, FloatArray] | None]:
-    """The rig of each picture's sensor, and T_rig_sensor (4, 4); None for sensors without a rig."""
+    """For each record (timestamp, sensor) its sensor's rig and T_rig_sensor (4, 4); None for sensors without a rig."""
     of_sensor = {sensor: (rig, np.linalg.inv(T_sensor_rig)) for (rig, sensor), T_sensor_rig in rigs.items()}
     return [of_sensor.get(sensor) for _, sensor in records]
 
@@ -198,11 +200,11 @@ def _mountings(records: Sequence[tuple[str, str]], rigs: _Pose) -> list[tuple[st
 def _poses(
     tables: Path, records: Sequence[tuple[str, str]], rigs: _Pose, T_stored_shown: FloatArray
 ) -> GivenPoses | None:
-    """T_world_camera of each shown picture, by its sensor's trajectory, else by its rig's; None if no picture has a
-    pose.
+    """T_world_camera of each shown picture, of unknown scale, by its sensor's trajectory, else by its rig's. None
+    without trajectories.
 
     ``records`` are the pictures' (timestamp, sensor), ``T_stored_shown`` (N, 4, 4) their orientations. Raises
-    InvalidTrajectory.
+    InvalidTrajectory if trajectories have no pose of a picture.
     """
     placed = _pose_table(tables / "trajectories.txt")
     mounted: dict[str, list[tuple[str, FloatArray]]] = defaultdict(list)

@@ -57,7 +57,7 @@ def recognises(folder: Path) -> bool:
 
 
 def read(folder: Path) -> Recording:
-    """Read a recording of this format from its folder.
+    """Read the aligned cameras and their photos; poses are metric if a transform with a scale is stated.
 
     Raises:
         InvalidRecording: no camera is aligned, none has a label of its own, or a photo is missing or broken.
@@ -126,6 +126,7 @@ def _photos(folder: Path, suffixes: Container[str]) -> dict[str, list[Path]]:
 
 
 def _label(camera: Element) -> str:
+    """A camera's label; empty if it has none."""
     return camera.get("label", "")
 
 
@@ -190,8 +191,8 @@ def _frame_of(camera: Element, frames: Mapping[str | None, Element | None], chun
 
 
 def _pose(camera: Element, frame: Element | None) -> FloatArray:
-    """T_map_camera (4, 4) of a camera, in the frame of its component, or of its chunk if that is None. Raises
-    InvalidTrajectory if a transform is no pose.
+    """T_map_camera (4, 4) of a camera, moved and scaled by the transform ``frame``, only scaled by a geocentric one,
+    unchanged for None. Raises InvalidTrajectory if a transform is no pose.
     """
     T = _numbers(camera.find("transform"), 16).reshape(4, 4)
     rotation, translation, scale = (
@@ -248,6 +249,7 @@ def _calibration(sensor: Element) -> dict[str, float]:
 
 
 def _no_calibration(sensor: Element) -> InvalidCamera:
+    """The error for a sensor without a valid calibration."""
     return InvalidCamera(f"The sensor {str(sensor.get('label'))[:60]} has no valid calibration.", _ADVICE)
 
 

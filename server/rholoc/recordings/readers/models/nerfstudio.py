@@ -91,6 +91,7 @@ def _frames(path: Path) -> list[dict[str, Any]]:
 
 
 def _image(folder: Path, frame: dict[str, Any]) -> Path:
+    """File of a frame's picture, its suffix added if missing; it need not exist. Raises InvalidRecording."""
     name = frame.get("file_path")
     if not isinstance(name, str):
         raise InvalidRecording("A frame of the transforms has no file_path.")
@@ -152,6 +153,7 @@ def _cameras(
 
 
 def _size(path: Path) -> tuple[int, int]:
+    """Width and height of a stored picture [px]. Raises InvalidRecording if it is missing or broken."""
     try:
         return stored_size(path)
     except (InvalidImage, OSError) as error:
@@ -171,6 +173,7 @@ def _number(values: dict[str, Any], name: str) -> float:
 
 
 def _camera(values: dict[str, Any], size: tuple[int, int]) -> tuple[Camera | None, tuple[RecordingWarning, ...]]:
+    """Camera of a frame's members; None without a focal length, or, with a warning, for an unsupported model."""
     flagged = next((model for name, model in _FLAGS.items() if values.get(name)), None)
     flagged = "f-theta" if "ftheta_p0" in values else flagged
     model = flagged or str(values.get("camera_model") or "OPENCV").upper()
