@@ -57,7 +57,7 @@ def put(
     maps: Maps = _MAPS,
     as_json: options.Json = False,
 ) -> None:
-    """Store a site, and find the poses that are not given from its links."""
+    """Store a site; its links place the maps whose poses are not given."""
     from pydantic import ValidationError
 
     from rholoc.library.maps import MapLibrary

@@ -121,8 +121,8 @@ def sampled_pose(
     focal_px: float,
     settings: dict[str, Any],
 ) -> tuple[FloatArray, int]:
-    """T_map_rig (4, 4), NaN if none is found, and its number of inliers; arguments as
-    :func:`rholoc.geometry.resection.resected`.
+    """T_map_rig (4, 4), NaN if none is found, and its number of inliers. ``settings`` are poselib's options of RANSAC;
+    other arguments as those of :func:`rholoc.geometry.resection.resected`.
     """
     R = T_rig_camera[:, :3, :3]
     turned = [some @ R_one.T for some, R_one in zip(rays, R, strict=True)]

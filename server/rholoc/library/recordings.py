@@ -346,7 +346,7 @@ class RecordingStore:
             shutil.rmtree(folder, ignore_errors=True)
 
     def sweep(self) -> None:
-        """Recover recordings, and remove files that have belonged to none for a day: of uploads that broke off.
+        """:meth:`recover`, and remove files that have belonged to no recording for a day: of uploads that broke off.
 
         Raises:
             SQLAlchemyError, StorageUnavailable: it is done the next time.

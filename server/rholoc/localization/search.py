@@ -239,9 +239,9 @@ class Search:
         return self.best.if_focal_right.recognized >= enough
 
     def outcome(self, conclusive: float) -> Found | None:
-        """Candidate to answer with; None if there is none.
+        """Candidate to answer with: the likeliest that agrees with the prior, or None.
 
-        One that contradicts the prior wins only if its probability reaches ``conclusive`` and the other's is below
+        One that contradicts the prior is taken if its probability reaches ``conclusive``, and no agreeing one's reaches
         ``MIN_RECOGNIZED``.
         """
         best, elsewhere = self._contested(self.best), self._contested(self.elsewhere)

@@ -199,7 +199,9 @@ def _prepare_tables(url: sa.URL) -> None:
 
 @contextmanager
 def _reporting_refusal(url: sa.URL) -> Iterator[None]:
-    """Convert the errors of a first connection to StorageUnavailable, StorageFull, InvalidInput or Conflict."""
+    """Convert errors of a first connection that are expected: to StorageUnavailable (silent, busy), StorageFull,
+    InvalidInput (cannot be reached) or Conflict (no database of jobs).
+    """
     try:
         yield
     except PoolTimeout as error:

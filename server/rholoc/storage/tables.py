@@ -168,13 +168,13 @@ _LOCK_TIMEOUT_S, _RETRY_S = 60.0, 0.02
 
 
 def prepare_tables(connection: sa.Connection) -> None:
-    """Create or update the tables, and commit. Another transaction open on the connection is rolled back.
+    """Create or update the tables, and commit; a transaction open on the connection is rolled back. Nothing if current.
 
     If several processes start at once, one does so and the others wait: with PostgreSQL a minute, with SQLite 10 s.
 
     Raises:
         Conflict: the tables are of a later release.
-        StorageUnavailable, OperationalError: PostgreSQL, SQLite: another process still creates or updates them.
+        StorageUnavailable (PostgreSQL), OperationalError (SQLite): another process still creates or updates them.
     """
     newest = 1 + len(UPDATES)
     if _present_schema(connection) == newest:

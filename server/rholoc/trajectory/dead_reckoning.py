@@ -91,7 +91,9 @@ def integrate_between_waypoints(imu: Imu, waypoints: Sequence[Waypoint], at: Flo
 
 
 def _rests(imu: Imu, stops: FloatArray) -> FloatArray:
-    """Times at rest [s], ascending: the waypoints' ``stops`` (W,), and middles of pauses over 1 s away from them."""
+    """Times at rest [s], ascending: the waypoints' ``stops`` (W,), and the middles of pauses that are
+    over 1 s from each of them.
+    """
     middles = pauses(imu).mean(axis=1)
     others = [middle for middle in middles if np.abs(stops - middle).min() > _NOT_A_WAYPOINT_S]
     return np.sort(np.concatenate([stops, others]))

@@ -126,8 +126,8 @@ class MapIndex:
     def nearest_within(
         self, features: FeatureSet, landmarks: IntArray, some: IntArray | None = None
     ) -> NearestLandmarks:
-        """The four nearest of the landmarks (P,) for each feature, or for the rows ``some`` (N,), as
-        :meth:`match_within` compares them.
+        """The four nearest of the ``landmarks`` (P,), by number, for each feature; or for the rows ``some`` (N,), by
+        the landmarks' first descriptors only. Padded with -1.
         """
         rows = self.descriptor_rows(landmarks) if some is None else self._medoids[landmarks]
         channels = self.map.landmarks.channels[self.map.descriptors.features[rows]]

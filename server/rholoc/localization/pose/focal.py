@@ -186,7 +186,7 @@ def _zoomed(index: MapIndex, query: Query, verified: Verified) -> list[Refocused
     """Poses by focal lengths from half to twice the query's, at most eight, and one refined.
 
     Each starts from the verified pose moved along the optical axis, its distance from the landmarks scaled like the
-    focal length. The search in either direction ends when the likelihood falls by :func:`_margin`. If a pose has a
+    focal length. The search in either direction ends :func:`_margin` below the verified likelihood. If a pose has a
     higher likelihood than the verified one, the best is refined, and appended.
     """
     T = verified.optimum.T_map_camera

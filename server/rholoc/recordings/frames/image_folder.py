@@ -197,7 +197,7 @@ def picture_size(path: Path) -> tuple[int, int]:
     """Width and height [px] of a picture file as it is shown.
 
     Raises:
-        InvalidRecording: it has no image header, a side below 16 px or over 8K pixels.
+        InvalidRecording: it has no image header, a side below 16 px, or more pixels than 8K video.
     """
     try:
         size = image_size(path)

@@ -192,7 +192,9 @@ class Quotas:
             self._holdings.drop([one for one in held if not present.has(one)])
 
     def _present(self) -> _Present:
-        """List uploads, jobs, then maps: each kind before the one it turns into, so that none is missed."""
+        """List uploads, recordings, jobs, then maps: each kind before the one it turns into, so that none is missed. An
+        upload counts as a recording and as a job.
+        """
         uploads = self._uploads.unfinished()
         recordings = frozenset(entry.id for entry in self._recordings.list())
         jobs = uploads | self._jobs.unfinished()

@@ -116,7 +116,9 @@ class Answerer:
         return await self._compute(lambda localizers: likeness(localizers.get(refusal.map), refusal), Effort.LARGE)
 
     async def localize_together(self, frames: Frames, maps: MapChoice, clock: Stopwatch) -> LocalizationOut:
-        """The most confident answer of several maps for several frames; raises the errors of :meth:`localize`."""
+        """The most confident answer of several maps for several frames: the first frame's pose. Raises and ends at the
+        deadline as :meth:`localize`.
+        """
         deadline_s = frame_deadline_s(frames.query.deadline_ms, self.settings)
         answer = await self._by_deadline(
             lambda localizers: localize_frames(frames, maps, localizers, self.settings, clock, deadline_s),

@@ -26,7 +26,7 @@ def is_film(flow: Flow) -> bool:
     """Whether the frames form a continuous video: four in five share 40 corners with the next.
 
     False for a set of pictures and for a thinned-out film. Up to ``MAX_PICTURES`` frames are a set if they have no
-    times, if 0.4 s or more pass between them, or if they move by more than 2 % of the picture in the mean.
+    times, if the median time between them is 0.4 s or more, or if the mean motion exceeds 2 % of the longer side.
     """
     shared = flow.shared_with_next
     if len(shared) == 0 or float(np.quantile(shared, _FILM_SHARE)) < _FILM_CORNERS:
