@@ -17,7 +17,7 @@ from typing import Any
 import httpx
 import pytest
 
-from rholoc.cli.operate.serve import listening_socket, phone_link
+from rholoc.cli.operate.serve import listening_socket, phone_link, worker
 from rholoc.cli.server_process import running_server
 from rholoc.errors import RholocError
 from rholoc.service.access.keys import KeyStore, Scope
@@ -144,6 +144,18 @@ def test_ctrl_c_ends_serve_and_worker_in_order(tmp_path: Path, times: int) -> No
             process.kill()
         assert process.returncode in (0, 130, -signal.SIGINT)
         assert "Traceback" not in rest
+
+
+def test_an_interrupt_before_a_worker_listens_is_heard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Programs that a shell starts in the background begin with SIGINT ignored."""
+    monkeypatch.setattr("rholoc.logs.configure_process_logs", lambda: None)
+    monkeypatch.setattr("rholoc.worker.worker.run_worker", lambda *_: signal.raise_signal(signal.SIGINT))
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            worker(tmp_path / "maps", tmp_path / "data")
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 STUCK = """

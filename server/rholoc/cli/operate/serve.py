@@ -170,13 +170,15 @@ def _https(settings: Settings, port: int, keys: KeyStore | None) -> tuple[Path, 
 def worker(maps: Maps = None, data: Data = None) -> None:
     """Work on mapping jobs, apart from the server. Any number of workers share the queue."""
     from rholoc.logs import configure_process_logs
+    from rholoc.processes.interrupts import interruptible
     from rholoc.worker.worker import run_worker
 
     configure_process_logs()
     settings = service_settings(maps_dir=maps, data_dir=data)
     target = settings.maps_dir if settings.shared_storage is None else "the shared storage"
-    print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {target}.")
-    run_worker(settings.worker_setup)
+    with interruptible():  # until the worker listens itself: SIGINT may have been ignored by whoever started this
+        print_notice(f"Working on the jobs of {settings.data_dir}; maps go to {target}.")
+        run_worker(settings.worker_setup)
 
 
 def _keys(settings: Settings) -> KeyStore | None:
