@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from rholoc.errors import MappingFailed
-from rholoc.geometry import BoolArray, FloatArray, IntArray
+from rholoc.geometry import IntArray
 from rholoc.trajectory.checks.agreeing_core import Links, agreeing_core
 from rholoc.trajectory.optimization.rounds import AdjustmentProgress
 from rholoc.trajectory.reconstruction.figures import depths_of
-from rholoc.trajectory.reconstruction.outcome import fewest_placed, held_keyframes
+from rholoc.trajectory.reconstruction.outcome import fewest_placed
 from rholoc.trajectory.reconstruction.part import Part, Pictured, Start, adjusted_part, agreement_of
 from rholoc.trajectory.visual.matching import VerifiedPair
 from rholoc.trajectory.visual.tracks import Observations
@@ -44,20 +44,13 @@ def _core(parts: Sequence[Part], count: int, pairs: Sequence[VerifiedPair]) -> I
         np.array([(pair.first, pair.second) for pair in pairs]), np.array([len(pair.matches) for pair in pairs])
     )
     first = parts[0]
-    T, core = _poses(first, count)
+    T, core = first.held_poses(count)
     depths = np.full(count, np.nan)
     depths[first.members] = depths_of(first.problem.observations, first.adjusted, len(first.members))
     for other in parts[1:]:
-        T_other, held = _poses(other, count)
+        T_other, held = other.held_poses(count)
         core = agreeing_core(T, T_other, core & held, links, depths)
     return np.flatnonzero(core)
-
-
-def _poses(part: Part, count: int) -> tuple[FloatArray, BoolArray]:
-    """Poses T (K, 4, 4) of K = ``count`` pictures, and which of them (K,) the part holds."""
-    T, held = np.tile(np.eye(4), (count, 1, 1)), np.zeros(count, dtype=np.bool_)
-    T[part.members], held[part.members] = part.adjusted.state.T_map_camera, held_keyframes(part.problem, part.adjusted)
-    return T, held
 
 
 def _restricted(part: Part, members: IntArray) -> Start:

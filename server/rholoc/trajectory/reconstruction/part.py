@@ -115,6 +115,15 @@ class Part:
         """Number of sightings that its poses explain."""
         return int(right_sightings(self.problem, self.adjusted).sum())
 
+    def held_poses(self, count: int) -> tuple[FloatArray, BoolArray]:
+        """Poses T (K, 4, 4) of K = ``count`` pictures, and which of them (K,) it holds by their sightings alone."""
+        T, held = np.tile(np.eye(4), (count, 1, 1)), np.zeros(count, dtype=np.bool_)
+        T[self.members], held[self.members] = (
+            self.adjusted.state.T_map_camera,
+            held_keyframes(self.problem, self.adjusted),
+        )
+        return T, held
+
 
 def adjusted_part(
     walk: Pictured,
@@ -162,8 +171,7 @@ def agreement_of(part: Part, other: Part) -> Agreement:
     """Agreement of two reconstructions, over the pictures of the smaller one."""
     one, two = sorted((part, other), key=lambda some: len(some.members), reverse=True)
     count = int(max(one.members.max(), two.members.max())) + 1
-    T, placed = np.tile(np.eye(4), (count, 1, 1)), np.zeros(count, dtype=np.bool_)
-    T[one.members], placed[one.members] = one.adjusted.state.T_map_camera, held_keyframes(one.problem, one.adjusted)
+    T, placed = one.held_poses(count)
     return comparison_with(T, placed, median_depth_of(one.problem.observations, one.adjusted), two)
 
 
